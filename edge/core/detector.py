@@ -1,0 +1,120 @@
+"""What a detector is: parameters, a fit, a float64 oracle, and a graph. See docs/architecture.md.
+
+A detector never touches a file and knows no runtime. Its ONNX head takes the taps of the trunk and one input per
+bank array (same name, unpacked dtype) and gives
+
+    score_map  float32 (n, h, w)  raw, in pixels of the inspected region, higher is more anomalous
+    score      float32 (n,)       the press's anomaly score, same meaning
+
+Everything else (channel choice, pooling, distances, upsampling, smoothing) is inside the head, so the gateway has no
+per-method code.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Bank", "Detector", "Features", "Grid", "Mode", "Nominal", "Packing", "Progress", "ScoreMaps"]
+
+Features = Mapping[str, NDArray[np.float32]]
+"""Tap name to feature map, float32 (n, c, h, w), as the trunk gives them."""
+
+Mode = Literal["paper", "corrected"]
+"""`paper` reproduces the seed paper's settings, defects included; `corrected` repairs each by a named switch."""
+
+Packing = Literal["none", "float16", "int8"]
+"""How an array is stored: as it is, as float16, or as int8 with one float32 scale per row of its last axis."""
+
+Progress = Callable[[float], None]
+"""Called with the fraction done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The geometry that a head is built for.
+
+    frame: (h, w) of the inspected region in pixels. taps: tap name to (channels, h, w). pixels_per_mm scales
+    physical sizes such as the one blur.
+    """
+
+    frame: tuple[int, int]
+    taps: Mapping[str, tuple[int, int, int]]
+    pixels_per_mm: float
+
+    def __post_init__(self) -> None:
+        if not self.taps or min(self.frame) < 1:
+            raise ValueError(f"a grid needs taps and a frame, found {self.frame} and {dict(self.taps)}")
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """What a detector is fitted from: nominal presses alone.
+
+    features: n presses. touched: bool (h, w) of the frame, True where any nominal press touches, None if unknown.
+    no_contact: features of the untouched gel (m >= 1 frames), None if there are none.
+    """
+
+    features: Features
+    touched: NDArray[np.bool_] | None = None
+    no_contact: Features | None = None
+
+    @property
+    def presses(self) -> int:
+        return next(iter(self.features.values())).shape[0]
+
+
+@dataclass(frozen=True)
+class Bank:
+    """A normality bank.
+
+    arrays: name to array exactly as the head's input of that name wants it (float32, int64 or bool).
+    packing: how an array is to be stored; arrays not named are stored as they are. facts: what the fit learnt or
+    chose, plain JSON (rank, ridge, seed, channel count, warnings), for the manifest.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    packing: Mapping[str, Packing] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ScoreMaps:
+    """The oracle's answer. score_map: float64 (n, h, w); score: float64 (n,). Higher is more anomalous."""
+
+    score_map: NDArray[np.float64]
+    score: NDArray[np.float64]
+
+
+class Detector(Protocol):
+    """One file in `plugins/detectors/`, one object under the entry points `gelgate.detectors`.
+
+    Parameters are a frozen dataclass of plain values; the same ones go to `fit`, `reference_score` and `head`, and
+    into the manifest.
+    """
+
+    name: str
+
+    def parameters(self, mode: Mode = "corrected", **overrides: object) -> Any:
+        """The mode's parameters with overrides. Errors: FitError for an unknown name or a value out of range."""
+        ...
+
+    def taps(self, parameters: Any) -> tuple[str, ...]:
+        """The taps that this detector reads, of those in the trunk."""
+        ...
+
+    def fit(
+        self, nominal: Nominal, grid: Grid, parameters: Any, rng: np.random.Generator, progress: Progress
+    ) -> Bank:
+        """Learn the bank. Errors: FitError (no presses, non-finite features, nothing left after filtering)."""
+        ...
+
+    def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
+        """The float64 oracle: readable NumPy that the graph is held against."""
+        ...
+
+    def head(self, grid: Grid, bank: Bank, parameters: Any) -> bytes:
+        """The serialised ONNX graph for this grid. Imports onnx at use."""
+        ...

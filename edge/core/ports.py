@@ -1,0 +1,76 @@
+"""The ports: what a plugin must answer. Each has one or two verbs; everything else is the plugin's own affair."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from edge.core.frames import CameraFrame
+
+__all__ = ["Clock", "Device", "DeviceIdentity", "Message", "Sink"]
+
+
+class Clock(Protocol):
+    """Time, injected. `monotonic_ns` orders events; `time_ns` is the wall clock written into payloads."""
+
+    def monotonic_ns(self) -> int: ...
+    def time_ns(self) -> int: ...
+    def sleep(self, seconds: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class DeviceIdentity:
+    """Who the sensor is: `serial` keys the gel ledger. `mode` is (width, height) of the camera's own frames."""
+
+    product: str
+    serial: str
+    mode: tuple[int, int]
+    nominal_fps: float
+
+
+@runtime_checkable
+class Device(Protocol):
+    """A source of camera frames. A frame is new or it is an error; nothing is ever delivered twice."""
+
+    @property
+    def identity(self) -> DeviceIdentity: ...
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        """The next new frame, waiting until the monotonic deadline.
+
+        Errors: DeviceStalled at the deadline, DeviceLost when unplugged, FrameCorrupt for one bad frame,
+        RecordingEnded when a recording is over. After DeviceLost only `close` is allowed.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give everything back; harmless when repeated."""
+        ...
+
+
+@dataclass(frozen=True)
+class Message:
+    """One thing to be published. `topic` is relative to the station's root, such as `result`."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = False
+    content_type: str = "application/json"
+    expiry_s: int | None = None
+
+
+@runtime_checkable
+class Sink(Protocol):
+    """A receiver of messages, such as an MQTT broker."""
+
+    def send(self, message: Message) -> None:
+        """Deliver, and return only when acknowledged. Errors: SinkUnavailable, SinkRejected."""
+        ...
+
+    def close(self) -> None:
+        """Say goodbye properly; harmless when repeated."""
+        ...
+
+
+PluginOptions = Mapping[str, object]
+"""The TOML table of a plugin, validated by the plugin's own `Options` model."""

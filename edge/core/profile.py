@@ -1,0 +1,37 @@
+"""Sensor profiles: how a camera frame becomes the picture that a bundle was built on, and how the camera is set.
+
+Three public crops of the same sensor differ (1/7 border, 0.15, none), and the camera has one video mode, so crop,
+scale, kernel and colour order are pinned here and travel in the bundle.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+__all__ = ["SensorProfile"]
+
+
+@dataclass(frozen=True)
+class SensorProfile:
+    """Geometry and camera settings of one way of reading a sensor.
+
+    native: (width, height) of the camera's frames. border: fraction cut from each side, (x, y).
+    size: (width, height) of the picture after area resampling. decode_scale: 1, 2, 4 or 8, the JPEG reduction
+    (DCT domain: a different resampler, so it is part of the profile). pixels_per_mm: of the picture, along x.
+    controls: camera control name to value, V4L2 names.
+    """
+
+    name: str
+    native: tuple[int, int]
+    border: tuple[float, float]
+    size: tuple[int, int]
+    decode_scale: int
+    pixels_per_mm: float
+    controls: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.decode_scale not in (1, 2, 4, 8):
+            raise ValueError(f"decode_scale is 1, 2, 4 or 8, found {self.decode_scale}")
+        if not all(0 <= b < 0.5 for b in self.border):
+            raise ValueError(f"border fractions lie in [0, 0.5), found {self.border}")
+        if min(*self.native, *self.size) < 1:
+            raise ValueError(f"sizes are positive, found native {self.native} and size {self.size}")
