@@ -1,0 +1,25 @@
+"""What every test shares: strict arithmetic, and the real frames where they are at hand."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(autouse=True)
+def strict_arithmetic() -> Iterator[None]:
+    """Overflow, division by zero and invalid operations raise in every test."""
+    with np.errstate(over="raise", divide="raise", invalid="raise"):
+        yield
+
+
+@pytest.fixture(scope="session")
+def real_tactile() -> Path:
+    """The folder of real tactile frames; the test is skipped, and says so, where it is absent."""
+    folder = REAL_DATA / "real_tactile"
+    if not folder.is_dir():
+        pytest.skip(f"SKIPPED, NOT TESTED: real tactile frames are not at {folder}")
+    return folder
