@@ -63,7 +63,7 @@ class Nominal:
 
     @property
     def presses(self) -> int:
-        return next(iter(self.features.values())).shape[0]
+        return len(next(iter(self.features.values())))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,163 @@
+"""The configuration: one TOML file, read once into frozen values, all faults reported together.
+
+Paths are relative to the file. Plugin options are validated by the plugin's own `Options` model, in the same report.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from edge import registry
+from edge.core.errors import ConfigError
+
+__all__ = ["Config", "PluginTable", "load_config"]
+
+M = TypeVar("M", bound=BaseModel)
+
+Segment = Annotated[str, StringConstraints(pattern=r"^[^\s+#/$]+$", max_length=64)]
+"""One level of an MQTT topic: not empty, no space, none of + # / $."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PluginTable(_Table):
+    """`plugin` names it; `options` is that plugin's own table."""
+
+    plugin: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class StationTable(_Table):
+    """Where this gateway stands in the plant; the levels of its MQTT topics."""
+
+    prefix: Segment = "gelgate"
+    site: Segment = "site"
+    line: Segment = "line"
+    station: Segment = "station"
+
+
+class InspectionTable(_Table):
+    """What is inspected. `trigger`: `automatic` scores every press, `command` only one that was asked for."""
+
+    bundle: Path
+    threads: int = Field(default=2, ge=1, le=64)
+    trigger: Literal["automatic", "command"] = "automatic"
+
+
+class GelTable(_Table):
+    """When the gel is due. `limit_presses`: the maker's coin figure (GelSight Mini datasheet); sharp parts cut faster."""
+
+    limit_presses: int = Field(default=1000, ge=1)
+    warn_fraction: float = Field(default=0.8, gt=0, le=1)
+
+
+class StoreTable(_Table):
+    """The database of presses, gels and unsent messages, and how much room unsent messages may take."""
+
+    path: Path = Path("gelgate.db")
+    outbox_mb: float = Field(default=512, gt=0)
+    outbox_days: float = Field(default=30, gt=0)
+
+
+class Config(_Table):
+    """The whole file. `version` is the version of this format."""
+
+    version: Literal[1]
+    station: StationTable = StationTable()
+    device: PluginTable
+    inspection: InspectionTable
+    gel: GelTable = GelTable()
+    store: StoreTable = StoreTable()
+    sinks: Annotated[list[PluginTable], Field(min_length=1)]
+
+
+def load_config(path: Path) -> Config:
+    """Read and check the file. Errors: ConfigError with one line for every fault found."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(
+            f"configuration {path} does not exist; `gelgate check --example` prints one"
+        ) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"configuration {path} cannot be read: {error}") from error
+    faults: list[str] = []
+    config = _validated(Config, table, "", faults)
+    faults += _plugin_faults(table)
+    if faults or config is None:
+        lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
+        raise ConfigError(f"configuration {path} has {len(faults)} fault(s):{lines}")
+    return _with_paths_from(path.parent, config)
+
+
+def _validated(model: type[M], table: object, where: str, faults: list[str]) -> M | None:
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        faults += [_sentence(model, where, dict(fault)) for fault in error.errors()]
+        return None
+
+
+def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in (*([where] if where else []), *fault["loc"]))
+    if fault["type"] == "extra_forbidden":
+        known = _fields_at(model, fault["loc"][:-1])
+        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
+        return f"'{key}' is not known; " + (
+            f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(known))}"
+        )
+    if fault["type"] == "missing":
+        return f"'{key}' is missing"
+    return f"'{key}' is {fault['input']!r}: {fault['msg'].removeprefix('Value error, ')}"
+
+
+def _fields_at(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            inner = next(_models_in(model.model_fields[part].annotation), None)
+            if inner is None:
+                return []
+            model = inner
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models_in(inner)
+
+
+def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
+    """Faults in plugin names and options, as far as the tables are well formed enough to look."""
+    faults: list[str] = []
+    for kind, where, plugin in _named_plugins(table):
+        try:
+            model = registry.load(kind, str(plugin["plugin"])).Options
+        except ConfigError as error:
+            faults.append(f"'{where}.plugin': {error}")
+            continue
+        _validated(model, plugin.get("options", {}), f"{where}.options", faults)
+    return faults
+
+
+def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    device = table.get("device")
+    if isinstance(device, dict) and "plugin" in device:
+        yield "devices", "device", device
+    sinks = table.get("sinks")
+    for index, sink in enumerate(sinks if isinstance(sinks, list) else []):
+        if isinstance(sink, dict) and "plugin" in sink:
+            yield "sinks", f"sinks.{index}", sink
+
+
+def _with_paths_from(folder: Path, config: Config) -> Config:
+    inspection = config.inspection.model_copy(update={"bundle": folder / config.inspection.bundle})
+    store = config.store.model_copy(update={"path": folder / config.store.path})
+    return config.model_copy(update={"inspection": inspection, "store": store})
