@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from edge.core.frames import CameraFrame
 
-__all__ = ["Clock", "Device", "DeviceIdentity", "Message", "Sink"]
+__all__ = ["Clock", "Device", "DeviceIdentity", "Message", "PluginOptions", "Sighting", "Sink"]
 
 
 class Clock(Protocol):
@@ -25,6 +25,24 @@ class DeviceIdentity:
     serial: str
     mode: tuple[int, int]
     nominal_fps: float
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One thing that a device plugin found when it looked: a sensor, or what looks like one and is refused.
+
+    place: where it is, such as `bus 1 port 2 address 7` or a folder. identity: who it is, when it is a sensor that
+    can be opened. refusal: why it is not, as one sentence.
+    """
+
+    place: str
+    product: str
+    identity: DeviceIdentity | None = None
+    refusal: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.identity is None) == (self.refusal is None):
+            raise ValueError("a sighting has an identity or a refusal, and not both")
 
 
 @runtime_checkable

@@ -1,0 +1,35 @@
+"""What a device's entry point names: a factory with its options, which finds sensors and opens one."""
+
+from collections.abc import Sequence
+from typing import Protocol, TypeVar
+
+from pydantic import BaseModel
+
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+
+__all__ = ["DevicePlugin"]
+
+OptionsT = TypeVar("OptionsT", bound=BaseModel)
+
+
+class DevicePlugin(Protocol[OptionsT]):
+    """The object behind an entry point in `gelgate.devices`.
+
+    `Options` validates the plugin's TOML table and refuses unknown keys. The same options value is passed to every
+    `open`, so a device that is opened again after a fault is the same one.
+    """
+
+    @property
+    def Options(self) -> type[OptionsT]: ...  # noqa: N802 - a class, named like one
+
+    def survey(self, options: OptionsT) -> Sequence[Sighting]:
+        """Everything in reach that is, or looks like, this plugin's sensor."""
+        ...
+
+    def find(self, options: OptionsT) -> list[DeviceIdentity]:
+        """The sensors that `open` could open, in a fixed order."""
+        ...
+
+    def open(self, options: OptionsT, clock: Clock) -> Device:
+        """The one sensor that the options mean. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
+        ...
