@@ -1,0 +1,71 @@
+"""What every detector checks alike: parameters given by name, and features that are fit to learn from."""
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from edge.core.detector import Features, Grid, Nominal
+from edge.core.errors import FitError
+
+__all__ = ["choose", "require_fittable"]
+
+P = TypeVar("P")
+
+
+def choose(detector: str, defaults: P, overrides: Mapping[str, Any]) -> P:
+    """A copy of a frozen dataclass with named fields replaced.
+
+    Lists become tuples (parameters come from JSON and TOML). Errors: FitError for an unknown name, with the nearest
+    known one, or for a value that the dataclass refuses with ValueError.
+    """
+    known = [field.name for field in dataclasses.fields(defaults)]  # type: ignore[arg-type]
+    for name in overrides:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+            raise FitError(f"{detector} has no parameter '{name}'; {hint}")
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in overrides.items()}
+    try:
+        return dataclasses.replace(defaults, **values)  # type: ignore[type-var]
+    except (TypeError, ValueError) as error:
+        raise FitError(f"{detector}: {error}") from error
+
+
+def require_fittable(detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...]) -> None:
+    """Refuse presses that no bank can be learnt from.
+
+    Errors: FitError when a tap is missing, there is no press, a shape differs from the grid, or a value is not finite.
+    """
+    _check(detector, "nominal presses", nominal.features, grid, taps)
+    if nominal.no_contact is not None:
+        _check(detector, "no-contact frames", nominal.no_contact, grid, taps)
+    if nominal.touched is not None and nominal.touched.shape != grid.frame:
+        raise FitError(
+            f"{detector}: the touched mask is {nominal.touched.shape}, the inspected region is {grid.frame}; "
+            "give both in pixels of the region"
+        )
+
+
+def _check(detector: str, what: str, features: Features, grid: Grid, taps: tuple[str, ...]) -> None:
+    counts = set()
+    for tap in taps:
+        if tap not in features or tap not in grid.taps:
+            raise FitError(
+                f"{detector} needs the tap '{tap}', found {sorted(features)}; use a trunk that gives it"
+            )
+        shape = features[tap].shape
+        if shape[1:] != tuple(grid.taps[tap]):
+            raise FitError(
+                f"{detector}: '{tap}' of the {what} is {shape[1:]}, the grid says {grid.taps[tap]}"
+            )
+        if not shape[0]:
+            raise FitError(f"{detector}: there are no {what}; press at least one good part")
+        counts.add(shape[0])
+        if not np.isfinite(features[tap]).all():
+            bad = np.flatnonzero(~np.isfinite(features[tap]).all(axis=(1, 2, 3)))
+            raise FitError(f"{detector}: '{tap}' is not finite in {what} {bad[:5].tolist()}; leave those out")
+    if len(counts) > 1:
+        raise FitError(f"{detector}: the taps hold different numbers of {what}: {sorted(counts)}")

@@ -1,0 +1,1 @@
+"""The mathematics that several detectors share, each written once: smoothing, distances, low rank."""

@@ -1,0 +1,83 @@
+"""Covariances as thin eigenpairs: the only form in which this product holds one.
+
+With N samples in d dimensions and N <= d, a covariance has at most N-1 directions; every other eigenvalue of the
+regularised covariance C + ridge*I is exactly the ridge. So for delta = x - mean
+
+    delta^T (C + ridge I)^-1 delta = sum_j (u_j . delta)^2 / (lambda_j + ridge)  +  |delta - U U^T delta|^2 / ridge
+
+exactly (Woodbury's identity), with d*rank numbers instead of d*d. The difference form |delta|^2 - |W^T delta|^2 is the
+same in exact arithmetic and loses all digits in float32 once lambda is far above the ridge: the residual is formed
+explicitly everywhere.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["RELATIVE_CUT", "Spectrum", "mahalanobis_squared", "spectrum"]
+
+# Eigenvalues below this part of the largest are rounding noise of float64 sums (centring makes one of them zero).
+RELATIVE_CUT = 1e-10
+
+
+class Spectrum(NamedTuple):
+    """Mean and thin eigenpairs of a covariance, for one or many sets of samples.
+
+    mean: (..., d). values: (..., r) falling, 0 where a set has fewer than r directions. basis: (..., r, d), orthonormal
+    rows, 0 where the value is 0.
+    """
+
+    mean: NDArray[np.float64]
+    values: NDArray[np.float64]
+    basis: NDArray[np.float64]
+
+
+def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int = 1) -> Spectrum:
+    """Mean and leading eigenpairs of the covariance of `samples` (..., n, d), through the smaller Gram matrix.
+
+    rank: at most so many directions (None: all that exist, n-1 or d). One sample has no covariance: rank 0. Directions
+    below `RELATIVE_CUT` of the largest are dropped, the one that centring makes zero among them.
+    """
+    x = samples.astype(np.float64)
+    n, d = x.shape[-2:]
+    if not n or not d:
+        raise ValueError(f"a covariance needs samples and dimensions, found {x.shape}")
+    mean = x.mean(axis=-2)
+    x -= mean[..., None, :]
+    most = min(n - 1, d)
+    keep = most if rank is None else min(rank, most)
+    if keep == 0:
+        return Spectrum(mean, np.zeros((*x.shape[:-2], 0)), np.zeros((*x.shape[:-2], 0, d)))
+    # Unit scale first: squares of features at 1e-160 or 1e160 would leave the range of float64.
+    scale = np.abs(x).max(axis=(-2, -1), keepdims=True)
+    x /= np.where(scale > 0, scale, 1.0)
+    x /= np.sqrt(max(n - ddof, 1))
+    if n <= d:
+        values, vectors = _leading(x @ np.swapaxes(x, -1, -2), keep)
+        directions = np.swapaxes(vectors, -1, -2) @ x
+    else:
+        values, vectors = _leading(np.swapaxes(x, -1, -2) @ x, keep)
+        directions = np.swapaxes(vectors, -1, -2).copy()
+    alive = values > RELATIVE_CUT * np.maximum(values[..., :1], np.finfo(np.float64).tiny)
+    values = np.where(alive, values, 0.0)
+    norms = np.linalg.norm(directions, axis=-1)
+    basis = np.where(alive[..., None], directions / np.where(norms > 0, norms, 1.0)[..., None], 0.0)
+    return Spectrum(mean, values * scale[..., 0] ** 2, basis)
+
+
+def _leading(gram: NDArray[np.float64], keep: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The `keep` largest eigenpairs of symmetric matrices, falling."""
+    values, vectors = np.linalg.eigh(gram)
+    return values[..., ::-1][..., :keep], vectors[..., ::-1][..., :keep]
+
+
+def mahalanobis_squared(
+    delta: NDArray[np.float64], values: NDArray[np.float64], basis: NDArray[np.float64], ridge: float
+) -> NDArray[np.float64]:
+    """Squared distances (..., n) of `delta` (..., n, d) under eigenvalues (..., r), basis (..., r, d) and the ridge."""
+    along = delta @ np.swapaxes(basis, -1, -2)
+    off = delta - along @ basis
+    inside: NDArray[np.float64] = (along**2 / (values[..., None, :] + ridge)).sum(axis=-1)
+    outside: NDArray[np.float64] = (off**2).sum(axis=-1) / ridge
+    return inside + outside

@@ -1,0 +1,147 @@
+"""From a small grid of distances to a smooth score map in pixels, as two exact matrices.
+
+Upsampling and Gaussian blur are both linear and separable. With U the upsampling matrix and G the blur matrix of one
+axis, `map = R_rows @ grid @ R_cols.T` where `R = G @ U`: two small matrix products instead of an interpolation and a
+filter over the full map, and the same numbers in float64 NumPy and in the graph.
+
+Source: torch bilinear (align_corners False, no antialias), torch nearest, scipy.ndimage.gaussian_filter with its
+defaults; each was compared with the original in tests/detectors/test_smoothing.py.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Grid, ScoreMaps
+from plugins.graph import Graph, Value
+
+__all__ = [
+    "PAPER_SIGMA_PX",
+    "Smoothing",
+    "Upsampling",
+    "emit_scores",
+    "gaussian_matrix",
+    "smoothing_matrix",
+    "upsampling_matrix",
+]
+
+Upsampling = Literal["bilinear", "nearest"]
+
+# The blur of the published implementations, in pixels of a 224 crop (SPADE-pytorch, PaDiM, FAPM).
+PAPER_SIGMA_PX = 4.0
+# scipy.ndimage.gaussian_filter cuts its kernel at four sigma.
+TRUNCATE = 4.0
+
+
+@cache
+def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> NDArray[np.float64]:
+    """One axis of an upsampling: float64 (pixels, cells), each row sums to 1.
+
+    bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels).
+    """
+    if cells < 1 or pixels < 1:
+        raise ValueError(f"an axis has at least one cell and one pixel, found {cells} and {pixels}")
+    matrix = np.zeros((pixels, cells))
+    rows = np.arange(pixels)
+    if kind == "nearest":
+        matrix[rows, rows * cells // pixels] = 1.0
+    else:
+        centre = np.clip((rows + 0.5) * cells / pixels - 0.5, 0, cells - 1)
+        low = np.floor(centre).astype(np.int64)
+        np.add.at(matrix, (rows, low), 1 - (centre - low))
+        np.add.at(matrix, (rows, np.minimum(low + 1, cells - 1)), centre - low)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@cache
+def gaussian_matrix(pixels: int, sigma_px: float) -> NDArray[np.float64]:
+    """One axis of a Gaussian blur: float64 (pixels, pixels), each row sums to 1.
+
+    The edge sample is repeated beyond the border (scipy's `reflect`, NumPy's `symmetric`). Sigma 0 changes nothing.
+    """
+    if not (np.isfinite(sigma_px) and sigma_px >= 0):
+        raise ValueError(f"a blur is a finite number of pixels, at least 0, found {sigma_px}")
+    radius = int(TRUNCATE * sigma_px + 0.5)
+    offsets = np.arange(-radius, radius + 1)
+    kernel = (
+        np.exp(-0.5 * (offsets / max(sigma_px, np.finfo(np.float64).tiny)) ** 2) if radius else np.ones(1)
+    )
+    kernel /= kernel.sum()
+    source = np.pad(np.arange(pixels), radius, mode="symmetric")
+    matrix = np.zeros((pixels, pixels))
+    for step, weight in enumerate(kernel):
+        np.add.at(matrix, (np.arange(pixels), source[step : step + pixels]), weight)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@cache
+def smoothing_matrix(
+    cells: int, pixels: int, sigma_px: float, kind: Upsampling = "bilinear"
+) -> NDArray[np.float64]:
+    """Upsampling then blur of one axis: R = G U, float64 (pixels, cells)."""
+    matrix = gaussian_matrix(pixels, sigma_px) @ upsampling_matrix(cells, pixels, kind)
+    matrix.flags.writeable = False
+    return matrix
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """How a grid of raw distances becomes the score map.
+
+    cells: (rows, columns) of the grid. frame: (h, w) in pixels. sigma_px: the blur, in pixels of the frame.
+    """
+
+    cells: tuple[int, int]
+    frame: tuple[int, int]
+    sigma_px: float
+    upsampling: Upsampling = "bilinear"
+
+    @classmethod
+    def of(
+        cls, grid: Grid, cells: tuple[int, int], sigma_mm: float, upsampling: Upsampling = "bilinear"
+    ) -> "Smoothing":
+        """The blur given as a physical size, so that it is the same on the part at every resolution."""
+        return cls(cells, grid.frame, sigma_mm * grid.pixels_per_mm, upsampling)
+
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """float64 (h, grid rows)."""
+        return smoothing_matrix(self.cells[0], self.frame[0], self.sigma_px, self.upsampling)
+
+    @property
+    def columns(self) -> NDArray[np.float64]:
+        """float64 (w, grid columns)."""
+        return smoothing_matrix(self.cells[1], self.frame[1], self.sigma_px, self.upsampling)
+
+    def __call__(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The smooth map, float64 (n, h, w), of raw distances (n, grid rows, grid columns)."""
+        smooth: NDArray[np.float64] = self.rows @ raw.astype(np.float64) @ self.columns.T
+        return smooth
+
+    def score_maps(self, raw: NDArray[np.float64]) -> ScoreMaps:
+        """The oracle's answer for raw distances: the smooth map, and its maximum as the press's score."""
+        score_map = self(raw)
+        return ScoreMaps(score_map, score_map.max(axis=(1, 2)))
+
+
+def emit_scores(graph: Graph, raw: Value, smoothing: Smoothing, score: Value | None = None) -> None:
+    """Finish a head: from raw distances (n, rows, columns) to its outputs `score_map`, `score` and `raw_map`.
+
+    score: a press's score (n,) where the method has its own; otherwise the maximum of the map. `raw_map` is the
+    grid before upsampling and blur, float32 (n, rows, columns): what tiles are blended from.
+    """
+    smooth = graph.op(
+        "MatMul",
+        graph.constant(smoothing.rows.astype(np.float32)),
+        graph.op("MatMul", raw, graph.constant(np.ascontiguousarray(smoothing.columns.T, np.float32))),
+    )
+    if score is None:
+        score = graph.op("ReduceMax", smooth, graph.ints(1, 2), keepdims=0)
+    graph.output("score_map", smooth, ("n", *smoothing.frame))
+    graph.output("score", score, ("n",))
+    graph.output("raw_map", raw, ("n", *smoothing.cells))

@@ -1,0 +1,127 @@
+"""A pencil for ONNX graphs: every trunk and head of the product is drawn with it.
+
+`Graph` names the values, so that a head reads like the formula it computes:
+
+    g = Graph("residual")
+    x = g.input("layer1", ("n", 64, 56, 56))
+    mean = g.input("mean", (64, 1, 1))
+    g.output("score", g.op("ReduceMax", g.op("Abs", g.op("Sub", x, mean)), g.ints(1, 2, 3), keepdims=0), ("n",))
+    head = g.serialise()
+
+Only the standard operator domain is used and nothing is stored outside the graph. onnx is imported at use.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["IR_VERSION", "OPSET", "Dim", "Graph", "Value"]
+
+Value = str
+"""The name of a tensor in a graph."""
+
+Dim = int | str
+"""A fixed size, or the name of a size known at run time."""
+
+# Opset 18 has ReduceMax with axes as an input and Resize on any axes; onnxruntime 1.23 (our oldest) runs up to 23.
+OPSET = 18
+# The oldest container format that may carry opset 18.
+IR_VERSION = 8
+
+ElementType = Literal["float32", "float16", "uint8", "int8", "int64", "bool"]
+
+
+class Graph:
+    """An ONNX graph being drawn: inputs, operations and outputs in the order in which they are written."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._nodes: list[Any] = []
+        self._inputs: list[Any] = []
+        self._outputs: list[Any] = []
+        self._initializers: list[Any] = []
+        self._constants: dict[tuple[str, tuple[int, ...], bytes], Value] = {}
+        self._count = 0
+
+    def input(self, name: str, shape: Sequence[Dim], dtype: ElementType = "float32") -> Value:
+        """An outer input with its declared shape."""
+        self._inputs.append(_value_info(name, dtype, shape))
+        return name
+
+    def output(self, name: str, value: Value, shape: Sequence[Dim], dtype: ElementType = "float32") -> None:
+        """Give `value` to the outside under `name`."""
+        self._nodes.append(_node("Identity", [value], [name]))
+        self._outputs.append(_value_info(name, dtype, shape))
+
+    def op(self, kind: str, *inputs: Value, **attributes: object) -> Value:
+        """One standard operation with one result. An absent optional input is the empty string."""
+        return self.ops(kind, 1, *inputs, **attributes)[0]
+
+    def ops(self, kind: str, results: int, *inputs: Value, **attributes: object) -> tuple[Value, ...]:
+        """One standard operation with several results, such as TopK."""
+        names = tuple(self._fresh(kind) for _ in range(results))
+        self._nodes.append(_node(kind, list(inputs), list(names), **attributes))
+        return names
+
+    def constant(self, array: NDArray[Any] | np.generic) -> Value:
+        """A tensor stored inside the graph; equal small ones are stored once."""
+        from onnx import numpy_helper
+
+        array = np.ascontiguousarray(array)
+        key = (array.dtype.str, array.shape, array.tobytes() if array.size <= 64 else b"")
+        if array.size <= 64 and key in self._constants:
+            return self._constants[key]
+        name = self._fresh("constant")
+        self._initializers.append(numpy_helper.from_array(array, name))
+        self._constants[key] = name
+        return name
+
+    def ints(self, *values: int) -> Value:
+        """A stored int64 vector: axes, shapes, sizes."""
+        return self.constant(np.array(values, np.int64))
+
+    def scalar(self, value: float) -> Value:
+        """A stored float32 number."""
+        return self.constant(np.array(value, np.float32))
+
+    def reshape(self, value: Value, *shape: int) -> Value:
+        """The same elements in another shape; 0 keeps a size, -1 is whatever is left."""
+        return self.op("Reshape", value, self.ints(*shape))
+
+    def transpose(self, value: Value, *order: int) -> Value:
+        """Axes in another order."""
+        return self.op("Transpose", value, perm=list(order))
+
+    def serialise(self) -> bytes:
+        """The checked graph as bytes. Errors: onnx's own, for a graph that is not well formed (ours to repair)."""
+        import onnx
+
+        graph = onnx.helper.make_graph(
+            self._nodes, self.name, self._inputs, self._outputs, initializer=self._initializers
+        )
+        model = onnx.helper.make_model(
+            graph,
+            opset_imports=[onnx.helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="gelgate",
+        )
+        onnx.checker.check_model(model, full_check=True)
+        return bytes(model.SerializeToString())
+
+    def _fresh(self, kind: str) -> Value:
+        self._count += 1
+        return f"{kind.lower()}_{self._count}"
+
+
+def _node(kind: str, inputs: list[Value], outputs: list[Value], **attributes: object) -> Any:
+    from onnx import helper
+
+    return helper.make_node(kind, inputs, outputs, name=outputs[0], **attributes)
+
+
+def _value_info(name: str, dtype: ElementType, shape: Sequence[Dim]) -> Any:
+    from onnx import helper
+
+    return helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), list(shape))

@@ -1,0 +1,76 @@
+"""Nearest rows: exact where the product form fails, and indifferent to chunks and order."""
+
+import numpy as np
+import onnxruntime
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plugins.detectors.maths.distances import emit_nearest, nearest
+from plugins.graph import Graph
+
+
+def brute(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
+    """All distances as sums of squared differences, float64 (q, m)."""
+    return np.sqrt(np.square(queries[:, None].astype(np.float64) - bank[None].astype(np.float64)).sum(-1))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(1, 30), st.integers(1, 40), st.integers(1, 8), st.integers(1, 5),
+    st.sampled_from([1e-6, 1.0, 1e6]), st.integers(0, 2**32 - 1),
+)  # fmt: skip
+def test_nearest_is_brute_force(q: int, m: int, c: int, k: int, scale: float, seed: int) -> None:
+    """The shortlist never loses the nearest row, at any scale; k is clamped to the bank."""
+    rng = np.random.default_rng(seed)
+    queries, bank = rng.normal(5, 1, (q, c)) * scale, rng.normal(5, 1, (m, c)) * scale
+    found = nearest(queries, bank, k)
+    expected = np.sort(brute(queries, bank), axis=1)[:, :k]
+    np.testing.assert_allclose(found.distances, expected, rtol=1e-9, atol=1e-9 * scale)
+
+
+def test_chunks_do_not_matter() -> None:
+    """Any chunk size gives the same bits, a remainder included."""
+    rng = np.random.default_rng(0)
+    queries, bank = rng.normal(size=(37, 6)), rng.normal(size=(11, 6))
+    whole = nearest(queries, bank, 3)
+    for chunk in (1, 5, 36, 37, 100):
+        part = nearest(queries, bank, 3, chunk=chunk)
+        np.testing.assert_array_equal(part.indices, whole.indices)
+        np.testing.assert_allclose(part.distances, whole.distances, rtol=1e-12)
+
+
+def test_one_more_row_never_raises_a_distance() -> None:
+    """A larger bank is never further away."""
+    rng = np.random.default_rng(1)
+    queries, bank = rng.normal(size=(20, 4)), rng.normal(size=(30, 4))
+    small, large = nearest(queries, bank[:-1]).distances, nearest(queries, bank).distances
+    assert (large <= small + 1e-12).all()
+
+
+def test_the_lowest_row_wins_a_tie() -> None:
+    """Among equal rows the first of the bank is named."""
+    bank = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    assert nearest(np.zeros((1, 2)), bank, 3).indices.tolist() == [[1, 2, 3]]
+
+
+def test_an_empty_bank_is_refused() -> None:
+    """No rows: an error, never a distance."""
+    with pytest.raises(ValueError, match="m >= 1"):
+        nearest(np.zeros((1, 2)), np.zeros((0, 2)))
+
+
+@pytest.mark.parametrize("k", [1, 5])
+def test_the_graph_agrees_with_the_oracle(k: int) -> None:
+    """emit_nearest on centred float32 rows: distances within 1e-6 and the same rows."""
+    rng = np.random.default_rng(2)
+    bank, queries = rng.normal(size=(50, 16)).astype(np.float32), rng.normal(size=(23, 16)).astype(np.float32)
+    graph = Graph("nearest")
+    outputs = emit_nearest(graph, graph.input("q", ("q", 16)), graph.input("bank", ("m", 16)), k)
+    graph.output("d", outputs[0], ("q", k))
+    graph.output("i", outputs[1], ("q", k), "int64")
+    session = onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    distances, indices = session.run(["d", "i"], {"q": queries, "bank": bank})
+    oracle = nearest(queries, bank, k)
+    np.testing.assert_array_equal(indices, oracle.indices)
+    np.testing.assert_allclose(distances, oracle.distances, rtol=1e-6)
