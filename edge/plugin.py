@@ -20,7 +20,7 @@ class DevicePlugin(Protocol[OptionsT]):
     """
 
     @property
-    def Options(self) -> type[OptionsT]: ...  # noqa: N802 - a class, named like one
+    def Options(self) -> type[OptionsT]: ...
 
     def survey(self, options: OptionsT) -> Sequence[Sighting]:
         """Everything in reach that is, or looks like, this plugin's sensor."""
