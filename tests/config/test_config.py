@@ -1,0 +1,110 @@
+"""The configuration: what is accepted, and how every fault is told."""
+
+from pathlib import Path
+
+import pytest
+
+from edge.config import load_config
+from edge.core.errors import ConfigError
+
+SOUND = """
+version = 1
+[station]
+site = "plant"
+line = "l1"
+[device]
+plugin = "recorded"
+options = { recording = "presses" }
+[inspection]
+bundle = "bundles/pz1"
+[[sinks]]
+plugin = "jsonl"
+options = { folder = "out" }
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "gelgate.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refusal(folder: Path, text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load_config(written(folder, text))
+    return str(caught.value)
+
+
+def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
+    """A configuration can be moved with the files it names."""
+    config = load_config(written(tmp_path, SOUND))
+
+    assert config.inspection.bundle == tmp_path / "bundles/pz1"
+    assert config.store.path == tmp_path / "gelgate.db"
+
+
+def test_defaults_stand_in_one_place(tmp_path: Path) -> None:
+    """What the file does not say is the default of the model."""
+    config = load_config(written(tmp_path, SOUND))
+
+    assert (config.gel.limit_presses, config.gel.warn_fraction) == (1000, 0.8)
+    assert (config.station.prefix, config.station.station) == ("gelgate", "station")
+
+
+def test_an_unknown_key_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    """A typing error is named, not ignored."""
+    message = refusal(tmp_path, SOUND + "[gel]\nlimit_preses = 5\n")
+
+    assert "'gel.limit_preses' is not known; did you mean 'limit_presses'?" in message
+
+
+def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
+    """Three faults, one report: the operator mends the file once."""
+    text = SOUND.replace('site = "plant"', 'site = "plant one"').replace("version = 1", "version = 2")
+    message = refusal(tmp_path, text + "[gel]\nlimit_presses = 0\n")
+
+    assert "has 3 fault(s)" in message
+    assert all(key in message for key in ("'version'", "'station.site'", "'gel.limit_presses'"))
+
+
+def test_an_unknown_plugin_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    """A plugin is chosen by name, and a wrong name is told like a wrong key."""
+    assert "did you mean 'recorded'?" in refusal(tmp_path, SOUND.replace('"recorded"', '"recordet"'))
+
+
+def test_plugin_options_are_in_the_same_report(tmp_path: Path) -> None:
+    """A fault in a plugin's own table does not wait for the first start."""
+    message = refusal(
+        tmp_path, SOUND.replace("recording =", "recordng =").replace('line = "l1"', 'lime = "l1"')
+    )
+
+    assert "'device.options.recordng' is not known; did you mean 'recording'?" in message
+    assert "'station.lime' is not known; did you mean 'line'?" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("version = ", "cannot be read"),
+        ("", "'version' is missing"),
+        (SOUND.split("[[sinks]]")[0], "'sinks' is missing"),
+    ],
+)
+def test_a_broken_or_empty_file_is_refused(tmp_path: Path, text: str, found: str) -> None:
+    """Bad TOML and missing tables stop the start."""
+    assert found in refusal(tmp_path, text)
+
+
+def test_a_missing_file_says_what_to_do(tmp_path: Path) -> None:
+    """The first thing a newcomer gets wrong is the path."""
+    with pytest.raises(ConfigError, match=r"does not exist; `gelgate check --example`"):
+        load_config(tmp_path / "nothing.toml")
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    """A binary file given by mistake is a sentence, not a traceback."""
+    path = tmp_path / "gelgate.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(path)
