@@ -1,0 +1,34 @@
+"""Exact measures of scored presses: AUROC, average precision, AU-PRO, AUPIMO, with bootstrap intervals.
+
+A score is raw and higher is more anomalous. A measure that is undefined (no defective press, no good press) is None
+with a reason, never a number and never a crash.
+"""
+
+from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
+from calibration.metrics.pixel import PixelMeasures, pixel_measures
+from calibration.metrics.pro import AUPRO_LIMIT, aupro
+from calibration.metrics.ranking import auroc, average_precision
+from calibration.metrics.recall import AUPIMO_BOUNDS, aupimo, aupimo_means
+from calibration.metrics.regions import Regions, label_regions
+from calibration.metrics.summary import REPLICATES, Measure, limit_name, measure
+
+__all__ = [
+    "AUPIMO_BOUNDS",
+    "AUPRO_LIMIT",
+    "REPLICATES",
+    "Measure",
+    "PixelMeasures",
+    "Regions",
+    "aupimo",
+    "aupimo_means",
+    "aupro",
+    "auroc",
+    "average_precision",
+    "image_weights",
+    "interval",
+    "label_regions",
+    "limit_name",
+    "measure",
+    "pixel_measures",
+    "specimen_weights",
+]

@@ -1,0 +1,102 @@
+"""Recall of each defective image at a very low false-alarm rate that good images alone define.
+
+Ref: Bertoldo et al., "AUPIMO: Redefining Visual Anomaly Detection Benchmarks with High Speed and Low Tolerance",
+BMVC 2024. The shared false-positive rate of a threshold is the mean, over good images, of the share of their pixels
+at or above it; the recall of a defective image is averaged over the logarithm of that rate between two bounds.
+Where the published code samples thresholds, this is exact: between two rates that the good pixels can reach, the
+lower one holds, so the value never flatters.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.metrics.regions import Maps, Masks, check_pairs
+
+__all__ = ["AUPIMO_BOUNDS", "aupimo", "aupimo_means"]
+
+# The bounds of the AUPIMO paper: one to ten false pixels in a hundred thousand.
+AUPIMO_BOUNDS = (1e-5, 1e-4)
+# A replicate over specimens may hold more good images than the set; twice as many is covered exactly.
+_SPARE = 2
+
+Float = NDArray[np.float64]
+
+
+def aupimo(maps: Maps, masks: Masks, bounds: tuple[float, float] = AUPIMO_BOUNDS) -> Float | None:
+    """The averaged recall of each defective image, float64 (defective,), in the order of `maps`.
+
+    None when there is no good image (no rate) or no defective one. Errors: ValueError for bounds out of order.
+    """
+    table = _recall_table(maps, masks, bounds)
+    if table is None:
+        return None
+    recalls, shares, _, _ = table
+    ones = np.ones((1, shares.shape[1]))
+    return (recalls @ _log_spans(shares, ones, bounds).T)[:, 0]
+
+
+def aupimo_means(
+    maps: Maps, masks: Masks, weights: Float, bounds: tuple[float, float] = AUPIMO_BOUNDS
+) -> Float:
+    """The mean over defective images for each row of `weights`, (weightings, images); NaN where undefined."""
+    table = _recall_table(maps, masks, bounds)
+    values = np.full(weights.shape[0], np.nan)
+    if table is None:
+        return values
+    recalls, shares, good, defective = table
+    is_defined = (weights[:, good].sum(axis=1) > 0) & (weights[:, defective].sum(axis=1) > 0)
+    kept = weights[is_defined]
+    per_image = _log_spans(shares, kept[:, good], bounds) @ recalls.T
+    by = kept[:, defective]
+    values[is_defined] = np.sum(per_image * by, axis=1) / by.sum(axis=1)
+    return values
+
+
+def _recall_table(
+    maps: Maps, masks: Masks, bounds: tuple[float, float]
+) -> tuple[Float, Float, list[int], list[int]] | None:
+    """Recalls (defective, thresholds) strictly above each falling good score, and the share of one pixel there.
+
+    shares: (thresholds, good), the rate that each threshold adds in each good image. Only as many top pixels of an
+    image are kept as could carry the whole upper bound alone.
+    """
+    check_pairs(maps, masks)
+    if not 0 < bounds[0] < bounds[1] <= 1:
+        raise ValueError(f"the bounds are 0 < lower < upper <= 1, found {bounds}")
+    has_defect = np.array([bool(k.any()) for k in masks], np.bool_)
+    good, defective = np.flatnonzero(~has_defect).tolist(), np.flatnonzero(has_defect).tolist()
+    if not good or not defective:
+        return None
+    tops = []
+    for index in good:
+        flat = maps[index].ravel()
+        keep = min(flat.size, int(_SPARE * bounds[1] * len(good) * flat.size) + 2)
+        tops.append(np.partition(flat, flat.size - keep)[flat.size - keep :])
+    thresholds = np.unique(np.concatenate(tops))[::-1]
+    shares = np.zeros((thresholds.size, len(good)))
+    rising = thresholds[::-1]
+    for column, (index, top) in enumerate(zip(good, tops, strict=True)):
+        places = thresholds.size - 1 - np.searchsorted(rising, top)
+        np.add.at(shares[:, column], places, 1.0 / maps[index].size)
+    recalls = np.stack([_recall_above(maps[i][masks[i]], thresholds) for i in defective])
+    return recalls, shares, good, defective
+
+
+def _recall_above(defect_scores: NDArray[np.floating[Any]], thresholds: Float) -> Float:
+    rising = np.sort(defect_scores)
+    recall: Float = 1.0 - np.searchsorted(rising, thresholds, side="right") / rising.size
+    return recall
+
+
+def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Float:
+    """How much of the log range each threshold is the strictest one for; (weightings, thresholds), sums to 1."""
+    rate = np.cumsum((weights / weights.sum(axis=1, keepdims=True)) @ shares.T, axis=1)
+    low, high = (math.log(b) for b in bounds)
+    # Before the k-th good score is passed, the rate is that of the scores above it.
+    reached = np.concatenate([np.zeros((weights.shape[0], 1)), rate], axis=1)
+    edges = np.log(np.clip(reached, *bounds))
+    edges[:, -1] = high
+    return np.diff(edges, axis=1) / (high - low)

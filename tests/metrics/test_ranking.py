@@ -1,0 +1,98 @@
+"""The weighted table equals scikit-learn on repeated images, and AUPIMO a plain search over thresholds."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sklearn.metrics import average_precision_score, roc_auc_score
+
+from calibration.metrics import aupimo, aupimo_means, aupro, auroc, average_precision, pixel_measures
+
+Array = NDArray[Any]
+
+
+def scene(seed: int, levels: int = 50, shape: tuple[int, int] = (16, 18)) -> tuple[list[Array], list[Array]]:
+    rng = np.random.default_rng(seed)
+    masks = [np.zeros(shape, bool) for _ in range(6)]
+    for mask in masks[:3]:
+        mask[rng.integers(0, 10) :, 3:7] = True
+    return [rng.integers(0, levels, shape) + 0.3 * levels * mask for mask in masks], masks
+
+
+@pytest.mark.parametrize("levels", [3, 50, 10**6])
+def test_a_weight_is_a_repetition(levels: int) -> None:
+    """An image weighted 3 counts as if it stood in the set three times; weight 0 removes it. To 1e-12."""
+    maps, masks = scene(1, levels)
+    weights = np.array([[1, 1, 1, 1, 1, 1], [3, 0, 1, 2, 0, 1], [0, 2, 0, 0, 1, 0]], float)
+    table = pixel_measures(maps, masks, weights, 0.05)
+    for row, weight in enumerate(weights.astype(int)):
+        chosen = [i for i, times in enumerate(weight) for _ in range(times)]
+        scores = np.concatenate([maps[i].ravel() for i in chosen])
+        labels = np.concatenate([masks[i].ravel() for i in chosen])
+        assert table.auroc[row] == pytest.approx(roc_auc_score(labels, scores), abs=1e-12)
+        assert table.average_precision[row] == pytest.approx(
+            average_precision_score(labels, scores), abs=1e-12
+        )
+        expected = aupro([maps[i] for i in chosen], [masks[i] for i in chosen], 0.05)
+        assert table.aupro[row] == pytest.approx(expected, abs=1e-12)
+
+
+def test_blocks_do_not_change_the_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One threshold at a time gives what all at once gives: nothing is lost between blocks."""
+    maps, masks = scene(2)
+    weights = np.ones((2, 6))
+    whole = pixel_measures(maps, masks, weights)
+    monkeypatch.setattr("calibration.metrics.pixel._BLOCK_ELEMENTS", 1)
+    single = pixel_measures(maps, masks, weights)
+    for name in ("auroc", "average_precision", "aupro"):
+        np.testing.assert_allclose(getattr(single, name), getattr(whole, name), atol=1e-12)
+
+
+def test_weightings_without_a_class_are_nan() -> None:
+    """A weighting that removes every defective image leaves NaN for that row alone."""
+    maps, masks = scene(3)
+    table = pixel_measures(maps, masks, np.array([[0, 0, 0, 1, 1, 1], [1, 1, 1, 1, 1, 1]], float))
+    assert np.isnan(table.aupro).tolist() == [True, False]
+    assert np.isnan(table.auroc).tolist() == [True, False]
+
+
+def test_one_class_is_none() -> None:
+    """Image AUROC and average precision of one class are undefined."""
+    scores = np.arange(3.0)
+    for label in (np.ones(3, bool), np.zeros(3, bool)):
+        assert auroc(scores, label) is None
+        assert average_precision(scores, label) is None
+
+
+def plain_aupimo(maps: list[Array], masks: list[Array], bounds: tuple[float, float]) -> list[float]:
+    """For many rates on the log axis: the lowest threshold whose good rate does not exceed it, then the recall."""
+    good = [m for m, k in zip(maps, masks, strict=True) if not k.any()]
+    candidates = np.unique(np.concatenate([m.ravel() for m in good]))
+    rates = np.array([np.mean([(m > t).mean() for m in good]) for t in candidates])
+    grid = np.exp(np.linspace(np.log(bounds[0]), np.log(bounds[1]), 20_001))
+    threshold = [candidates[rates <= rate].min() for rate in grid]
+    bad = [(m, k) for m, k in zip(maps, masks, strict=True) if k.any()]
+    return [float(np.mean([(m[k] > t).mean() for t in threshold])) for m, k in bad]
+
+
+def test_aupimo_equals_a_fine_search() -> None:
+    """The exact integral is that of a 20,001-point search, to the search's own step."""
+    maps, masks = scene(4, levels=100)
+    bounds = (0.004, 0.06)
+    value = aupimo(maps, masks, bounds)
+    assert value is not None
+    np.testing.assert_allclose(value, plain_aupimo(maps, masks, bounds), atol=2e-4)
+    means = aupimo_means(maps, masks, np.array([[1, 1, 1, 1, 1, 1], [2, 0, 0, 1, 1, 1]], float), bounds)
+    np.testing.assert_allclose(means, [value.mean(), value[0]], atol=1e-12)
+
+
+def test_aupimo_of_a_perfect_detector_and_without_good_images() -> None:
+    """A map above every good score gives 1; without a good image there is no rate, hence None."""
+    maps, masks = scene(5)
+    perfect = [mask * 1000.0 for mask in masks]
+    value = aupimo(perfect, masks)
+    assert value is not None
+    assert value.tolist() == [1.0, 1.0, 1.0]
+    assert aupimo(maps[:3], masks[:3]) is None
+    assert aupimo(maps[3:], masks[3:]) is None
