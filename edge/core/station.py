@@ -1,0 +1,59 @@
+"""Where a gateway stands in the plant, and what a sink needs to speak for it."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from edge.core.ports import Message
+
+__all__ = ["TOPIC_VERSION", "OnCommand", "Station", "topic_root"]
+
+# The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
+TOPIC_VERSION = "v1"
+
+# One level of a topic: wildcards (+ #), separators (/), broker-internal names ($) and blanks would change its meaning.
+_SEGMENT = re.compile(r"[^\s+#/$\x00]{1,64}")
+
+OnCommand = Callable[[str, bytes], bytes]
+"""(verb, request payload) -> response payload. It answers every fault in the response and never raises."""
+
+
+def _no_messages() -> Sequence[Message]:
+    return ()
+
+
+def topic_root(prefix: str, site: str, line: str, station: str) -> str:
+    """`<prefix>/<site>/<line>/<station>/gel/v1`. Errors: ValueError naming the level that cannot be used."""
+    levels = {"prefix": prefix, "site": site, "line": line, "station": station}
+    for level, text in levels.items():
+        if not _SEGMENT.fullmatch(text):
+            raise ValueError(
+                f"the topic level '{level}' is {text!r}; 1 to 64 characters without blanks and + # / $ are expected"
+            )
+    return "/".join([*levels.values(), "gel", TOPIC_VERSION])
+
+
+@dataclass(frozen=True)
+class Station:
+    """What a sink speaks for.
+
+    root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
+    will: left with the broker, published by it when this gateway vanishes. birth: what is published first on every
+    connection, asked anew each time. on_command: answers requests, None where commands are not served.
+    """
+
+    root: str
+    client_id: str
+    will: Message | None = None
+    birth: Callable[[], Sequence[Message]] = _no_messages
+    on_command: OnCommand | None = None
+
+    def __post_init__(self) -> None:
+        if not self.root or self.root.startswith("/") or self.root.endswith("/"):
+            raise ValueError(f"a topic root has no slash at its ends, found {self.root!r}")
+        if not self.client_id:
+            raise ValueError("a station needs a client id, found an empty one")
+
+    def topic(self, message: Message) -> str:
+        """The full topic of a message."""
+        return f"{self.root}/{message.topic}"
