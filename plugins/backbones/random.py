@@ -1,0 +1,86 @@
+"""Seeded random weights: a stand-in where no trained backbone is at hand, and what the tests run on.
+
+A random ResNet whose batch norms fit its inputs keeps edges and textures apart, so a detector on top of it works, but
+it is no trained backbone and its bundles say so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.backbones.reference import forward
+from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS, build_trunk
+from plugins.backbones.topology import Conv, State, expected_shapes, topology
+
+__all__ = ["RandomBackbone", "random_resnet18", "random_state"]
+
+# Statistics are rounded to so many decimals: sums differ in their last bits between machines, weights should not.
+DECIMALS = 2
+
+
+def random_state(topology_name: str, seed: int = 0) -> State:
+    """Weights in torchvision's naming, float32: He-initialised, batch norms fitted to smooth random pictures.
+
+    So every channel before its ReLU has about mean 0 and variance 1, through all depths. Errors: ConfigError.
+    """
+    rng = np.random.default_rng(seed)
+    state: dict[str, NDArray[np.float32]] = {}
+    for name, shape in expected_shapes(topology(topology_name)).items():
+        if len(shape) == 4:
+            fan_in = shape[1] * shape[2] * shape[3]
+            state[name] = rng.normal(0, np.sqrt(2 / fan_in), shape).astype(np.float32)
+        else:
+            state[name] = np.full(shape, name.endswith((".weight", "_var")), np.float32)
+
+    def fit_norm(conv: Conv, x: NDArray[np.floating]) -> NDArray[np.floating]:
+        mean, var = x.mean(axis=(0, 2, 3)).round(DECIMALS), x.var(axis=(0, 2, 3)).round(DECIMALS)
+        # A channel that hardly moves on these pictures must not be amplified a hundredfold on others.
+        var = np.maximum(var, max(0.1 * float(var.mean()), 10.0**-DECIMALS)).round(DECIMALS)
+        state[f"{conv.norm}.running_mean"], state[f"{conv.norm}.running_var"] = mean, var
+        scaled: NDArray[np.floating] = (x - mean[:, None, None]) / np.sqrt(var[:, None, None] + NORM_EPS)
+        return scaled
+
+    forward(state, topology_name, _smooth_pictures(rng), ("avgpool",), fit_norm)
+    return state
+
+
+def _smooth_pictures(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Normalised planes float32 (4, 3, 64, 64): noise at three scales, as lit relief has."""
+    planes = np.zeros((4, 3, 64, 64))
+    for size in (4, 16, 64):
+        noise = rng.normal(size=(4, 3, size, size))
+        planes += np.kron(noise, np.ones((64 // size, 64 // size))) / np.sqrt(3)
+    return planes.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class RandomBackbone:
+    """A backbone under the entry points `gelgate.backbones`, with seeded random weights.
+
+    Every backbone answers `name`, `topology`, `facts()` for the manifest and `trunk(taps)`.
+    """
+
+    topology: str
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        return f"random_{self.topology}"
+
+    def facts(self) -> dict[str, object]:
+        """What a manifest records beside the trunk's SHA-256."""
+        return {
+            "topology": self.topology,
+            "weights": f"random, seed {self.seed}: a stand-in, not trained",
+            "mean": list(IMAGENET_MEAN),
+            "std": list(IMAGENET_STD),
+        }
+
+    def trunk(self, taps: Sequence[str] = TAPS) -> bytes:
+        """The serialised trunk with these taps."""
+        return build_trunk(random_state(self.topology, self.seed), self.topology, taps)
+
+
+random_resnet18 = RandomBackbone("resnet18")

@@ -1,0 +1,126 @@
+"""`build_trunk`: a state dict in torchvision's naming becomes an ONNX graph from frames to named feature maps.
+
+Batch norm is folded into the convolutions in float64. The normalisation of the pixels stays an operation of its own:
+folded into the first convolution it would be wrong along the border, where the padding is zero *after* normalising.
+The graph ends at the last tap that is asked for.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
+from plugins.graph import Graph, Value
+
+__all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NORM_EPS", "TAPS", "build_trunk", "folded"]
+
+# The usual normalisation of ImageNet-trained networks, RGB in 0..1 (torchvision's published transforms).
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+# torch.nn.BatchNorm2d's default; a state dict does not carry it.
+NORM_EPS = 1e-5
+# What PaDiM, FAPM and PatchCore read.
+TAPS = ("layer1", "layer2", "layer3")
+
+
+def build_trunk(
+    state: State,
+    topology_name: str,
+    taps: Sequence[str] = TAPS,
+    *,
+    mean: Sequence[float] = IMAGENET_MEAN,
+    std: Sequence[float] = IMAGENET_STD,
+    weights: Literal["float32", "float16"] = "float32",
+) -> bytes:
+    """The trunk as serialised ONNX.
+
+    Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named
+    as the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. weights: how they are
+    stored; float16 halves the file and is widened once when the graph is loaded.
+
+    Errors: ConfigError for an unknown topology or tap, weights that are not this network's, or no tap at all.
+    """
+    net = topology(topology_name)
+    if not taps or len(set(taps)) != len(taps):
+        raise ConfigError(f"a trunk needs distinct taps, found {list(taps)}; for instance {', '.join(TAPS)}")
+    wanted = {tap: last_block(net, tap) for tap in taps}
+    check_state(state, net)
+    drawing = _Trunk(net, state, weights)
+    outputs = drawing.run(_normalised(drawing.graph, mean, std), set(wanted.values()))
+    for tap, block in wanted.items():
+        value, channels = outputs[block]
+        size: tuple[int | str, int | str] = (1, 1) if tap == "avgpool" else (f"{tap}_h", f"{tap}_w")
+        drawing.graph.output(tap, value, ("n", channels, *size))
+    return drawing.graph.serialise()
+
+
+def folded(state: State, conv: Conv) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weights (out, in, k, k) and bias (out,) of a convolution with its batch norm folded in, float64."""
+    gamma, beta, mean, var = (
+        np.asarray(state[f"{conv.norm}.{part}"], np.float64)
+        for part in ("weight", "bias", "running_mean", "running_var")
+    )
+    scale = gamma / np.sqrt(var + NORM_EPS)
+    return np.asarray(state[f"{conv.name}.weight"], np.float64) * scale[
+        :, None, None, None
+    ], beta - mean * scale
+
+
+def _normalised(graph: Graph, mean: Sequence[float], std: Sequence[float]) -> Value:
+    """uint8 RGB (n, h, w, 3) to float32 (n, 3, h, w), each channel (x / 255 - mean) / std."""
+    frames = graph.input("frames", ("n", "h", "w", 3), "uint8")
+    planes = graph.transpose(graph.op("Cast", frames, to=1), 0, 3, 1, 2)
+    scale = 1 / (255 * np.asarray(std, np.float64))
+    shift = -np.asarray(mean, np.float64) / np.asarray(std, np.float64)
+    scaled = graph.op("Mul", planes, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
+    return graph.op("Add", scaled, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
+
+
+class _Trunk:
+    """The drawing of one trunk."""
+
+    def __init__(self, net: Topology, state: State, weights: Literal["float32", "float16"]) -> None:
+        self.graph = Graph(net.name)
+        self._net, self._state, self._dtype = net, state, np.dtype(weights)
+
+    def run(self, x: Value, wanted: set[str]) -> dict[str, tuple[Value, int]]:
+        """Draw until every wanted block, `relu`, `maxpool` or `avgpool` exists: its value and channels by name."""
+        outputs: dict[str, tuple[Value, int]] = {}
+        x = self.graph.op("Relu", self._conv(x, self._net.stem))
+        outputs["relu"] = x, self._net.stem.outputs
+        x = self.graph.op("MaxPool", x, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
+        outputs["maxpool"] = x, self._net.stem.outputs
+        for block in self._net.blocks:
+            if wanted <= outputs.keys():
+                return outputs
+            shortcut = self._conv(x, block.shortcut) if block.shortcut else x
+            for conv in block.convs[:-1]:
+                x = self.graph.op("Relu", self._conv(x, conv))
+            x = self.graph.op("Relu", self.graph.op("Add", self._conv(x, block.convs[-1]), shortcut))
+            outputs[block.name] = x, block.convs[-1].outputs
+        if "avgpool" in wanted:
+            outputs["avgpool"] = self.graph.op("GlobalAveragePool", x), self._net.channels(3)
+        return outputs
+
+    def _conv(self, x: Value, conv: Conv) -> Value:
+        weight, bias = folded(self._state, conv)
+        return self.graph.op(
+            "Conv",
+            x,
+            self._stored(weight),
+            self.graph.constant(bias.astype(np.float32)),
+            kernel_shape=[conv.kernel] * 2,
+            strides=[conv.stride] * 2,
+            pads=[conv.padding] * 4,
+        )
+
+    def _stored(self, weight: NDArray[np.float64]) -> Value:
+        if self._dtype == np.float32:
+            return self.graph.constant(weight.astype(np.float32))
+        most = float(np.abs(weight).max())
+        if most > float(np.finfo(np.float16).max):
+            raise ConfigError(f"a folded weight of {most:.3g} exceeds float16; store this trunk as float32")
+        return self.graph.op("Cast", self.graph.constant(weight.astype(np.float16)), to=1)

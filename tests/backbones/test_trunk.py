@@ -1,0 +1,210 @@
+"""Trunks: the same feature maps as a float64 network that folds nothing, for every topology and tap."""
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from edge.core.errors import ConfigError
+from plugins.backbones.random import random_resnet18, random_state
+from plugins.backbones.reference import forward, normalise
+from plugins.backbones.resnet import build_trunk
+from plugins.backbones.topology import expected_shapes, known_taps, topology
+
+RESNET18 = random_state("resnet18", 3)
+
+
+def frames(n: int, h: int, w: int) -> np.ndarray:
+    """Random uint8 RGB (n, h, w, 3), with 0 and 255 among them."""
+    return np.random.default_rng(5).integers(0, 256, (n, h, w, 3), dtype=np.uint8)
+
+
+def run(trunk: bytes, rgb: np.ndarray) -> dict[str, np.ndarray]:
+    """Tap name to feature map."""
+    session = onnxruntime.InferenceSession(trunk, providers=["CPUExecutionProvider"])
+    return dict(zip([o.name for o in session.get_outputs()], session.run(None, {"frames": rgb}), strict=True))
+
+
+@pytest.mark.parametrize("name", ["resnet18", "resnet50", "wide_resnet50_2"])
+def test_a_trunk_is_the_network(name: str) -> None:
+    """Every tap, down to single blocks and avgpool, is within 1e-4 relative of float64 without folding."""
+    taps = ("relu", "maxpool", "layer1.0", "layer1", "layer2", "layer3.1", "layer3", "layer4.0", "avgpool")
+    state = random_state(name)
+    rgb = frames(2, 48, 64)
+    found = run(build_trunk(state, name, taps), rgb)
+    expected = forward(state, name, normalise(rgb), taps)
+    assert list(found) == list(taps)
+    for tap in taps:
+        assert found[tap].shape == expected[tap].shape
+        np.testing.assert_allclose(found[tap], expected[tap], rtol=0, atol=1e-4 * np.abs(expected[tap]).max())
+
+
+def test_the_oracle_is_the_frameworks_network() -> None:
+    """The float64 reference equals torch's own layers, composed by hand for a strided block with a shortcut."""
+    torch = pytest.importorskip(
+        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
+    )
+    f = torch.nn.functional
+    state = {key: torch.from_numpy(np.asarray(value, np.float64)) for key, value in RESNET18.items()}
+
+    def conv(x, conv, norm, stride, padding):  # type: ignore[no-untyped-def]
+        y = f.conv2d(x, state[f"{conv}.weight"], stride=stride, padding=padding)
+        parts = [state[f"{norm}.{part}"] for part in ("running_mean", "running_var", "weight", "bias")]
+        return f.batch_norm(y, *parts)
+
+    def block(x, name, stride):  # type: ignore[no-untyped-def]
+        y = f.relu(conv(x, f"{name}.conv1", f"{name}.bn1", stride, 1))
+        y = conv(y, f"{name}.conv2", f"{name}.bn2", 1, 1)
+        return f.relu(
+            y + (conv(x, f"{name}.downsample.0", f"{name}.downsample.1", stride, 0) if stride > 1 else x)
+        )
+
+    planes = normalise(frames(1, 40, 36))
+    x = f.max_pool2d(f.relu(conv(torch.from_numpy(planes), "conv1", "bn1", 2, 3)), 3, 2, 1)
+    for name, stride in (("layer1.0", 1), ("layer1.1", 1), ("layer2.0", 2), ("layer2.1", 1)):
+        x = block(x, name, stride)
+    np.testing.assert_allclose(
+        forward(RESNET18, "resnet18", planes, ("layer2",))["layer2"], x.numpy(), rtol=1e-10
+    )
+
+
+def test_the_border_is_normalised_like_the_rest() -> None:
+    """A black frame gives the oracle's features in the corner too: padding is zero after normalising, not before."""
+    rgb = np.zeros((1, 64, 64, 3), np.uint8)
+    found = run(build_trunk(RESNET18, "resnet18", ("relu",)), rgb)["relu"]
+    expected = forward(RESNET18, "resnet18", normalise(rgb), ("relu",))["relu"]
+    np.testing.assert_allclose(found[..., :2, :2], expected[..., :2, :2], rtol=1e-4, atol=1e-5)
+    assert np.abs(expected[..., 0, 0] - expected[..., 5, 5]).max() > 0.01
+
+
+def test_one_graph_serves_every_size_and_batch() -> None:
+    """n, h and w are free; a frame alone and a frame in a batch have the same features."""
+    trunk = build_trunk(RESNET18, "resnet18", ("layer1", "layer3"))
+    batch = frames(3, 64, 96)
+    together, alone = run(trunk, batch), run(trunk, batch[1:2])
+    assert together["layer3"].shape == (3, 256, 4, 6)
+    np.testing.assert_allclose(together["layer3"][1:2], alone["layer3"], rtol=1e-5, atol=1e-5)
+    assert run(trunk, frames(1, 33, 47))["layer1"].shape == (1, 64, 9, 12)
+
+
+def test_the_graph_ends_at_the_last_tap() -> None:
+    """A trunk for layer2 carries no weight of layer3; one for avgpool carries all."""
+    short, full = (
+        len(build_trunk(RESNET18, "resnet18", taps)) for taps in (("layer2",), ("layer2", "avgpool"))
+    )
+    assert short < 0.7e6 * 4 < 11e6 * 4 < full
+
+
+def test_a_trunk_is_one_file_in_the_standard_domain() -> None:
+    """No external data, no custom operators, and the same bytes every time."""
+    trunk = build_trunk(RESNET18, "resnet18")
+    model = onnx.load_from_string(trunk)
+    assert {node.domain for node in model.graph.node} == {""}
+    assert [opset.domain for opset in model.opset_import] == [""]
+    assert not any(tensor.external_data for tensor in model.graph.initializer)
+    assert trunk == build_trunk(RESNET18, "resnet18")
+
+
+def test_half_precision_storage_halves_the_file() -> None:
+    """Weights kept as float16 are widened at load: features within 0.5 % of the float32 trunk."""
+    wide = build_trunk(RESNET18, "resnet18")
+    narrow = build_trunk(RESNET18, "resnet18", weights="float16")
+    assert len(narrow) < 0.52 * len(wide)
+    rgb = frames(1, 64, 64)
+    a, b = run(wide, rgb)["layer3"], run(narrow, rgb)["layer3"]
+    assert np.abs(a - b).max() < 5e-3 * np.abs(a).max()
+
+
+def test_half_precision_refuses_what_it_cannot_hold() -> None:
+    """A folded weight beyond 65504 is refused with its size instead of becoming infinite."""
+    state = dict(RESNET18)
+    state["bn1.weight"] = np.full(64, 1e7, np.float32)
+    with pytest.raises(ConfigError, match="exceeds float16"):
+        build_trunk(state, "resnet18", ("relu",), weights="float16")
+
+
+def test_a_dead_channel_folds_without_dividing_by_zero() -> None:
+    """Variance 0 is legal: the norm's own epsilon carries it."""
+    state = dict(RESNET18)
+    state["bn1.running_var"] = np.zeros(64, np.float32)
+    rgb = frames(1, 32, 32)
+    found = run(build_trunk(state, "resnet18", ("relu",)), rgb)["relu"]
+    expected = forward(state, "resnet18", normalise(rgb), ("relu",))["relu"]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"drop": "layer2.0.conv1.weight"}, "1 missing .layer2.0.conv1.weight."),
+        ({"add": "head.weight"}, "1 unexpected .head.weight."),
+        ({"reshape": "conv1.weight"}, "1 wrongly shaped .conv1.weight"),
+        ({"spoil": "bn1.bias"}, "not finite, in bn1.bias"),
+    ],
+)
+def test_foreign_weights_are_refused_by_name(change: dict[str, str], says: str) -> None:
+    """Missing, unexpected, wrongly shaped and non-finite weights are each named in one sentence."""
+    state = dict(RESNET18)
+    for act, key in change.items():
+        if act == "drop":
+            del state[key]
+        elif act == "add":
+            state[key] = np.zeros(3, np.float32)
+        elif act == "reshape":
+            state[key] = state[key][:5]
+        else:
+            state[key] = state[key] * np.float32(np.nan)
+    with pytest.raises(ConfigError, match=says):
+        build_trunk(state, "resnet18")
+
+
+def test_weights_of_another_network_are_refused() -> None:
+    """resnet18's weights as a resnet50: refused, and the sentence says what is missing."""
+    with pytest.raises(ConfigError, match=r"not a resnet50 .* missing"):
+        build_trunk(RESNET18, "resnet50")
+
+
+@pytest.mark.parametrize("taps", [(), ("layer1", "layer1"), ("layer9",), ("layer1.7",)])
+def test_unknown_taps_are_refused(taps: tuple[str, ...]) -> None:
+    """No tap, a repeated tap, or one that the network has not: refused."""
+    with pytest.raises(ConfigError, match="tap"):
+        build_trunk(RESNET18, "resnet18", taps)
+
+
+def test_unknown_topologies_are_refused() -> None:
+    """The known ones are listed."""
+    with pytest.raises(ConfigError, match="wide_resnet50_2"):
+        build_trunk(RESNET18, "resnet34")
+
+
+def test_wide_resnet_has_the_published_size() -> None:
+    """wide_resnet50_2 to avgpool: 66.83 million weights, 24.86 million to layer3 (batch statistics not counted)."""
+    shapes = expected_shapes(topology("wide_resnet50_2"))
+    counted = {key: int(np.prod(shape)) for key, shape in shapes.items() if "running" not in key}
+    assert round(sum(counted.values()) / 1e6, 2) == 66.83
+    assert round(sum(n for key, n in counted.items() if not key.startswith("layer4")) / 1e6, 2) == 24.86
+
+
+def test_taps_are_named_in_the_order_of_computation() -> None:
+    """Blocks precede the stage that they end."""
+    taps = known_taps(topology("resnet18"))
+    assert taps[2:5] == ("layer1.0", "layer1.1", "layer1")
+    assert taps[-1] == "avgpool"
+
+
+def test_random_weights_keep_their_scale() -> None:
+    """Through all stages the activations neither die nor explode, and the seed decides the weights."""
+    features = forward(
+        RESNET18, "resnet18", normalise(frames(1, 64, 64)), ("layer1", "layer2", "layer3", "layer4")
+    )
+    assert all(0.3 < value.std() < 30 for value in features.values())
+    again = random_state("resnet18", 3)
+    assert all(np.array_equal(RESNET18[key], again[key]) for key in RESNET18)
+    assert not np.array_equal(RESNET18["conv1.weight"], random_state("resnet18", 4)["conv1.weight"])
+
+
+def test_the_stand_in_says_what_it_is() -> None:
+    """Its name and facts say random; its trunk gives the three usual taps."""
+    assert random_resnet18.name == "random_resnet18"
+    assert "not trained" in str(random_resnet18.facts()["weights"])
+    assert list(run(random_resnet18.trunk(), frames(1, 32, 32))) == ["layer1", "layer2", "layer3"]
