@@ -1,0 +1,218 @@
+"""A bundle's files on disk: a folder or a zip, read with suspicion and written whole or not at all.
+
+Files are read into memory once and never mapped: a mapped file that is replaced under a running gateway changes its
+scores or kills it (SIGBUS), and a bank is at most some megabytes.
+"""
+
+import os
+import shutil
+import stat
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Protocol
+
+from edge.core.errors import BundleCorrupt
+
+__all__ = ["MANIFEST", "Archive", "open_archive", "write_archive"]
+
+MANIFEST = "manifest.json"
+
+MAX_FILE_BYTES = 1 << 30
+"""No file of a bundle is larger: the largest trunk known (Wide-ResNet-50-2 with layer4) is 275 MB."""
+
+MAX_MEMBERS = 4096
+
+# Zip knows no time zone and no year before 1980: every member carries this time, so equal content is equal bytes.
+ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+class Archive(Protocol):
+    """Where a bundle's files come from."""
+
+    @property
+    def where(self) -> str: ...
+
+    def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
+        """The bytes of one file. Errors: BundleCorrupt when missing, larger than the limit, or not a plain file."""
+        ...
+
+
+class _Folder:
+    def __init__(self, path: Path) -> None:
+        self.where = str(path)
+        self._path = path
+
+    def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
+        try:
+            # O_NONBLOCK: a named pipe in place of a file must not hang the gateway.
+            descriptor = os.open(
+                self._path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            )
+        except FileNotFoundError as error:
+            raise _missing(self.where, name) from error
+        except OSError as error:
+            raise BundleCorrupt(
+                f"bundle {self.where}: {name} cannot be read ({error.strerror}); copy the whole bundle again, "
+                "links are not followed"
+            ) from error
+        with os.fdopen(descriptor, "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise BundleCorrupt(
+                    f"bundle {self.where}: {name} is not a plain file; copy the whole bundle again"
+                )
+            _check_size(self.where, name, status.st_size, limit)
+            return file.read(limit + 1)
+
+
+class _Zip:
+    def __init__(self, path: Path) -> None:
+        self.where = str(path)
+        try:
+            self._zip = zipfile.ZipFile(path)
+        except (zipfile.BadZipFile, OSError) as error:
+            raise BundleCorrupt(
+                f"bundle {path} is not a zip file that can be read ({error}); copy it again"
+            ) from error
+        members = self._zip.infolist()
+        if len(members) > MAX_MEMBERS:
+            raise BundleCorrupt(f"bundle {path} has {len(members)} members, at most {MAX_MEMBERS} are read")
+        for member in members:
+            _check_member(self.where, member)
+        names = [member.filename for member in members]
+        if len(set(names)) < len(names):
+            raise BundleCorrupt(f"bundle {path} holds a file twice; make the zip again")
+        self._root = _zip_root(names)
+
+    def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
+        try:
+            member = self._zip.getinfo(self._root + name)
+        except KeyError as error:
+            raise _missing(self.where, name) from error
+        _check_size(self.where, name, member.file_size, limit)
+        try:
+            with self._zip.open(member) as file:
+                return file.read(limit + 1)
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            EOFError,
+            OSError,
+            NotImplementedError,
+            RuntimeError,
+        ) as error:
+            raise BundleCorrupt(
+                f"bundle {self.where}: {name} cannot be unpacked ({error}); copy it again"
+            ) from error
+
+
+def _zip_root(names: list[str]) -> str:
+    """'' where the manifest is at the top, 'folder/' where the whole bundle folder was zipped."""
+    if MANIFEST in names:
+        return ""
+    roots = [
+        name[: -len(MANIFEST)] for name in names if name.count("/") == 1 and name.endswith("/" + MANIFEST)
+    ]
+    return roots[0] if len(roots) == 1 else ""
+
+
+def _check_member(where: str, member: zipfile.ZipInfo) -> None:
+    name, mode = member.filename, member.external_attr >> 16
+    fault = None
+    if name.startswith("/") or "\\" in name or ":" in name or ".." in PurePosixPath(name).parts:
+        fault = "points outside the bundle"
+    elif stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
+        fault = "is a link or a device"
+    elif member.flag_bits & 0x1:
+        fault = "is encrypted"
+    if fault:
+        raise BundleCorrupt(
+            f"bundle {where} is refused: its member '{name}' {fault}; make the zip from a bundle folder"
+        )
+
+
+def _check_size(where: str, name: str, size: int, limit: int) -> None:
+    if size > limit:
+        raise BundleCorrupt(
+            f"bundle {where}: {name} has {size} bytes, at most {limit} were expected; copy the whole bundle again"
+        )
+
+
+def _missing(where: str, name: str) -> BundleCorrupt:
+    return BundleCorrupt(f"bundle {where}: {name} is missing; copy the whole bundle again")
+
+
+def open_archive(path: Path) -> Archive:
+    """A folder or a zip. Errors: BundleCorrupt when it is neither or a member is refused."""
+    if path.is_dir():
+        return _Folder(path)
+    if path.is_file():
+        return _Zip(path)
+    raise BundleCorrupt(f"no bundle at {path}: neither a folder nor a zip file; make one with `gelgate fit`")
+
+
+def write_archive(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> None:
+    """Write all files as a folder, or as a zip when the name ends in .zip; appears at once or not at all.
+
+    Equal files give equal bytes. Errors: FileExistsError; OSError of the disk, with nothing left behind.
+    """
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    _remove(partial)
+    try:
+        if path.suffix == ".zip":
+            _write_zip(partial, files)
+        else:
+            _write_folder(partial, files)
+        _put_in_place(partial, path)
+    finally:
+        _remove(partial)
+
+
+def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    for name, data in files.items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
+
+
+def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:
+    with file.open("wb") as out:
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in sorted(files.items()):
+                member = zipfile.ZipInfo(name, ZIP_EPOCH)
+                member.compress_type = zipfile.ZIP_DEFLATED
+                member.external_attr = (stat.S_IFREG | 0o644) << 16
+                archive.writestr(member, data)
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def _put_in_place(partial: Path, path: Path) -> None:
+    """Rename over; a folder that is being replaced is moved aside first, since rename cannot replace it."""
+    if not path.is_dir():
+        partial.rename(path)
+        return
+    aside = path.with_name(f".{path.name}.replaced-{os.getpid()}")
+    _remove(aside)
+    path.rename(aside)
+    try:
+        partial.rename(path)
+    except OSError:
+        aside.rename(path)
+        raise
+    _remove(aside)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,112 @@
+"""What an ONNX file may contain before the runtime parses it, found by reading its protobuf fields alone.
+
+A graph in a bundle is refused when it points to data outside its own bytes, uses an operator domain other than the
+standard one, or brings functions of its own. onnxruntime resolves external data relative to the working directory
+when it loads from bytes, so the refusal cannot be left to it; the onnx package is not needed on the gateway.
+
+Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+__all__ = ["GraphRefused", "check_graph"]
+
+STANDARD_DOMAINS = frozenset({b"", b"ai.onnx"})
+MAX_NODES = 20_000
+MAX_FIELDS = 2_000_000
+MAX_DEPTH = 12
+
+# onnx.proto3: message -> {field number: message it holds}; fields that are not listed are skipped unread.
+CHILDREN: dict[str, dict[int, str]] = {
+    "model": {7: "graph", 8: "opset", 25: "function"},
+    "graph": {1: "node", 5: "tensor", 15: "sparse"},
+    "node": {5: "attribute"},
+    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
+    "sparse": {1: "tensor", 2: "tensor"},
+    "opset": {},
+    "tensor": {},
+}
+DOMAIN_FIELD = {"opset": 1, "node": 7}
+EXTERNAL_DATA_FIELD, DATA_LOCATION_FIELD = 13, 14
+
+
+class GraphRefused(ValueError):
+    """The bytes are not an ONNX graph that a bundle may carry; the message says why."""
+
+
+@dataclass
+class _Budget:
+    nodes: int = MAX_NODES
+    fields: int = MAX_FIELDS
+
+
+def check_graph(data: bytes) -> None:
+    """Refuse external data, foreign operator domains, functions, and bytes that are not a model.
+
+    Errors: GraphRefused.
+    """
+    if not any(number == 7 for number, _ in _fields(memoryview(data), _Budget())):
+        raise GraphRefused("it holds no graph")
+    _check("model", memoryview(data), _Budget(), 0)
+
+
+def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
+    if depth > MAX_DEPTH:
+        raise GraphRefused(f"its graphs are nested more than {MAX_DEPTH} deep")
+    for number, value in _fields(message, budget):
+        if kind == "tensor" and (number == EXTERNAL_DATA_FIELD or (number == DATA_LOCATION_FIELD and value)):
+            raise GraphRefused("it keeps tensors in an external file")
+        if number == DOMAIN_FIELD.get(kind) and isinstance(value, memoryview):
+            _check_domain(bytes(value))
+        child = CHILDREN[kind].get(number)
+        if child is None or not isinstance(value, memoryview):
+            continue
+        if child == "function":
+            raise GraphRefused("it defines functions of its own; inline them")
+        if child == "node":
+            budget.nodes -= 1
+            if budget.nodes < 0:
+                raise GraphRefused(f"it has more than {MAX_NODES} nodes")
+        _check(child, value, budget, depth + 1)
+
+
+def _check_domain(domain: bytes) -> None:
+    if domain not in STANDARD_DOMAINS:
+        raise GraphRefused(f"it uses the operator domain '{domain.decode('utf-8', 'replace')}'")
+
+
+def _fields(message: memoryview, budget: _Budget) -> Iterator[tuple[int, int | memoryview]]:
+    """(field number, value) of one message: an int for a varint, a view for a length-delimited field."""
+    at, end = 0, len(message)
+    while at < end:
+        budget.fields -= 1
+        if budget.fields < 0:
+            raise GraphRefused(f"it has more than {MAX_FIELDS} fields")
+        tag, at = _varint(message, at)
+        number, wire = tag >> 3, tag & 7
+        if wire == 0:
+            value, at = _varint(message, at)
+            yield number, value
+            continue
+        if wire not in (1, 2, 5) or number == 0:
+            raise GraphRefused("it is not an ONNX model")
+        length, at = _varint(message, at) if wire == 2 else (8 if wire == 1 else 4, at)
+        if at + length > end:
+            raise GraphRefused("it is cut short or is not an ONNX model")
+        if wire == 2:
+            yield number, message[at : at + length]
+        at += length
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(message):
+            raise GraphRefused("it is cut short or is not an ONNX model")
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise GraphRefused("it is not an ONNX model")

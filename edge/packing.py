@@ -1,0 +1,82 @@
+"""How a bank array is stored, and how it becomes float32 again: packed once at fit, unpacked once at load.
+
+Dequantising inside the graph on every frame costs more than the head itself (PaDiM, 28x28, rank 16: 1.9 ms against
+0.3 ms on two cores), so the compact form lives on disk alone and the runtime is given float32.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Packing
+
+__all__ = ["Packed", "pack", "unpack"]
+
+# A half holds 65504 at most and loses bits below 2**-14: the largest entry is brought just under 2**15.
+HALF_TOP_EXPONENT = 15
+INT8_TOP = 127
+
+
+@dataclass(frozen=True)
+class Packed:
+    """An array as stored.
+
+    data: the stored array. scale: float32, data's shape without its last axis, for int8 alone.
+    exponent: float16 data are multiplied by 2**exponent when unpacked.
+    """
+
+    data: NDArray[Any]
+    scale: NDArray[np.float32] | None = None
+    exponent: int = 0
+
+
+def pack(array: NDArray[Any], packing: Packing) -> Packed:
+    """The stored form of a float32 array; any dtype passes `none` as it is.
+
+    Error of one entry x: float16 at most 2**-11 |x| + 2**-40 max|array|; int8 at most 0.501 of its row's scale,
+    which is max|row| / 127. Errors: ValueError for a non-finite entry or a packing that the dtype cannot take.
+    """
+    array = np.ascontiguousarray(array)
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError("it holds NaN or infinity")
+    if packing == "none":
+        return Packed(array)
+    if array.dtype != np.float32 or array.ndim == 0:
+        raise ValueError(
+            f"{packing} packs float32 arrays with at least one axis, found {array.dtype} {array.shape}"
+        )
+    return _pack_float16(array) if packing == "float16" else _pack_int8(array)
+
+
+def _pack_float16(array: NDArray[np.float32]) -> Packed:
+    top = float(np.abs(array).max(initial=0.0))
+    exponent = math.frexp(top)[1] - HALF_TOP_EXPONENT if top > 0 else 0
+    with np.errstate(under="ignore"):
+        return Packed(np.ldexp(array.astype(np.float64), -exponent).astype(np.float16), exponent=exponent)
+
+
+def _pack_int8(array: NDArray[np.float32]) -> Packed:
+    top = np.abs(array).max(axis=-1, initial=0.0).astype(np.float64)
+    with np.errstate(under="ignore"):
+        scale = (top / INT8_TOP).astype(np.float32)
+    # A scale rounded down would push the row's largest entry past 127.
+    scale = np.where(
+        scale.astype(np.float64) * INT8_TOP < top, np.nextafter(scale, np.float32(np.inf)), scale
+    )
+    divisor = np.where(scale > 0, scale, 1).astype(np.float64)[..., None]
+    return Packed(np.rint(array / divisor).astype(np.int8), scale=np.asarray(scale, np.float32))
+
+
+def unpack(packed: Packed, packing: Packing) -> NDArray[Any]:
+    """The array as the head's input wants it. The inverse of `pack` within its stated error."""
+    if packing == "none":
+        return packed.data
+    with np.errstate(under="ignore"):
+        if packing == "float16":
+            return np.ldexp(packed.data.astype(np.float64), packed.exponent).astype(np.float32)
+        if packed.scale is None:
+            raise ValueError("int8 data need their scale")
+        return packed.data * packed.scale[..., None]
