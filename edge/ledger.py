@@ -1,0 +1,82 @@
+"""The gel ledger: which gel is on which sensor, and how often it was pressed. Runs inside the caller's transaction.
+
+A sensor seen for the first time gets the gel `<serial>-1`; replacing a gel is a recorded act, and the old one's row
+stays as history.
+"""
+
+import sqlite3
+
+from edge.core.errors import StoreError
+from edge.core.gel import GelRecord
+
+__all__ = ["count_press", "history", "mount", "mounted", "set_wear"]
+
+_COLUMNS = (
+    "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, "
+    "removed_ns, wear_index, note"
+)
+
+
+def mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:
+    """The gel on this sensor now, None for a sensor never seen."""
+    row = connection.execute(
+        f"SELECT {_COLUMNS} FROM gels WHERE serial = ? AND removed_ns IS NULL", (serial,)
+    ).fetchone()
+    return None if row is None else _record(row, warn_fraction)
+
+
+def history(connection: sqlite3.Connection, serial: str | None, warn_fraction: float) -> list[GelRecord]:
+    """Every gel of this sensor, or of all sensors, oldest first."""
+    rows = connection.execute(
+        f"SELECT {_COLUMNS} FROM gels WHERE ? IS NULL OR serial = ? ORDER BY serial, rowid", (serial, serial)
+    )
+    return [_record(row, warn_fraction) for row in rows]
+
+
+def mount(
+    connection: sqlite3.Connection,
+    serial: str,
+    gel_id: str | None,
+    limit_presses: int,
+    note: str,
+    time_ns: int,
+) -> str:
+    """Take the present gel off and put this one on. `gel_id` None numbers it. Gives the id.
+
+    Errors: StoreError if this sensor has had a gel of that id: its count would not be that of one gel any more.
+    """
+    ids = {row[0] for row in connection.execute("SELECT gel_id FROM gels WHERE serial = ?", (serial,))}
+    gel_id = gel_id or next(name for n in range(1, len(ids) + 2) if (name := f"{serial}-{n}") not in ids)
+    if gel_id in ids:
+        raise StoreError(
+            f"gel '{gel_id}' was already used on sensor {serial}; give the new gel an id of its own, or none"
+        )
+    connection.execute(
+        "UPDATE gels SET removed_ns = ? WHERE serial = ? AND removed_ns IS NULL", (time_ns, serial)
+    )
+    connection.execute(
+        "INSERT INTO gels (serial, gel_id, limit_presses, installed_ns, note) VALUES (?, ?, ?, ?, ?)",
+        (serial, gel_id, limit_presses, time_ns, note),
+    )
+    return gel_id
+
+
+def count_press(connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
+    """One more press on the mounted gel. A clock that was set back never makes the last use earlier."""
+    connection.execute(
+        "UPDATE gels SET presses = presses + 1, first_use_ns = coalesce(first_use_ns, :t), "
+        "last_use_ns = max(coalesce(last_use_ns, :t), :t) WHERE serial = :serial AND removed_ns IS NULL",
+        {"t": time_ns, "serial": serial},
+    )
+
+
+def set_wear(connection: sqlite3.Connection, serial: str, wear_index: float) -> None:
+    """Note the mounted gel's optical wear."""
+    connection.execute(
+        "UPDATE gels SET wear_index = ? WHERE serial = ? AND removed_ns IS NULL", (wear_index, serial)
+    )
+
+
+def _record(row: tuple[object, ...], warn_fraction: float) -> GelRecord:
+    values = dict(zip(_COLUMNS.split(", "), row, strict=True))
+    return GelRecord(**values, warn_fraction=warn_fraction)  # type: ignore[arg-type]  # STRICT tables keep the types
