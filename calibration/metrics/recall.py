@@ -99,4 +99,5 @@ def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Fl
     reached = np.concatenate([np.zeros((weights.shape[0], 1)), rate], axis=1)
     edges = np.log(np.clip(reached, *bounds))
     edges[:, -1] = high
-    return np.diff(edges, axis=1) / (high - low)
+    spans: Float = np.diff(edges, axis=1) / (high - low)
+    return spans

@@ -56,8 +56,8 @@ def measure(
     """Image AUROC, pixel AUROC, AUPRC, AU-PRO to `limit` and AUPIMO of scored presses.
 
     maps, masks: one (h, w) per press, as in `calibration.metrics.regions`. anomaly_scores: (presses,). specimens: the
-    id of each press's part; None leaves that interval out. is_defective: from the masks unless given (a defect that left no
-    imprint has an empty mask but a bad part). replicates 0 leaves both intervals out.
+    id of each press's part; None leaves that interval out. is_defective: from the masks unless given
+    (a defect that left no imprint has an empty mask but a bad part). replicates 0 leaves both intervals out.
     Errors: ValueError for shapes that do not pair or non-finite scores.
     """
     label = np.array([bool(m.any()) for m in masks], np.bool_) if is_defective is None else is_defective

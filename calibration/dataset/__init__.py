@@ -1,0 +1,20 @@
+"""Datasets of presses: the paper's layout, MVTec-style folders and CVAT exports, read into one kind of value.
+
+Everything that is missing, misnamed, wrongly sized or unreadable is listed in one DatasetError.
+"""
+
+from calibration.dataset.files import pool_mask
+from calibration.dataset.layouts import SIZES, Resolution
+from calibration.dataset.opening import Dataset, open_dataset
+from calibration.dataset.press import Press, Split, split_by_specimen
+
+__all__ = [
+    "SIZES",
+    "Dataset",
+    "Press",
+    "Resolution",
+    "Split",
+    "open_dataset",
+    "pool_mask",
+    "split_by_specimen",
+]

@@ -1,0 +1,106 @@
+"""Opening a dataset: which layout it has, its presses, and who their specimens are."""
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from calibration.dataset.cvat import read_cvat_masks, read_cvat_xml
+from calibration.dataset.files import Faults
+from calibration.dataset.layouts import Resolution, is_mvtec, is_paper, read_mvtec, read_paper
+from calibration.dataset.press import Press
+from edge.core.errors import DatasetError
+
+__all__ = ["SPECIMENS_FILE", "Dataset", "Layout", "open_dataset"]
+
+Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
+
+# Two columns with a header, file and specimen; file is a path below the root or a bare file name.
+SPECIMENS_FILE = "specimens.csv"
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Presses of one folder, in the order of their paths."""
+
+    root: Path
+    layout: Layout
+    presses: tuple[Press, ...]
+
+    @property
+    def good(self) -> tuple[Press, ...]:
+        return tuple(p for p in self.presses if not p.is_defective)
+
+    @property
+    def defective(self) -> tuple[Press, ...]:
+        return tuple(p for p in self.presses if p.is_defective)
+
+    @property
+    def positions(self) -> tuple[tuple[str, str], ...]:
+        """Every (part, position) that has a press, sorted."""
+        return tuple(sorted({(p.part, p.position) for p in self.presses}))
+
+    def select(self, part: str | None = None, position: str | None = None) -> "Dataset":
+        """The presses of one part or position. Errors: DatasetError naming what there is, when none is left."""
+        chosen = tuple(p for p in self.presses if part in (None, p.part) and position in (None, p.position))
+        if not chosen:
+            known = ", ".join("/".join(pair) for pair in self.positions)
+            wanted = "/".join(str(x or "*") for x in (part, position))
+            raise DatasetError(f"dataset '{self.root}' has no press of {wanted}; it has {known}")
+        return replace(self, presses=chosen)
+
+
+def open_dataset(root: Path, resolution: Resolution = "lr") -> Dataset:
+    """Read a dataset's file names, sizes and specimens; pictures are read when a press is asked for them.
+
+    resolution: which of the two the paper's layout is read at; the other layouts have one. A `specimens.csv` at the
+    root overrides specimen ids. Errors: DatasetError for a folder in no known layout, or listing every file at fault.
+    """
+    faults = Faults(root)
+    layout, presses = _read(root, resolution, faults)
+    presses = _with_specimens(root, presses, faults)
+    faults.raise_any()
+    if not presses:
+        raise DatasetError(f"dataset '{root}' has the {layout} layout, but no picture in it")
+    return Dataset(root, layout, tuple(sorted(presses, key=lambda p: p.path)))
+
+
+def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, list[Press]]:
+    if not root.is_dir():
+        raise DatasetError(f"dataset '{root}' is not a folder; give the folder that holds the parts")
+    if (root / "annotations.xml").is_file():
+        return "cvat_xml", read_cvat_xml(root, faults)
+    if (root / "SegmentationClass").is_dir():
+        return "cvat_masks", read_cvat_masks(root, faults)
+    if is_mvtec(root):
+        return "mvtec", read_mvtec(root, faults)
+    if is_paper(root):
+        return "paper", read_paper(root, resolution, faults)
+    raise DatasetError(
+        f"dataset '{root}' has no known layout; expected <part>/<position>/rgb[_320x240], train/good with test/, "
+        "annotations.xml with images/, or SegmentationClass/"
+    )
+
+
+def _with_specimens(root: Path, presses: list[Press], faults: Faults) -> list[Press]:
+    """Specimen ids from specimens.csv where it lists a file, else as they were read from the name."""
+    table = root / SPECIMENS_FILE
+    if not table.is_file():
+        return presses
+    with table.open(newline="", encoding="utf-8-sig") as file:
+        reader = csv.DictReader(file)
+        if not {"file", "specimen"} <= set(reader.fieldnames or ()):
+            faults.add(
+                table, f"needs the columns file and specimen, found {', '.join(reader.fieldnames or ())}"
+            )
+            return presses
+        named = {str(row["file"]).strip(): str(row["specimen"]).strip() for row in reader}
+    given = []
+    for press in presses:
+        keys = (press.path.relative_to(root).as_posix(), press.path.name)
+        specimen = next((named[k] for k in keys if k in named), press.specimen)
+        given.append(replace(press, specimen=specimen or None))
+    for name in sorted(named):
+        if not (root / name).is_file() and not any(p.path.name == name for p in presses):
+            faults.add(table, f"lists '{name}', which is not in the dataset")
+    return given
