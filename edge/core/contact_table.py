@@ -1,0 +1,98 @@
+"""The contact table: (state, signal) to state, small enough to print, and printed in the manual from here."""
+
+from enum import StrEnum
+
+__all__ = ["TABLE", "Signal", "State", "table_markdown"]
+
+
+class State(StrEnum):
+    """What the gel is doing."""
+
+    WARM_UP = "warm-up"
+    BASELINE = "baseline"
+    NO_CONTACT = "no contact"
+    APPROACH = "approach"
+    SETTLING = "settling"
+    EARLY_RELEASE = "early release"
+    CONTACT = "contact"
+    RELEASE = "release"
+    RECOVERY = "recovery"
+
+
+class Signal(StrEnum):
+    """What one frame, or the outside world, says."""
+
+    BLIND = "blind"  # the frame tells nothing: black, or too soon after a gap
+    MOVING = "moving"  # while learning: the view differs from the one held as still
+    CLEAR = "clear"  # touched area at or below the off level
+    FAINT = "faint"  # between the off and the on level
+    TOUCH = "touch"  # at or above the on level
+    STILL = "still"  # touched, wanted, and still for the settle time
+    LATE = "late"  # wanted, and not still within the settle timeout
+    ELAPSED = "elapsed"  # the state's own condition has held for its time
+    GAP = "gap"  # the stream was interrupted
+    RELEARN = "relearn"  # someone asks for a new reference
+
+
+def _row(state: State, **moves: State) -> dict[tuple[State, Signal], State]:
+    """One row of the table: a signal that is not named leaves the state as it is."""
+    return {(state, signal): moves.get(signal.name, state) for signal in Signal}
+
+
+TABLE: dict[tuple[State, Signal], State] = {
+    **_row(State.WARM_UP, ELAPSED=State.BASELINE),
+    **_row(
+        State.BASELINE,
+        MOVING=State.WARM_UP,
+        ELAPSED=State.NO_CONTACT,
+        TOUCH=State.CONTACT,  # only against a stored reference: the part was there at the start
+        GAP=State.WARM_UP,
+        RELEARN=State.WARM_UP,
+    ),
+    **_row(State.NO_CONTACT, TOUCH=State.APPROACH, RELEARN=State.WARM_UP),
+    **_row(
+        State.APPROACH,
+        CLEAR=State.NO_CONTACT,
+        FAINT=State.NO_CONTACT,
+        ELAPSED=State.SETTLING,
+        GAP=State.NO_CONTACT,
+        RELEARN=State.WARM_UP,
+    ),
+    **_row(
+        State.SETTLING,
+        CLEAR=State.EARLY_RELEASE,
+        STILL=State.CONTACT,
+        LATE=State.CONTACT,
+        RELEARN=State.WARM_UP,
+    ),
+    **_row(
+        State.EARLY_RELEASE,
+        FAINT=State.SETTLING,
+        TOUCH=State.SETTLING,
+        ELAPSED=State.RECOVERY,
+        GAP=State.SETTLING,
+        RELEARN=State.WARM_UP,
+    ),
+    **_row(State.CONTACT, CLEAR=State.RELEASE, RELEARN=State.WARM_UP),
+    **_row(
+        State.RELEASE,
+        FAINT=State.CONTACT,
+        TOUCH=State.CONTACT,
+        ELAPSED=State.RECOVERY,
+        GAP=State.CONTACT,
+        RELEARN=State.WARM_UP,
+    ),
+    **_row(State.RECOVERY, TOUCH=State.APPROACH, ELAPSED=State.NO_CONTACT, RELEARN=State.WARM_UP),
+}
+
+
+def table_markdown() -> str:
+    """The table as Markdown, one row per state; a dot stands for staying. docs/contact.md shows it."""
+    heads = "| state | " + " | ".join(Signal) + " |"
+    rule = "|---|" + "---|" * len(Signal)
+    return "\n".join([heads, rule, *(_printed(state) for state in State)]) + "\n"
+
+
+def _printed(state: State) -> str:
+    targets = (TABLE[state, signal] for signal in Signal)
+    return f"| **{state}** | " + " | ".join("·" if to is state else to for to in targets) + " |"
