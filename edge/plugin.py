@@ -1,13 +1,14 @@
-"""What a device's entry point names: a factory with its options, which finds sensors and opens one."""
+"""What a device's or a sink's entry point names: a factory with its options."""
 
 from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 from pydantic import BaseModel
 
-from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting, Sink
+from edge.core.station import Station
 
-__all__ = ["DevicePlugin"]
+__all__ = ["DevicePlugin", "SinkPlugin"]
 
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
@@ -32,4 +33,18 @@ class DevicePlugin(Protocol[OptionsT]):
 
     def open(self, options: OptionsT, clock: Clock) -> Device:
         """The one sensor that the options mean. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
+        ...
+
+
+class SinkPlugin(Protocol[OptionsT]):
+    """The object, often a module, behind an entry point in `gelgate.sinks`."""
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def open(self, options: OptionsT, station: Station) -> Sink:
+        """A sink that speaks for the station. It returns at once: a receiver that is away is no error.
+
+        Errors: ConfigError for options that can never work, such as a certificate that is not there.
+        """
         ...

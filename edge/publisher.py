@@ -1,0 +1,273 @@
+"""The publisher: one thread per sink that takes the outbox out in order, and never gives up on it.
+
+A `Lane` is the whole behaviour for one sink, one step at a time and without a thread; `Publisher` gives each lane its
+thread. A sink that is away does not hold up the others: a row leaves the outbox when every sink acknowledged it.
+"""
+
+import fcntl
+import logging
+import os
+import random
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from edge.announcements import Announcements
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
+from edge.core.ports import Clock, Message, Sink
+from edge.messages import as_replayed
+from edge.outbox import Outbox, OutboxRow, OutboxStatus
+
+__all__ = ["Backoff", "Lane", "LaneCounters", "OnChange", "Publisher"]
+
+log = logging.getLogger(__name__)
+
+# Rows in memory at a time: enough to keep a broker busy, few enough that sixteen heatmaps fit in any gateway.
+BATCH_ROWS: Final = 16
+
+# An idle lane looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
+IDLE_S: Final = 5.0
+
+OnChange = Callable[[str, bool, str], None]
+"""(sink name, whether it takes messages now, one sentence). Called on changes only, from the lane's thread."""
+
+
+@dataclass
+class Backoff:
+    """How long to wait after the n-th failure in a row: doubling up to a ceiling, half of it random.
+
+    The random half keeps a plant's gateways from returning to a restarted broker at the same instant.
+    """
+
+    rng: random.Random
+    first_s: float = 0.1
+    ceiling_s: float = 5.0  # an attempt on a sink that is away costs nothing: it does its own connecting
+    failures: int = 0
+
+    def failed(self) -> float:
+        """Note one more failure; gives the seconds to wait."""
+        full = min(self.ceiling_s, self.first_s * float(2 ** min(self.failures, 16)))
+        self.failures += 1
+        return full / 2 + self.rng.uniform(0, full / 2)
+
+    def succeeded(self) -> None:
+        self.failures = 0
+
+
+@dataclass(frozen=True)
+class LaneCounters:
+    """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
+    refused: rows that the sink will not have. is_up: the last attempt was taken. last_error: its sentence, or empty."""
+
+    sent: int = 0
+    replayed: int = 0
+    failed: int = 0
+    refused: int = 0
+    is_up: bool = False
+    last_error: str = ""
+    last_sent_ns: int | None = None
+
+
+class Lane:
+    """One sink's way through the outbox. `step` does one batch and says how long to wait before the next."""
+
+    def __init__(
+        self,
+        name: str,
+        sink: Sink,
+        outbox: Outbox,
+        announcements: Announcements,
+        clock: Clock,
+        backoff: Backoff,
+        on_change: OnChange,
+    ) -> None:
+        self.name = name
+        self.counters = LaneCounters()
+        self._sink = sink
+        self._outbox = outbox
+        self._announcements = announcements
+        self._clock = clock
+        self._backoff = backoff
+        self._on_change = on_change
+        self._has_changed = False  # whether `on_change` was ever called
+        self._said = 0  # version of the announcements that this sink has
+        self._passed = 0  # every row up to this one is settled with this sink
+        # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
+        self._late_up_to = outbox.newest()
+        outbox.offer_refused(name)
+
+    def step(self) -> float:
+        """Send what has changed and at most one batch of rows; gives seconds until the next step, 0 for at once.
+
+        Never raises a SinkError or a StoreError: both are counted, told through `on_change`, and retried.
+        """
+        try:
+            if self._backoff.failures:
+                self._late_up_to = self._outbox.newest()
+            self._say()
+            rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
+            for row in rows:
+                self._send(row)
+                self._passed = row.row_id
+        except (SinkError, StoreError) as error:
+            return self._failed(error)
+        return 0.0 if len(rows) == BATCH_ROWS else IDLE_S
+
+    def broken(self) -> float:
+        """Note that `step` raised what it must not; gives the seconds to wait, as for any failure."""
+        return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
+
+    def _say(self) -> None:
+        for version, message in self._announcements.since(self._said):
+            try:
+                self._deliver(message)
+            except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
+                self._refused(message.topic, error)
+            self._said = version
+
+    def _send(self, row: OutboxRow) -> None:
+        is_late = row.row_id <= self._late_up_to
+        try:
+            self._deliver(as_replayed(row.message) if is_late else row.message)
+        except SinkRejected as error:
+            self._outbox.refuse(row.row_id, self.name, str(error))
+            self._refused(row.message.topic, error)
+            return
+        self._outbox.acknowledge(row.row_id, self.name)
+        self.counters = replace(
+            self.counters,
+            sent=self.counters.sent + 1,
+            replayed=self.counters.replayed + int(is_late),
+            last_sent_ns=self._clock.time_ns(),
+        )
+
+    def _deliver(self, message: Message) -> None:
+        self._sink.send(message)
+        self._backoff.succeeded()
+        if not self.counters.is_up:
+            self.counters = replace(self.counters, is_up=True, last_error="")
+            self._change(True, f"sink {self.name} takes messages")
+
+    def _failed(self, error: SinkError | StoreError) -> float:
+        is_news = self.counters.is_up or not self._has_changed
+        self.counters = replace(
+            self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)
+        )
+        if is_news:
+            self._change(False, str(error))
+        return self._backoff.failed()
+
+    def _refused(self, topic: str, error: SinkRejected) -> None:
+        self.counters = replace(self.counters, refused=self.counters.refused + 1, last_error=str(error))
+        log.warning("sink %s refused a message for %s: %s", self.name, topic, error)
+
+    def _change(self, is_up: bool, sentence: str) -> None:
+        self._has_changed = True
+        log.log(logging.INFO if is_up else logging.WARNING, "%s", sentence)
+        self._on_change(self.name, is_up, sentence)
+
+
+class Publisher:
+    """All lanes over one database, each in its own thread.
+
+    database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
+    Errors: StoreError if another process publishes from this database: two would overtake each other.
+    """
+
+    def __init__(
+        self,
+        database: Path,
+        sinks: Mapping[str, Sink],
+        announcements: Announcements,
+        clock: Clock,
+        rng: random.Random,
+        on_change: OnChange = lambda name, is_up, sentence: None,
+    ) -> None:
+        self._lock_file = _only_publisher(database)
+        self._sinks = dict(sinks)
+        self._announcements = announcements
+        self._outbox = Outbox(database)
+        self._outbox.register(self._sinks)
+        self._stopping = threading.Event()
+        self._wakes = {name: threading.Event() for name in self._sinks}
+        self._lanes = {
+            name: Lane(name, sink, self._outbox, announcements, clock, Backoff(rng), on_change)
+            for name, sink in self._sinks.items()
+        }
+        self._threads = [
+            threading.Thread(target=self._run, args=(lane,), name=f"publish-{name}", daemon=True)
+            for name, lane in self._lanes.items()
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def wake(self) -> None:
+        """There is something new in the outbox. A lane that waits after a failure goes on waiting."""
+        for wake in self._wakes.values():
+            wake.set()
+
+    def announce(self, message: Message) -> None:
+        """Say what is true now: state, info, alarm, stats. It is said again on every connection until it changes."""
+        if self._announcements.announce(message):
+            self.wake()
+
+    def counters(self) -> Mapping[str, LaneCounters]:
+        return {name: lane.counters for name, lane in self._lanes.items()}
+
+    def outbox_status(self) -> OutboxStatus:
+        return self._outbox.status()
+
+    def stop(self, drain_s: float = 2.0) -> None:
+        """Send what can be sent in that time, then close the sinks; what is left stays in the outbox."""
+        self._stopping.set()
+        self.wake()
+        deadline = time.monotonic() + drain_s
+        for thread in self._started():
+            thread.join(max(0.0, deadline - time.monotonic()))
+        for sink in self._sinks.values():
+            sink.close()  # a send that still waits ends with SinkUnavailable
+        for thread in self._started():
+            thread.join()
+        self._outbox.close()
+        os.close(self._lock_file)
+
+    def _started(self) -> list[threading.Thread]:
+        return [thread for thread in self._threads if thread.ident is not None]
+
+    def _run(self, lane: Lane) -> None:
+        while True:
+            self._wakes[lane.name].clear()
+            try:
+                pause_s = lane.step()
+            except Exception:
+                log.exception("sink %s: a fault in its plugin", lane.name)
+                pause_s = lane.broken()
+            if self._stopping.is_set() and pause_s > 0:
+                return
+            if lane.counters.is_up:
+                self._wakes[lane.name].wait(pause_s)
+            else:
+                self._stopping.wait(pause_s)
+
+
+def _only_publisher(database: Path) -> int:
+    path = database.with_name(database.name + ".publisher")
+    try:
+        lock_file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StoreError(
+            f"the lock {path} cannot be made: {error.strerror}; give the gateway's user the right"
+        ) from error
+    try:
+        fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock_file)
+        raise StoreError(
+            f"another gelgate process publishes from database {database}; end it, or name another database"
+        ) from error
+    return lock_file

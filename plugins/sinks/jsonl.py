@@ -1,0 +1,82 @@
+"""Appends messages to files: one JSON line each, pictures into a folder beside it.
+
+A line is `{"topic": ..., "retain": ..., "payload": {...}}`, or `"file": "heatmap/<press id>.png"` for a picture. A
+line is on the disk before `send` returns. What it does not do: it never rotates or deletes, knows no subscribers, and
+serves no commands; a retained topic is a line like any other, the last one counts.
+"""
+
+import json
+import os
+import threading
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from edge.core.errors import SinkUnavailable
+from edge.core.ports import Message
+from edge.core.station import Station
+
+__all__ = ["JsonlSink", "Options", "open"]
+
+_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
+
+
+class Options(BaseModel):
+    """folder: made at first use; holds `messages.jsonl` and the pictures."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    folder: Path
+
+
+class JsonlSink:
+    """A folder of messages. Topics are relative to the station's root, which each line names."""
+
+    def __init__(self, folder: Path, root: str) -> None:
+        self._folder = folder
+        self._root = root
+        self._lock = threading.Lock()
+
+    def send(self, message: Message) -> None:
+        """Append and flush to disk. Errors: SinkUnavailable when the disk refuses."""
+        line: dict[str, object] = {"root": self._root, "topic": message.topic, "retain": message.retain}
+        try:
+            with self._lock:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                if message.content_type == "application/json":
+                    line["payload"] = json.loads(message.payload) if message.payload else None
+                else:
+                    line["file"] = self._picture(message)
+                self._append(line)
+        except OSError as error:
+            raise SinkUnavailable(
+                f"folder {self._folder} cannot be written: {error.strerror or error}; free space or change its rights"
+            ) from error
+
+    def close(self) -> None:
+        """Nothing stays open between messages."""
+
+    def _picture(self, message: Message) -> str:
+        name = message.topic + _SUFFIXES.get(message.content_type, ".bin")
+        path = self._folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(path.name + ".part")
+        part.write_bytes(message.payload)
+        part.replace(path)
+        return name
+
+    def _append(self, line: dict[str, object]) -> None:
+        with (self._folder / "messages.jsonl").open("ab") as file:
+            start = file.tell()
+            try:
+                file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                os.ftruncate(file.fileno(), start)  # half a line would spoil the next one too
+                raise
+
+
+def open(options: Options, station: Station) -> JsonlSink:
+    """The folder's sink. Birth messages are not written: they say nothing that the log does not."""
+    return JsonlSink(options.folder, station.root)

@@ -1,0 +1,47 @@
+"""Keeps messages in memory: for tests, and for programs that embed the gateway.
+
+What it does not do: it keeps nothing across a restart, bounds nothing, connects to nothing, and never refuses.
+"""
+
+import threading
+
+from pydantic import BaseModel, ConfigDict
+
+from edge.core.ports import Message
+from edge.core.station import Station
+
+__all__ = ["MemorySink", "Options", "open"]
+
+
+class Options(BaseModel):
+    """It has no options."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class MemorySink:
+    """Every message sent, in order, topics relative to the station's root. Any thread may read `messages`."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._messages: list[Message] = []
+
+    @property
+    def messages(self) -> list[Message]:
+        with self._lock:
+            return list(self._messages)
+
+    def send(self, message: Message) -> None:
+        with self._lock:
+            self._messages.append(message)
+
+    def close(self) -> None:
+        """Nothing to give back; the messages stay readable."""
+
+
+def open(options: Options, station: Station) -> MemorySink:
+    """An empty sink, which hears the station's birth messages at once."""
+    sink = MemorySink()
+    for message in station.birth():
+        sink.send(message)
+    return sink
