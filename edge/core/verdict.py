@@ -1,0 +1,75 @@
+"""The verdict on a press: pass, fail, unsure, or rejected with a reason. An error is not a verdict."""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+from edge.core.errors import NotScorable
+from edge.core.quality import Rejection
+
+__all__ = ["Kind", "Verdict", "decide"]
+
+
+class Kind(StrEnum):
+    """What became of a press. The words are part of the published payload."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    UNSURE = "unsure"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict with every number that led to it. Scores are raw, higher is more anomalous.
+
+    score, threshold and tolerance are None for a rejected press, which was not scored; rejection is None otherwise.
+    """
+
+    kind: Kind
+    score: float | None = None
+    threshold: float | None = None
+    tolerance: float | None = None
+    rejection: Rejection | None = None
+
+    def __post_init__(self) -> None:
+        numbers = (self.score, self.threshold, self.tolerance)
+        is_rejected = self.kind is Kind.REJECTED
+        if is_rejected != (self.rejection is not None) or is_rejected != all(n is None for n in numbers):
+            raise ValueError(
+                f"a rejected press has a rejection and no score, any other the reverse, found {self}"
+            )
+        if not is_rejected and not all(n is not None and math.isfinite(n) for n in numbers):
+            raise ValueError(f"a verdict's numbers are finite, found {numbers}")
+
+    @classmethod
+    def rejected(cls, rejection: Rejection) -> Self:
+        """The verdict on a press that cannot be judged."""
+        return cls(Kind.REJECTED, rejection=rejection)
+
+    @property
+    def is_pass(self) -> bool:
+        return self.kind is Kind.PASS
+
+
+def decide(score: float, threshold: float, tolerance: float = 0.0) -> Verdict:
+    """Pass, fail, or unsure where the score lies within `tolerance` of the threshold, its edges included.
+
+    A score at the threshold passes when there is no tolerance: the threshold is the largest score that nominal presses
+    are allowed. Errors: NotScorable for a score or threshold that is not finite; ValueError for a tolerance that is
+    negative or not finite.
+    """
+    if not (math.isfinite(score) and math.isfinite(threshold)):
+        raise NotScorable(
+            f"the score is {score} against the threshold {threshold}; both must be finite, so this press has no verdict"
+        )
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise ValueError(f"a tolerance is finite and not negative, found {tolerance}")
+    return Verdict(_kind(score, threshold, tolerance), float(score), float(threshold), float(tolerance))
+
+
+def _kind(score: float, threshold: float, tolerance: float) -> Kind:
+    if tolerance > 0 and threshold - tolerance <= score <= threshold + tolerance:
+        return Kind.UNSURE
+    return Kind.FAIL if score > threshold else Kind.PASS
