@@ -5,16 +5,47 @@ stays as history.
 """
 
 import sqlite3
+from dataclasses import dataclass
 
 from edge.core.errors import StoreError
-from edge.core.gel import GelRecord
+from edge.core.gel import GelLife, GelState
 
-__all__ = ["count_press", "history", "mount", "mounted", "set_wear"]
+__all__ = ["GelRecord", "count_press", "history", "mount", "mounted", "set_wear"]
 
 _COLUMNS = (
     "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, "
     "removed_ns, wear_index, note"
 )
+
+
+@dataclass(frozen=True)
+class GelRecord:
+    """One gel on one sensor, as the ledger knows it.
+
+    serial: of the sensor. presses: contacts so far. limit_presses: contacts allowed; warn_fraction of them makes the
+    gel due. Times are wall-clock nanoseconds; `first_use_ns` and `last_use_ns` are None before the first press,
+    `removed_ns` is None while the gel is mounted. wear_index: optical wear of the untouched gel, 0 as new and 1 where
+    it should be replaced, None if never measured. note: what the person who mounted it wrote.
+    """
+
+    serial: str
+    gel_id: str
+    presses: int
+    limit_presses: int
+    warn_fraction: float
+    installed_ns: int
+    first_use_ns: int | None = None
+    last_use_ns: int | None = None
+    removed_ns: int | None = None
+    wear_index: float | None = None
+    note: str = ""
+
+    @property
+    def state(self) -> GelState:
+        """That of its press count, or `replace` when it is optically worn."""
+        if (self.wear_index or 0.0) >= 1.0:
+            return GelState.REPLACE
+        return GelLife(self.presses, self.limit_presses, self.warn_fraction).state
 
 
 def mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:

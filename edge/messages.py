@@ -13,8 +13,9 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.core.gel import GelRecord, GelState
+from edge.core.gel import GelState
 from edge.core.ports import Message
+from edge.ledger import GelRecord
 
 __all__ = [
     "ALARMS",

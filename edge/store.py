@@ -12,22 +12,19 @@ from typing import Final, Self
 
 from edge import ledger, outbox
 from edge.core.errors import StoreError
-from edge.core.gel import GelRecord
+from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
 from edge.core.ports import Message
 from edge.database import Database
+from edge.ledger import GelRecord
 from edge.outbox import Bounds
 from edge.ulid import is_ulid
 
-__all__ = ["MakeMessages", "Press", "Store"]
+__all__ = ["GelRecord", "MakeMessages", "Press", "Store"]
 
 VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
 # Rows of the press history that are kept; about 200 bytes each, so 200 MB. The ledger's counts do not depend on them.
 KEPT_PRESSES: Final = 1_000_000
-
-# GelSight Mini datasheet: good for thousands of presses on smooth parts; 1000 is the maker's coin figure.
-DEFAULT_LIMIT_PRESSES: Final = 1000
-DEFAULT_WARN_FRACTION: Final = 0.8
 
 MakeMessages = Callable[[GelRecord], Sequence[Message]]
 """From the gel's record, this press included, to what is published. Called inside the transaction: quick and pure."""
