@@ -1,0 +1,40 @@
+"""USB errors as gelgate's errors: one table, applied where pyusb is called."""
+
+import errno
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import usb.core
+
+from edge.core.errors import DeviceBusy, DeviceError, DeviceLost, DeviceStalled
+
+__all__ = ["BY_ERRNO", "guarded"]
+
+# errno of a usb.core.USBError (pyusb 1.3.1, usb/backend/libusb1.py, its return and transfer code tables) to our error
+# and what to do. Anything else means that the sensor stopped answering.
+BY_ERRNO: Mapping[int, tuple[type[DeviceError], str]] = {
+    errno.EBUSY: (DeviceBusy, "another process or the kernel's uvcvideo driver holds it; stop that first"),
+    errno.EACCES: (
+        DeviceBusy,
+        "no permission; install firmware_notes/60-gelgate.rules and plug the sensor in again",
+    ),
+    errno.ENOSPC: (
+        DeviceBusy,
+        "no bandwidth is left on this USB bus; give every sensor a root port of its own",
+    ),
+    errno.ENODEV: (DeviceLost, "it was unplugged"),
+    errno.ETIMEDOUT: (DeviceStalled, "it did not answer in time"),
+}
+_OTHERWISE = (DeviceLost, "it stopped answering; it is opened again")
+
+
+@contextmanager
+def guarded(who: str) -> Iterator[None]:
+    """Whatever pyusb raises inside comes out as a DeviceError that names the sensor."""
+    try:
+        yield
+    except usb.core.USBError as error:
+        kind, advice = BY_ERRNO.get(error.errno or 0, _OTHERWISE)
+        raise kind(f"{who}: {error.strerror or error} (errno {error.errno}): {advice}") from error
+    except NotImplementedError as error:
+        raise DeviceLost(f"{who}: this USB library cannot do that here: {error}") from error

@@ -1,0 +1,118 @@
+"""A recording played straight from its folder: no USB, no packets; the quickest way to see old frames again.
+
+It delivers the recorded bytes at the recorded intervals. It does not simulate a bus, a driver or a fault; use
+`usb_mock` for those.
+"""
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from edge.core.encoded import Freshness, damage
+from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded, RecordingError
+from edge.core.frames import CameraFrame
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.recording import Recording
+
+__all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
+
+
+class RecordedOptions(BaseModel):
+    """recording: the folder. pace: 1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    recording: Path
+    pace: float = Field(default=1.0, ge=0)
+    loop: bool = False
+
+
+class RecordedSensor:
+    """A recording as a `Device`. `stale` counts frames equal to the one before, which are left out."""
+
+    def __init__(self, recording: Recording, clock: Clock, *, pace: float, loop: bool) -> None:
+        self.identity = recording.header.identity
+        self.on_demand = pace == 0
+        self._recording, self._clock, self._pace, self._loop = recording, clock, pace, loop
+        self._times_ns = recording.times_ns()
+        self._freshness = Freshness()
+        self._position = 0
+        self._sequence = 0
+        self._start_ns = clock.monotonic_ns()
+        self._gone: str | None = None
+
+    @property
+    def stale(self) -> int:
+        return self._freshness.stale
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        """The next frame that differs from the last one (see `Device.read`)."""
+        while True:
+            if self._gone is not None:
+                raise DeviceLost(self._gone)
+            self._await_frame(deadline_ns)
+            payload = self._take()
+            self._sequence += 1
+            fault = damage(payload)
+            if fault is not None:
+                raise FrameCorrupt(f"recording {self._recording.folder}, frame {self._position - 1}: {fault}")
+            if self._freshness.is_new(payload):
+                return CameraFrame(payload, self._clock.monotonic_ns(), self._sequence - 1)
+
+    def _await_frame(self, deadline_ns: int) -> None:
+        if self._position == len(self._recording):
+            self._rewind()
+        due_ns, now = self._due_ns(), self._clock.monotonic_ns()
+        self._clock.sleep(max(min(due_ns, deadline_ns) - now, 0) / 1e9)
+        if due_ns > deadline_ns:
+            raise DeviceStalled(
+                f"recording {self._recording.folder}: the next frame is not due before the deadline"
+            )
+
+    def _due_ns(self) -> int:
+        if self._pace == 0:
+            return 0
+        return self._start_ns + round((self._times_ns[self._position] - self._times_ns[0]) / self._pace)
+
+    def _rewind(self) -> None:
+        if not self._loop or not self._times_ns:
+            raise RecordingEnded(
+                f"recording {self._recording.folder} is over after {len(self._recording)} frames"
+            )
+        self._position = 0
+        self._start_ns = self._clock.monotonic_ns()
+
+    def _take(self) -> bytes:
+        try:
+            payload = self._recording[self._position].frame.payload
+        except RecordingError as error:
+            self._gone = str(error)
+            raise DeviceLost(self._gone) from error
+        self._position += 1
+        return payload
+
+    def close(self) -> None:
+        self._gone = self._gone or f"recording {self._recording.folder} was closed"
+
+
+class Recorded:
+    """The plugin (see `edge.plugin.DevicePlugin`)."""
+
+    Options = RecordedOptions
+
+    def survey(self, options: RecordedOptions) -> list[Sighting]:
+        try:
+            header = Recording.open(options.recording).header
+        except RecordingError as error:
+            return [Sighting(str(options.recording), "", refusal=str(error))]
+        return [Sighting(str(options.recording), header.product, header.identity)]
+
+    def find(self, options: RecordedOptions) -> list[DeviceIdentity]:
+        return [one.identity for one in self.survey(options) if one.identity is not None]
+
+    def open(self, options: RecordedOptions, clock: Clock) -> Device:
+        """Errors: RecordingError."""
+        return RecordedSensor(Recording.open(options.recording), clock, pace=options.pace, loop=options.loop)
+
+
+plugin = Recorded()

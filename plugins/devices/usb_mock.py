@@ -1,0 +1,146 @@
+"""A virtual GelSight Mini on a virtual USB bus, playing a recording through the driver that a real sensor would use.
+
+What is real: everything above pyusb's backend interface (identity by product string, kernel driver, negotiation,
+alternate settings, packets, reassembly, freshness, unplugging). Beside the sensor sits an unrelated webcam with the
+same vendor and product id.
+
+What it does not simulate: electrical and timing effects of a bus (no jitter, no lost micro-frames unless scripted, no
+bandwidth limit), frames lost because the host reads too slowly (they come late instead), camera controls, exposure,
+the V4L2 path, and a JPEG encoder: a recording's JPEGs are sent as they are, its PNG frames as JPEG of quality 95.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
+
+from edge.clock import SystemClock
+from edge.core.encoded import kind
+from edge.core.errors import FrameCorrupt
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.recording import Recording, RecordingHeader
+from edge.usb.identity import choose, survey
+from edge.usb.stream import UvcSensor
+from plugins.devices.virtual.bus import VirtualBus
+from plugins.devices.virtual.camera import VirtualCamera
+from plugins.devices.virtual.descriptors import WEBCAM, Board
+from plugins.devices.virtual.faults import Fault
+
+__all__ = ["Bench", "UsbMock", "UsbMockOptions", "plugin"]
+
+_JPEG_QUALITY = 95
+
+
+def _fault(value: object) -> object:
+    return Fault.parse(value) if isinstance(value, str) else value
+
+
+class UsbMockOptions(BaseModel):
+    """The TOML table of a virtual sensor. One options value is one bus: opened again, it goes on where it was.
+
+    recording: the folder to play. serial: instead of the recorded one. pace: 1 is real time (0.75 of the nominal
+    rate, as on the real sensor), 2 twice as fast, 0 as fast as frames are read. loop: start over at the end.
+    faults: such as "drop@12", "stall@40:2.5", "unplug@80:1". with_webcam: plug the unrelated webcam in, too.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    recording: Path
+    serial: str | None = None
+    pace: float = Field(default=1.0, ge=0)
+    loop: bool = False
+    faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = ()
+    with_webcam: bool = True
+
+    _bench: "Bench | None" = PrivateAttr(default=None)
+
+
+class Bench:
+    """The virtual bus of one options value, with its sensor and webcam. Tests and demonstrations pull plugs here."""
+
+    def __init__(self, options: UsbMockOptions, clock: Clock) -> None:
+        recording = Recording.open(options.recording)
+        self.bus = VirtualBus(clock)
+        self.sensor = VirtualCamera(
+            _board(recording.header, options.serial),
+            _Payloads(recording),
+            clock,
+            pace=options.pace,
+            loop=options.loop,
+            faults=options.faults,
+        )
+        if options.with_webcam:
+            self.bus.plug_in(VirtualCamera(WEBCAM, (), clock, port=2))
+        self.bus.plug_in(self.sensor)
+
+    def unplug(self, seconds: float = 0.0) -> None:
+        """Pull the sensor's cable."""
+        self.sensor.unplug(seconds)
+
+    def plug_in(self, port: int | None = None) -> None:
+        """Put it back: the address changes, the port when one is named."""
+        self.bus.plug_in(self.sensor, port=port)
+
+
+class UsbMock:
+    """The plugin (see `edge.plugin.DevicePlugin`)."""
+
+    Options = UsbMockOptions
+
+    def bench(self, options: UsbMockOptions, clock: Clock | None = None) -> Bench:
+        """The bus that belongs to these options, made when first asked for. Errors: RecordingError."""
+        if options._bench is None:
+            options._bench = Bench(options, clock or SystemClock())
+        return options._bench
+
+    def survey(self, options: UsbMockOptions) -> list[Sighting]:
+        return [one.sighting for one in survey(self.bench(options).bus)]
+
+    def find(self, options: UsbMockOptions) -> list[DeviceIdentity]:
+        return [one.identity for one in self.survey(options) if one.identity is not None]
+
+    def open(self, options: UsbMockOptions, clock: Clock) -> Device:
+        """Errors: RecordingError, DeviceNotFound, DeviceBusy (also by another process that plays this recording)."""
+        bench = self.bench(options, clock)
+        found = choose(survey(bench.bus), options.serial)
+        lock_name = f"virtual-{options.recording.resolve()}"[-200:]
+        sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name)
+        sensor.on_demand = options.pace == 0
+        return sensor
+
+
+plugin = UsbMock()
+
+
+def _board(header: RecordingHeader, serial: str | None) -> Board:
+    """The recorded sensor's strings and its one video mode; another serial changes the product's tail with it."""
+    mode = ((*header.mode, header.nominal_fps),)
+    if serial is None:
+        return Board(header.product, header.serial, mode)
+    family = " ".join(header.product.split()[:-1])
+    return Board(f"{family} {serial[:4]}-{serial[4:]}", serial, mode)
+
+
+class _Payloads(Sequence[bytes]):
+    """The frames of a recording as a camera with an MJPEG mode can send them; read from disk one at a time."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    def __getitem__(self, position: int) -> bytes:  # type: ignore[override]  # frames are played one by one
+        payload = self._recording[position].frame.payload
+        return _as_jpeg(payload) if kind(payload) == "png" else payload
+
+
+def _as_jpeg(png: bytes) -> bytes:
+    import cv2
+    import numpy as np
+
+    bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise FrameCorrupt(f"a PNG frame of {len(png)} bytes cannot be decoded")
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
