@@ -1,0 +1,216 @@
+"""Defects as geometry: each changes a part's height, from nothing at severity 0 to failure at severity 1."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.simulator.field import F32, Field, grids
+from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.shapes import ramp, rotate
+
+__all__ = ["DEFECTS", "Damaged", "Defect", "place_defect"]
+
+
+@dataclass(frozen=True)
+class Defect:
+    """A defect on one piece. at_mm: its centre in the part's plane. turn_rad: its direction. size: 1 is typical.
+
+    severity: 0 (invisible) to 1 (failure); depth and height grow in proportion, width with its square root.
+    """
+
+    kind: str
+    severity: float
+    at_mm: tuple[float, float]
+    turn_rad: float = 0.0
+    size: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kind not in DEFECTS:
+            raise ValueError(f"a defect is one of {', '.join(DEFECTS)}, found '{self.kind}'")
+        if not 0 <= self.severity <= 1:
+            raise ValueError(f"severity lies in [0, 1], found {self.severity}")
+        if self.size <= 0:
+            raise ValueError(f"the size of a defect is positive, found {self.size}")
+
+    @property
+    def width(self) -> float:
+        """By how much a typical width is multiplied."""
+        return self.size * (0.5 + 0.5 * math.sqrt(self.severity))
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """A part with a defect; a part like any other."""
+
+    part: HeightField
+    defect: Defect
+
+    def __call__(self, x_mm: F32, y_mm: F32) -> F32:
+        height = self.part(x_mm, y_mm)
+        if self.defect.severity == 0:
+            return height
+        along, across = rotate(
+            x_mm - np.float32(self.defect.at_mm[0]),
+            y_mm - np.float32(self.defect.at_mm[1]),
+            self.defect.turn_rad,
+        )
+        return DEFECTS[self.defect.kind](self, height, along, across)
+
+    def top(self, reach_mm: float) -> float:
+        """The highest point of the sound part within reach of the defect's centre."""
+        offset = np.linspace(-reach_mm, reach_mm, 15, dtype=np.float32)
+        x, y = np.meshgrid(
+            offset + np.float32(self.defect.at_mm[0]), offset + np.float32(self.defect.at_mm[1])
+        )
+        return float(self.part(x, y).max())
+
+
+Change = Callable[[Damaged, F32, F32, F32], F32]
+"""(the damaged part, its sound height, coordinates along and across the defect in mm) to the changed height."""
+
+
+def _bell(distance: F32) -> F32:
+    """1 at 0, 0 from 1 on, smooth."""
+    return ramp(1 - distance)
+
+
+def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A round hollow up to 0.4 mm deep with the displaced metal as a low rim: a knock by something blunt."""
+    d = piece.defect
+    r = np.sqrt(along * along + across * across) / np.float32(0.8 * d.width)
+    rim = np.exp(-(((r - 1.05) / 0.22) ** 2))
+    return height - np.float32(0.4 * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim
+
+
+def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A ragged ridge up to 0.22 mm high along an edge, with metal standing only where there was metal."""
+    d = piece.defect
+    rng = np.random.default_rng(d.seed)
+    length, width = 1.1 * d.width, 0.16 * d.width
+    ragged = 0.7 + 0.3 * np.sin(along * np.float32(rng.uniform(6, 11)) + np.float32(rng.uniform(0, 6)))
+    ridge = _bell(np.abs(along) / np.float32(length)) * _bell(np.abs(across) / np.float32(width))
+    near_top = ramp((height - np.float32(piece.top(1.0) - 0.6)) / np.float32(0.3))
+    return np.asarray(height + np.float32(0.22 * d.severity) * ridge * ragged * near_top, dtype=np.float32)
+
+
+def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A furrow up to 0.16 mm deep and about 0.2 mm wide with raised lips."""
+    d = piece.defect
+    bend = np.float32(0.12 / d.size) * along * along
+    u = np.abs(across - bend) / np.float32(0.11 * d.width)
+    along_it = ramp((np.float32(1.8 * d.size) - np.abs(along)) / np.float32(0.5))
+    lips = np.exp(-(((u - 1.5) / 0.45) ** 2))
+    furrow = np.maximum(1 - u, 0)
+    return height + along_it * np.float32(d.severity) * (np.float32(0.025) * lips - np.float32(0.16) * furrow)
+
+
+def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """What stood highest is pressed down to a plane up to 0.4 mm lower, over 2 x 1.2 mm, with a little spread metal."""
+    d = piece.defect
+    top = np.float32(piece.top(0.9 * d.size))
+    inside = ramp((1.25 - np.abs(along) / np.float32(1.1 * d.width)) * 3)
+    inside = inside * ramp((1.25 - np.abs(across) / np.float32(0.65 * d.width)) * 3)
+    plane = top - np.float32(0.4 * d.severity)
+    return np.asarray(height - inside * np.maximum(height - plane, 0), dtype=np.float32)
+
+
+def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A rubbed patch: up to 0.12 mm gone from whatever stands high, and parallel grinding marks."""
+    d = piece.defect
+    rng = np.random.default_rng(d.seed)
+    r = np.sqrt((along / np.float32(1.7)) ** 2 + across**2) / np.float32(0.95 * d.width)
+    patch = ramp((1 - r) * 2.5)
+    marks = sum(
+        np.sin(across * np.float32(k) + np.float32(p)) for k, p in rng.uniform((18, 0), (45, 6.3), (3, 2))
+    )
+    exposed = ramp((height - np.float32(piece.top(1.2) - 0.5)) / np.float32(0.4))
+    taken = np.float32(0.12) + np.float32(0.02) * marks
+    return np.asarray(height - np.float32(d.severity) * patch * exposed * taken, dtype=np.float32)
+
+
+def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A chip broken out along a slanted, uneven face, up to 0.8 mm deep."""
+    d = piece.defect
+    rng = np.random.default_rng(d.seed)
+    angle = np.arctan2(across, along)
+    lobes = (
+        1
+        + 0.18 * np.sin(3 * angle + np.float32(rng.uniform(0, 6)))
+        + 0.1 * np.sin(5 * angle + np.float32(rng.uniform(0, 6)))
+    )
+    r = np.sqrt(along * along + across * across) / (np.float32(0.9 * d.width) * lobes)
+    face = (
+        np.float32(0.8 * d.severity)
+        * ramp((1 - r) * 2)
+        * (np.float32(0.75) + np.float32(0.25) * np.tanh(along))
+    )
+    return np.asarray(height - face, dtype=np.float32)
+
+
+def _thread_discontinuity(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """Relief torn away over 2.4 x 1.6 mm: crests fall and valleys fill towards their common mean."""
+    d = piece.defect
+    x0, y0 = np.float32(d.at_mm[0]), np.float32(d.at_mm[1])
+    back_x, back_y = rotate(along, across, -d.turn_rad)
+    stencil = [0.75 * k / 3 for k in range(-3, 4)]
+    mean = sum(piece.part(back_x + x0, back_y + y0 + np.float32(s)) for s in stencil) / np.float32(7)
+    inside = ramp((1.2 - np.abs(along) / np.float32(1.3 * d.width)) * 3)
+    inside = inside * ramp((1.2 - np.abs(across) / np.float32(0.9 * d.width)) * 3)
+    level = np.minimum(np.asarray(mean, dtype=np.float32), np.float32(piece.top(1.0)))
+    return np.asarray(height + np.float32(d.severity) * inside * (level - height), dtype=np.float32)
+
+
+def _impact_mark(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
+    """A notch up to 0.35 mm deep from a sharp edge: long, narrow, steep on one side, with a burr on the other."""
+    d = piece.defect
+    length = _bell(np.abs(along) / np.float32(1.2 * d.width))
+    u = across / np.float32(0.38 * d.width)
+    notch = np.maximum(1 - np.where(u > 0, 0.8 * u, -2.2 * u), 0)
+    lip = np.exp(-(((u + 0.75) / 0.3) ** 2))
+    change = np.float32(0.08) * lip - np.float32(0.35) * notch
+    return np.asarray(height + np.float32(d.severity) * length * change, dtype=np.float32)
+
+
+DEFECTS: Mapping[str, Change] = {
+    "dent": _dent,
+    "burr": _burr,
+    "scratch": _scratch,
+    "flattened_crest": _flattened_crest,
+    "abrasion": _abrasion,
+    "material_loss": _material_loss,
+    "thread_discontinuity": _thread_discontinuity,
+    "impact_mark": _impact_mark,
+}
+
+# Half of the side of the 224 pixel region that is inspected, less the reach of a defect.
+_INSPECTED_HALF_MM = 6.2
+
+# Placing looks at the part this coarsely; a defect is wider.
+_COARSE = Field((128, 128), (0.11, 0.11))
+
+
+def place_defect(
+    kind: str, severity: float, part: HeightField, depth_mm: float, rng: np.random.Generator
+) -> Defect:
+    """A defect of this kind on a spot that the nominal press touches well, inside the inspected region.
+
+    The spot lies where the part stands among the higher half of what is touched; burrs, scratches and flattened
+    crests follow the edge that runs there, other kinds lie anyhow. Errors: ValueError when nothing is touched.
+    """
+    height = sample(part, Pose(), _COARSE)
+    x, y = grids(_COARSE)
+    within = (np.abs(x) < _INSPECTED_HALF_MM) & (np.abs(y) < _INSPECTED_HALF_MM)
+    touched = (height > -0.55 * depth_mm) & within
+    if not touched.any():
+        raise ValueError(f"a press of {depth_mm} mm touches nothing of the part inside the inspected region")
+    pick = rng.integers(int(touched.sum()))
+    row, column = np.argwhere(touched)[pick]
+    at = (float(x[row, column]), float(y[row, column]))
+    slope_y, slope_x = np.gradient(height)
+    along_edge = math.atan2(float(slope_x[row, column]), -float(slope_y[row, column]))
+    free = rng.uniform(0, math.pi)
+    turn = along_edge if kind in ("burr", "flattened_crest", "abrasion", "thread_discontinuity") else free
+    return Defect(kind, severity, at, float(turn), float(rng.uniform(0.8, 1.25)), int(rng.integers(2**31)))

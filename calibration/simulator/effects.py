@@ -1,0 +1,69 @@
+"""The effects that a scene can call for. One that a scene does not name is not computed and draws nothing."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from calibration.simulator import camera, coat, gel, optics, pose
+
+__all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]
+
+Stage = Literal["pose", "surface", "light", "camera"]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect: where in the chain it acts, and the pure function that computes it (its docstring has units and
+    source). draws: the words that name its random streams, empty when it is not random."""
+
+    name: str
+    stage: Stage
+    function: object
+    draws: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """The first line of the function's docstring."""
+        return (self.function.__doc__ or "").strip().partition("\n")[0]
+
+
+EFFECTS: Mapping[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        Effect("pose_jitter", "pose", pose.pose_jitter, ("pose_jitter",)),
+        Effect("partial_contact", "pose", pose.partial_contact, ("partial_contact",)),
+        Effect("deformation", "surface", gel.deformation),
+        Effect("residual_imprint", "surface", gel.residual_imprint),
+        Effect("dust", "surface", coat.dust, ("dust",)),
+        Effect("wear", "surface", coat.wear, ("wear",)),
+        Effect("illumination", "light", optics.illumination),
+        Effect("shadows", "light", optics.shadows),
+        Effect("specular", "light", optics.specular),
+        Effect("grain", "light", coat.grain, ("grain",)),
+        Effect("markers", "light", coat.markers),
+        Effect("vignette", "camera", camera.vignette),
+        Effect("lens_blur", "camera", camera.lens_blur),
+        Effect("motion_blur", "camera", camera.motion_blur, ("motion_blur",)),
+        Effect("led_drift", "camera", camera.led_drift, ("led_drift",)),
+        Effect("noise", "camera", camera.noise, ("noise",)),
+        Effect("jpeg", "camera", camera.jpeg),
+    )
+}
+"""Every effect, in the order in which they act."""
+
+DEFAULT_EFFECTS = tuple(
+    name for name in EFFECTS if name not in ("partial_contact", "markers", "residual_imprint")
+)
+"""What a plain gel, firmly pressed and given time between presses, calls for."""
+
+
+def chosen(names: Iterable[str]) -> frozenset[str]:
+    """The names as a set. Errors: ValueError with the nearest known name."""
+    asked = list(names)
+    for name in asked:
+        if name not in EFFECTS:
+            near = difflib.get_close_matches(name, EFFECTS, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(EFFECTS)}"
+            raise ValueError(f"no effect is named '{name}'; {hint}")
+    return frozenset(asked)

@@ -1,0 +1,86 @@
+"""Where the part lies under the gel, and how far a press departs from the robot's command."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from calibration.simulator.field import F32, Field, grids
+
+__all__ = ["HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_jitter", "sample"]
+
+
+class HeightField(Protocol):
+    """A part: its height in mm at points of its own plane, 0 at its highest nominal point, negative below."""
+
+    def __call__(self, x_mm: F32, y_mm: F32) -> F32: ...
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The part's place. shift in mm in the picture's axes, turn in radians (clockwise in the picture), tilt in
+    mm of height per mm along the picture's x and y, depth_factor on the commanded depth."""
+
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    turn_rad: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+    depth_factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Standard deviations of a press about its command."""
+
+    shift_mm: float = 0.12
+    turn_deg: float = 0.7
+    tilt_deg: float = 0.3
+    depth_fraction: float = 0.05
+
+    def __post_init__(self) -> None:
+        if min(self.shift_mm, self.turn_deg, self.tilt_deg, self.depth_fraction) < 0:
+            raise ValueError(f"jitter is a standard deviation, 0 or more, found {self}")
+        if self.depth_fraction > 0.3:
+            raise ValueError(f"a depth jitter above 0.3 would lose contact, found {self.depth_fraction}")
+
+
+def pose_jitter(pose: Pose, jitter: Jitter, rng: np.random.Generator) -> Pose:
+    """The pose of one press: shift, turn, tilt and depth, each normal about the command, cut at 2.5 sd.
+
+    Sizes are assumed from what robots and hands repeat, not measured on this sensor.
+    """
+    dx, dy, turn, tx, ty, depth = np.clip(rng.standard_normal(6), -2.5, 2.5).tolist()
+    tilt = math.tan(math.radians(jitter.tilt_deg))
+    return Pose(
+        (pose.shift_mm[0] + dx * jitter.shift_mm, pose.shift_mm[1] + dy * jitter.shift_mm),
+        pose.turn_rad + math.radians(turn * jitter.turn_deg),
+        (pose.tilt[0] + tx * tilt, pose.tilt[1] + ty * tilt),
+        pose.depth_factor * (1 + depth * jitter.depth_fraction),
+    )
+
+
+def partial_contact(pose: Pose, rng: np.random.Generator) -> Pose:
+    """The same pose leaning over by 0.5 to 2 degrees to one side, so that the other side leaves the gel.
+
+    Real thread imprints taper off towards one end in this way (seen on public frames of three threads).
+    """
+    lean = math.tan(math.radians(rng.uniform(0.5, 2.0)))
+    side = rng.uniform(0.0, 2 * math.pi)
+    return replace(pose, tilt=(pose.tilt[0] + lean * math.cos(side), pose.tilt[1] + lean * math.sin(side)))
+
+
+def sample(part: HeightField, pose: Pose, field: Field) -> F32:
+    """The part's height over the field in mm, float32 (h, w), in this pose and before any press."""
+    x, y = grids(field)
+    x = x - np.float32(pose.shift_mm[0])
+    y = y - np.float32(pose.shift_mm[1])
+    cos, sin = np.float32(math.cos(pose.turn_rad)), np.float32(math.sin(pose.turn_rad))
+    height = part(cos * x + sin * y, cos * y - sin * x)
+    if pose.tilt != (0.0, 0.0):
+        height = height + np.float32(pose.tilt[0]) * x + np.float32(pose.tilt[1]) * y
+    return np.asarray(height, dtype=np.float32)
+
+
+def contact(height: F32, depth_mm: float) -> F32:
+    """How deep the rigid part would enter an infinitely soft gel, in mm: the obstacle that the gel must clear."""
+    return np.asarray(np.maximum(height + np.float32(depth_mm), np.float32(0)), dtype=np.float32)

@@ -1,0 +1,233 @@
+"""The renderer: a part, a pose and a depth in, a picture out, computing only the effects that were asked for.
+
+    pose -> sample -> contact -> [deformation, dust, wear] -> surface     `imprint`, `surface`
+    surface -> [illumination, shadows, specular, grain, markers] -> [vignette, lens blur] -> scene light     `light`
+    light -> [motion blur, drift, noise] -> whole levels -> [JPEG] -> picture     `expose`
+
+`light` is the dear part and does not change while a press holds still; `expose` is what differs from frame to frame.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.simulator import camera, coat, gel, look, optics, pose
+from calibration.simulator.defects import Damaged, Defect
+from calibration.simulator.effects import DEFAULT_EFFECTS, chosen
+from calibration.simulator.field import F32, LR, Field
+from calibration.simulator.pose import HeightField, Jitter, Pose
+from calibration.simulator.streams import Streams, named_streams
+
+__all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
+
+U8 = NDArray[np.uint8]
+
+Key = tuple[str | int, ...]
+"""What names a press, such as ("PZ1", "pos2", 17, 3): it selects the press's own random numbers."""
+
+# An imprint that differs by less cannot be told from grain and noise: at a slope change over 0.1 mm it is 9 levels.
+MASK_DEPTH_MM = 0.01
+
+# Sideways speed of a press that was caught before it settled: half normal with this sd (assumed).
+_UNSETTLED_MM_S = 1.2
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One exposure of a press: frame number within it, seconds since power on, sideways speed in mm/s."""
+
+    frame: int = 0
+    time_s: float = 60.0
+    velocity_mm_s: tuple[float, float] | None = None
+
+
+@dataclass(eq=False)
+class Renderer:
+    """Renders one sensor with one gel.
+
+    field: the pixels. effects: their names. sensor: its colours. jitter: how presses differ (for `pose_jitter`).
+    streams: where random numbers come from; `gel_id` and `session` pick the gel's dust and the lamps' drift.
+    A renderer holds about 15 float32 pictures and nothing that grows.
+    """
+
+    field: Field = LR
+    effects: Iterable[str] = DEFAULT_EFFECTS
+    sensor: look.Look = dataclasses.field(default_factory=lambda: look.LOOKS["unit_b"])
+    jitter: Jitter = dataclasses.field(default_factory=Jitter)
+    streams: Streams = dataclasses.field(default_factory=lambda: named_streams(0))
+    gel_id: str = "gel1"
+    session: str = "session1"
+    _coat: dict[str, tuple[int, F32]] = dataclasses.field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.effects = chosen(self.effects)
+        self._on = self.effects
+
+    def place(self, commanded: Pose, key: Key) -> Pose:
+        """The pose of one press, as robot or hand really placed it."""
+        if "pose_jitter" in self._on:
+            commanded = pose.pose_jitter(commanded, self.jitter, self.streams("pose_jitter", *key))
+        if "partial_contact" in self._on:
+            commanded = pose.partial_contact(commanded, self.streams("partial_contact", *key))
+        return commanded
+
+    def imprint(self, height: F32, depth_mm: float) -> F32:
+        """How the gel's surface follows a part pressed so deep, in mm, float32 (h, w); no dust or wear yet.
+
+        height: the part over the field, as `sample` gives it.
+        """
+        obstacle = pose.contact(height, depth_mm)
+        return gel.deformation(obstacle, self.field) if "deformation" in self._on else obstacle
+
+    def surface(self, imprint_mm: F32, presses: int = 0, previous: tuple[F32, float] | None = None) -> F32:
+        """The gel as it is: the imprint, what is left of the previous one, grains and scratches.
+
+        presses: how many this gel has had. previous: the previous imprint and the seconds since its release.
+        """
+        if "residual_imprint" in self._on and previous is not None:
+            imprint_mm = gel.residual_imprint(imprint_mm, *previous)
+        if "dust" in self._on:
+            imprint_mm = coat.dust(imprint_mm, self._dust_relief(presses))
+        if "wear" in self._on:
+            imprint_mm = coat.wear(imprint_mm, self._wear_relief(presses))
+        return imprint_mm
+
+    def light(self, surface_mm: F32, presses: int = 0) -> F32:
+        """The picture that reaches the sensor, float32 (3, h, w) in grey levels, before anything that flickers."""
+        nx, ny = optics.normals(surface_mm, self.field)
+        is_lit = "illumination" in self._on
+        planes = optics.illumination(nx, ny, *self._lamps) if is_lit else optics.headlight(nx, ny)
+        if "shadows" in self._on:
+            planes = optics.shadows(planes, surface_mm, self.field)
+        if "specular" in self._on:
+            planes = optics.specular(planes, nx, ny)
+        if "grain" in self._on:
+            planes = coat.grain(planes, surface_mm, self._grain_texture)
+        if "wear" in self._on:
+            planes *= self._wear_stains(presses)
+        if "markers" in self._on:
+            planes = coat.markers(planes, surface_mm, self.field)
+        rim = camera.gel_rim(self.field)
+        if rim is not None:
+            planes *= rim
+        if "vignette" in self._on:
+            planes = camera.vignette(planes, camera.lens_falloff(self.field))
+        if "lens_blur" in self._on:
+            planes = camera.lens_blur(planes, self.field)
+        return planes
+
+    def expose(self, planes: F32, key: Key, exposure: Exposure) -> U8:
+        """One frame of that light, uint8 (h, w, 3) RGB. `planes` is left as it is."""
+        planes = planes.copy()
+        if "motion_blur" in self._on:
+            velocity = exposure.velocity_mm_s
+            if velocity is None:
+                across, down = self.streams("motion_blur", *key).normal(0, _UNSETTLED_MM_S / 2**0.5, 2)
+                velocity = (float(across), float(down))
+            planes = camera.motion_blur(planes, velocity, self.field)
+        if "led_drift" in self._on:
+            planes = camera.led_drift(planes, exposure.time_s, self.streams("led_drift", self.session))
+        if "noise" in self._on:
+            planes = camera.noise(planes, self.streams("noise", *key, exposure.frame))
+        rgb = camera.quantise(planes)
+        return camera.jpeg(rgb) if "jpeg" in self._on else rgb
+
+    def press(
+        self,
+        part: HeightField,
+        depth_mm: float,
+        key: Key = (),
+        commanded: Pose | None = None,
+        presses: int = 0,
+        exposure: Exposure | None = None,
+    ) -> U8:
+        """One settled press as a picture, uint8 (h, w, 3) RGB: the whole chain in one call."""
+        placed = self.place(commanded or Pose(), key)
+        imprint = self.imprint(pose.sample(part, placed, self.field), depth_mm * placed.depth_factor)
+        return self._picture(imprint, key, presses, exposure)
+
+    def pair(
+        self,
+        part: HeightField,
+        defect: Defect,
+        depth_mm: float,
+        key: Key = (),
+        commanded: Pose | None = None,
+        presses: int = 0,
+        exposure: Exposure | None = None,
+        mask_depth_mm: float = MASK_DEPTH_MM,
+    ) -> tuple[U8, NDArray[np.bool_], U8]:
+        """The same press on the damaged and on the sound part: (damaged rgb, mask, sound rgb).
+
+        mask: bool (h, w), where the two imprints differ by more than `mask_depth_mm`. The two pictures share pose,
+        gel and noise, so that nothing but the defect differs.
+        """
+        placed = self.place(commanded or Pose(), key)
+        sound, damaged = self.imprints(part, defect, depth_mm, placed)
+        mask = self.mask(sound, damaged, mask_depth_mm)
+        return (
+            self._picture(damaged, key, presses, exposure),
+            mask,
+            self._picture(sound, key, presses, exposure),
+        )
+
+    def imprints(self, part: HeightField, defect: Defect, depth_mm: float, placed: Pose) -> tuple[F32, F32]:
+        """The imprints of the sound and of the damaged part in one pose, mm, float32 (h, w) each."""
+        depth = depth_mm * placed.depth_factor
+        sound = self.imprint(pose.sample(part, placed, self.field), depth)
+        damaged = self.imprint(pose.sample(Damaged(part, defect), placed, self.field), depth)
+        return sound, damaged
+
+    @staticmethod
+    def mask(sound: F32, damaged: F32, depth_mm: float = MASK_DEPTH_MM) -> NDArray[np.bool_]:
+        """True where two imprints differ by more than so many mm: what there is to be found."""
+        return np.asarray(np.abs(damaged - sound) > np.float32(depth_mm))
+
+    def free_gel(self, key: Key = ("free",), presses: int = 0, exposure: Exposure | None = None) -> U8:
+        """The untouched gel as a picture, uint8 (h, w, 3) RGB."""
+        return self._picture(np.zeros(self.field.shape, dtype=np.float32), key, presses, exposure)
+
+    def _picture(self, imprint: F32, key: Key, presses: int, exposure: Exposure | None) -> U8:
+        return self.expose(self.light(self.surface(imprint, presses), presses), key, exposure or Exposure())
+
+    @cached_property
+    def _lamps(self) -> tuple[F32, F32, F32]:
+        """Planes of the free gel before the lens, grey levels per normal, and the quadratic part."""
+        seen = look.background(self.sensor, self.field)
+        # The measured colours have the lens in them; the lens is an effect of its own.
+        lens = camera.lens_falloff(self.field)
+        curvature = self.sensor.slope_response[:, 12:].astype(np.float32)
+        return seen / lens, look.response(self.sensor, self.field) / lens, curvature
+
+    @cached_property
+    def _grain_texture(self) -> F32:
+        return coat.grain_texture(self.streams("grain", self.gel_id), self.field)
+
+    @cached_property
+    def _dust(self) -> coat.Dust:
+        return coat.new_dust(self.streams("dust", self.gel_id))
+
+    @cached_property
+    def _wear(self) -> coat.Wear:
+        return coat.new_wear(self.streams("wear", self.gel_id))
+
+    def _dust_relief(self, presses: int) -> F32:
+        return self._kept("dust", presses, lambda: coat.dust_relief(self._dust, presses, self.field))
+
+    def _wear_relief(self, presses: int) -> F32:
+        return self._kept("relief", presses, lambda: coat.wear_relief(self._wear, presses, self.field))
+
+    def _wear_stains(self, presses: int) -> F32:
+        return self._kept("stains", presses, lambda: coat.wear_stains(self._wear, presses, self.field))
+
+    def _kept(self, what: str, presses: int, make: Callable[[], F32]) -> F32:
+        """A picture of the coat, made again only when the number of presses has changed."""
+        kept = self._coat.get(what)
+        if kept is None or kept[0] != presses:
+            kept = (presses, make())
+            self._coat[what] = kept
+        return kept[1]
