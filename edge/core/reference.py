@@ -8,7 +8,6 @@ does not touch.
 from dataclasses import dataclass
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +16,8 @@ __all__ = ["Levels", "Reference", "View", "fit_levels"]
 View = NDArray[np.float32]
 """float32 (h, w, 3), RGB, 0 to 255: see `edge.core.decode.decode_view`."""
 
-# Every second row and column carries the fit: 4,800 pixels for six numbers.
-_STRIDE = 2
+# Every fourth row and column carries the fit: 1,200 pixels for six numbers.
+_STRIDE = 4
 # Each round keeps the pixels within this many robust standard deviations of the last fit, so that the part, which is
 # far off on one side, loses its pull. Four rounds bring a contact over 40 % of the view below one level of bias.
 _ROUNDS = 4
@@ -106,8 +105,3 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.fl
     gain = ((dx * dy).mean(axis=0) + 1.0) / ((dx * dx).mean(axis=0) + 1.0)
     gain = np.clip(gain, *GAIN_RANGE)
     return gain, my - gain * mx
-
-
-def smoothed(view: View, side: int) -> View:
-    """A box mean over side x side pixels."""
-    return np.asarray(cv2.blur(view, (side, side)), dtype=np.float32)

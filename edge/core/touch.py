@@ -59,7 +59,9 @@ def touched(mask: NDArray[np.bool_]) -> Touch:
 
 def changed_share(view: View, earlier: View) -> float:
     """The share of pixels where any channel differs by more than the noise does."""
-    return float(np.mean(np.abs(view - earlier).max(axis=2) > CHANGE_LEVELS))
+    bound = (CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS)
+    same = cv2.inRange(cv2.absdiff(view, earlier), (0.0, 0.0, 0.0, 0.0), bound)
+    return 1.0 - cv2.countNonZero(same) / same.size
 
 
 def is_black(view: View) -> bool:
