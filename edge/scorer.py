@@ -256,7 +256,8 @@ class _Pipe:
         middle = time.perf_counter()
         self._head.run_with_iobinding(self._head_io)
         end = time.perf_counter()
-        score_map, score = (value.numpy() for value in self._head_io.get_outputs())
+        # The runtime writes the next answer into the same memory, so what is handed out is a copy.
+        score_map, score = (value.numpy().copy() for value in self._head_io.get_outputs())
         return score_map, score, (middle - start) * 1e3, (end - middle) * 1e3
 
 
