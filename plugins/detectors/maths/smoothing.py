@@ -28,7 +28,9 @@ __all__ = [
     "upsampling_matrix",
 ]
 
-Upsampling = Literal["bilinear", "nearest"]
+Upsampling = Literal["bilinear", "nearest", "sampled"]
+"""bilinear and nearest take a cell as a square of pixels (the published way); sampled takes it as a sample at its
+top left pixel, which is where strided convolutions with symmetric padding look: bilinear between such samples."""
 
 # The blur of the published implementations, in pixels of a 224 crop (SPADE-pytorch, PaDiM, FAPM).
 PAPER_SIGMA_PX = 4.0
@@ -40,7 +42,8 @@ TRUNCATE = 4.0
 def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> NDArray[np.float64]:
     """One axis of an upsampling: float64 (pixels, cells), each row sums to 1.
 
-    bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels).
+    bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels). sampled: cell i lies at pixel
+    i * stride, with the power of two as stride that the sizes imply.
     """
     if cells < 1 or pixels < 1:
         raise ValueError(f"an axis has at least one cell and one pixel, found {cells} and {pixels}")
@@ -49,12 +52,18 @@ def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") ->
     if kind == "nearest":
         matrix[rows, rows * cells // pixels] = 1.0
     else:
-        centre = np.clip((rows + 0.5) * cells / pixels - 0.5, 0, cells - 1)
+        centre = rows / _stride(cells, pixels) if kind == "sampled" else (rows + 0.5) * cells / pixels - 0.5
+        centre = np.clip(centre, 0, cells - 1)
         low = np.floor(centre).astype(np.int64)
         np.add.at(matrix, (rows, low), 1 - (centre - low))
         np.add.at(matrix, (rows, np.minimum(low + 1, cells - 1)), centre - low)
     matrix.flags.writeable = False
     return matrix
+
+
+def _stride(cells: int, pixels: int) -> float:
+    """Pixels per cell: 4 for 56 of 224 and also for 57 of 226, where the convolutions round up."""
+    return float(2 ** round(np.log2(pixels / cells))) if cells < pixels else pixels / cells
 
 
 @cache

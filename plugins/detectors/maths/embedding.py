@@ -1,0 +1,293 @@
+"""Several taps become one descriptor per cell of one grid: chosen or projected channels, aligned and balanced.
+
+The same steps stand here twice, side by side: in NumPy (for the fit and the float64 oracle) and as a graph. Channels
+are chosen or projected at each tap's own resolution, before the coarse taps are repeated onto the grid: equal in value
+(both are linear) and up to sixteen times cheaper.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Features, Grid, Nominal
+from edge.core.errors import FitError
+from plugins.graph import Graph, Value
+
+__all__ = ["Embedding", "EmbeddingChoice", "Projection", "blocks", "learn_embedding", "touched_cells"]
+
+Projection = Literal["all", "random", "semi_orthogonal"]
+"""all: every channel. random: that many, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of that many
+directions over all channels (Kim et al., arXiv 2105.14737)."""
+
+# A tap's nominal deviation is taken to be at least this part of its root mean square: identical or single presses
+# have no deviation of their own. Ours: re-pressing one real part moves features by several per cent.
+DEVIATION_FLOOR = 1e-2
+# Cells embedded at once during a fit: bounds the memory at BLOCK * presses * channels float64 numbers.
+BLOCK = 128
+
+
+@dataclass(frozen=True)
+class EmbeddingChoice:
+    """What a descriptor is made of.
+
+    taps: concatenated in this order. grid_tap: the tap whose grid the descriptors live on; finer taps are averaged
+    down to it, coarser ones repeated. channels: how many remain (None or more than there are: all). is_balanced: each
+    tap is divided by its nominal deviation, so that none rules by its scale and the result does not depend on the
+    scale of the features. is_sampled: a coarse cell is repeated around the pixel where its convolution looks, not to
+    the right of and below it.
+    """
+
+    taps: tuple[str, ...]
+    grid_tap: str
+    projection: Projection
+    channels: int | None
+    is_balanced: bool
+    is_sampled: bool
+
+    def __post_init__(self) -> None:
+        if not self.taps or len(set(self.taps)) != len(self.taps):
+            raise ValueError(f"taps must be distinct and at least one, found {self.taps}")
+        if self.grid_tap not in self.taps:
+            raise ValueError(f"grid_tap '{self.grid_tap}' is not among the taps {', '.join(self.taps)}")
+        if self.projection not in ("all", "random", "semi_orthogonal"):
+            raise ValueError(f"projection is all, random or semi_orthogonal, found '{self.projection}'")
+        if self.projection != "all" and (self.channels is None or self.channels < 1):
+            raise ValueError(f"projection '{self.projection}' needs channels >= 1, found {self.channels}")
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """A choice on a grid, with what was drawn and measured at fit.
+
+    arrays, per tap: `channels_TAP` int64 (k,) of a random choice; `projection_TAP` float32 (c, d) of a semi-orthogonal
+    one, its scale included; `scales` float32 (taps,) otherwise, where balanced.
+    """
+
+    choice: EmbeddingChoice
+    grid: Grid
+    arrays: Mapping[str, NDArray[Any]]
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        return self.grid.taps[self.choice.grid_tap][1:]
+
+    @property
+    def count(self) -> int:
+        """Cells of the grid."""
+        return self.cells[0] * self.cells[1]
+
+    @property
+    def width(self) -> int:
+        """Channels of a descriptor."""
+        first = self.choice.taps[0]
+        if f"projection_{first}" in self.arrays:
+            return int(self.arrays[f"projection_{first}"].shape[1])
+        return sum(len(self._chosen(tap)) for tap in self.choice.taps)
+
+    def numpy(self, features: Features, dtype: type[np.floating] = np.float64) -> "Embedded":
+        """The descriptors of n presses, made cell by cell on demand."""
+        return Embedded(self, {tap: self._native(tap, features[tap], dtype) for tap in self.choice.taps})
+
+    def emit(self, graph: Graph) -> Value:
+        """The same in a graph: inputs for the taps and arrays, result float32 (n, cells, d)."""
+        parts = [self._emit_tap(graph, index, tap) for index, tap in enumerate(self.choice.taps)]
+        if self.choice.projection == "semi_orthogonal":
+            return graph.op("Sum", *parts)
+        return graph.op("Concat", *parts, axis=2) if len(parts) > 1 else parts[0]
+
+    def index(self, tap: str) -> NDArray[np.int64]:
+        """The flat cell of `tap` (averaged to the grid where it is finer) for each cell of the grid, int64 (cells,)."""
+        shape = self._shape(tap)
+        rows, columns = (
+            _repeat(of, to, self.choice.is_sampled) for of, to in zip(shape, self.cells, strict=True)
+        )
+        flat: NDArray[np.int64] = (rows[:, None] * shape[1] + columns[None]).ravel()
+        return flat
+
+    def _chosen(self, tap: str) -> NDArray[np.int64]:
+        everything = np.arange(self.grid.taps[tap][0])
+        chosen: NDArray[np.int64] = self.arrays.get(f"channels_{tap}", everything)
+        return chosen
+
+    def _pool(self, tap: str) -> int:
+        """By how much a finer tap is averaged down; 1 for the others."""
+        return max(1, round(self.grid.taps[tap][1] / self.cells[0]))
+
+    def _shape(self, tap: str) -> tuple[int, int]:
+        """Rows and columns of a tap after averaging."""
+        _, h, w = self.grid.taps[tap]
+        k = self._pool(tap)
+        return -(-h // k), -(-w // k)
+
+    def _native(self, tap: str, x: NDArray[np.floating], dtype: type[np.floating]) -> NDArray[np.floating]:
+        """(n, c, h, w) to descriptors' parts at the tap's own resolution: (n, cells of the tap, part)."""
+        x = _average(x, self._pool(tap))
+        x = x.reshape(*x.shape[:2], -1)
+        if f"projection_{tap}" in self.arrays:
+            native: NDArray[np.floating] = np.swapaxes(x, 1, 2).astype(dtype) @ self.arrays[
+                f"projection_{tap}"
+            ].astype(dtype)
+            return native
+        scale = self.arrays["scales"][self.choice.taps.index(tap)] if "scales" in self.arrays else 1.0
+        chosen: NDArray[np.floating] = np.swapaxes(x[:, self._chosen(tap)], 1, 2).astype(dtype) * dtype(scale)
+        return chosen
+
+    def _emit_tap(self, graph: Graph, position: int, tap: str) -> Value:
+        channels, h, w = self.grid.taps[tap]
+        x = graph.input(tap, ("n", channels, h, w))
+        k = self._pool(tap)
+        if k > 1:
+            x = graph.op(
+                "AveragePool", x, kernel_shape=[k, k], strides=[k, k], ceil_mode=1, count_include_pad=0
+            )
+        if f"channels_{tap}" in self.arrays:
+            x = graph.op(
+                "Gather",
+                x,
+                graph.input(f"channels_{tap}", self.arrays[f"channels_{tap}"].shape, "int64"),
+                axis=1,
+            )
+        rows, columns = self._shape(tap)
+        x = graph.reshape(graph.transpose(x, 0, 2, 3, 1), 0, rows * columns, len(self._chosen(tap)))
+        if f"projection_{tap}" in self.arrays:
+            x = graph.op("MatMul", x, graph.input(f"projection_{tap}", (channels, self.width)))
+        elif "scales" in self.arrays:
+            scales = "scales" if position else graph.input("scales", (len(self.choice.taps),))
+            x = graph.op("Mul", x, graph.op("Gather", scales, graph.ints(position), axis=0))
+        if (rows, columns) != self.cells:
+            x = graph.op("Gather", x, graph.constant(self.index(tap)), axis=1)
+        return x
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """Descriptors of n presses. native: tap to (n, cells of the tap, part)."""
+
+    embedding: Embedding
+    native: Mapping[str, NDArray[np.floating]]
+
+    def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Descriptors at flat cells of the grid: float64 (len(cells), n, d)."""
+        taps = self.embedding.choice.taps
+        parts = [self.native[tap][:, self.embedding.index(tap)[cells]].swapaxes(0, 1) for tap in taps]
+        if self.embedding.choice.projection == "semi_orthogonal":
+            return np.sum(parts, axis=0, dtype=np.float64)
+        return np.concatenate(parts, axis=2, dtype=np.float64)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """`count` cells in parts of bounded memory."""
+    for start in range(0, count, BLOCK):
+        yield slice(start, min(start + BLOCK, count))
+
+
+def learn_embedding(
+    choice: EmbeddingChoice,
+    grid: Grid,
+    nominal: Nominal,
+    touched: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> Embedding:
+    """Draw the channels and measure the scales. touched: flat bool over the grid's cells, where scales are measured.
+
+    Errors: FitError when no channel is left.
+    """
+    counts = [grid.taps[tap][0] for tap in choice.taps]
+    total = sum(counts)
+    if not total:
+        raise FitError(f"the taps {', '.join(choice.taps)} have no channels; use a trunk that gives some")
+    bare = Embedding(choice, grid, {})
+    scales = np.array(
+        [
+            1
+            / _deviation(
+                _average(nominal.features[tap], bare._pool(tap)), np.unique(bare.index(tap)[touched])
+            )
+            for tap in choice.taps
+        ]
+        if choice.is_balanced
+        else np.ones(len(counts))
+    )
+    channels = min(choice.channels or total, total)
+    arrays: dict[str, NDArray[Any]] = {}
+    ends = np.cumsum(counts)
+    if choice.projection == "semi_orthogonal":
+        frame = np.linalg.qr(rng.normal(size=(total, channels)))[0]
+        for tap, scale, end, count in zip(choice.taps, scales, ends, counts, strict=True):
+            arrays[f"projection_{tap}"] = (frame[end - count : end] * scale).astype(np.float32)
+        return Embedding(choice, grid, arrays)
+    if choice.projection == "random":
+        drawn = np.sort(rng.choice(total, channels, replace=False))
+        for tap, end, count in zip(choice.taps, ends, counts, strict=True):
+            arrays[f"channels_{tap}"] = drawn[(drawn >= end - count) & (drawn < end)] - (end - count)
+    if choice.is_balanced:
+        arrays["scales"] = scales.astype(np.float32)
+    return Embedding(choice, grid, arrays)
+
+
+def touched_cells(
+    nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
+) -> NDArray[np.bool_]:
+    """Which cells see a touched pixel within the margin around their square: flat bool (rows * columns,).
+
+    All of them where nothing is known about the touch.
+    """
+    if nominal.touched is None:
+        return np.ones(cells[0] * cells[1], bool)
+    margin = margin_mm * grid.pixels_per_mm
+    count = np.pad(nominal.touched.astype(np.int64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+    bounds = []
+    for number, pixels in zip(cells, grid.frame, strict=True):
+        edges = np.arange(number + 1) * (pixels / number)
+        low = np.clip(np.floor(edges[:-1] - margin), 0, pixels).astype(np.int64)
+        bounds.append((low, np.clip(np.ceil(edges[1:] + margin), 0, pixels).astype(np.int64)))
+    (top, bottom), (left, right) = bounds
+    inside = (
+        count[np.ix_(bottom, right)]
+        - count[np.ix_(top, right)]
+        - count[np.ix_(bottom, left)]
+        + count[np.ix_(top, left)]
+    )
+    touched: NDArray[np.bool_] = (inside > 0).ravel()
+    return touched
+
+
+def _repeat(cells: int, onto: int, is_sampled: bool) -> NDArray[np.int64]:
+    """Which of `cells` stands for each of `onto` finer cells: floor, or the nearest sample (ties to the right)."""
+    if cells >= onto:
+        return np.arange(onto)
+    ratio = 2 ** round(np.log2(onto / cells)) if is_sampled else 0
+    index = (np.arange(onto) + ratio // 2) // ratio if is_sampled else np.arange(onto) * cells // onto
+    return np.minimum(index, cells - 1).astype(np.int64)
+
+
+def _average(x: NDArray[np.floating], k: int) -> NDArray[np.floating]:
+    """Means over k x k squares, partial squares at the right and bottom over what they hold: (n, c, h/k, w/k)."""
+    if k == 1:
+        return x
+    sums = np.add.reduceat(
+        np.add.reduceat(x, np.arange(0, x.shape[2], k), axis=2), np.arange(0, x.shape[3], k), axis=3
+    )
+    ones = np.ones(x.shape[2:], x.dtype)
+    counts = np.add.reduceat(
+        np.add.reduceat(ones, np.arange(0, x.shape[2], k), axis=0), np.arange(0, x.shape[3], k), axis=1
+    )
+    averaged: NDArray[np.floating] = sums / counts
+    return averaged
+
+
+def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> float:
+    """Root mean square deviation between presses at the same cell and channel, with its floor; 1 for dead taps."""
+    squares = power = 0.0
+    flat = x.reshape(*x.shape[:2], -1)
+    scale = float(np.abs(flat).max()) or 1.0
+    for channel in range(flat.shape[1]):
+        values = flat[:, channel, cells].astype(np.float64) / scale
+        power += float(np.square(values).mean())
+        squares += float(values.var(axis=0, ddof=1).mean()) if len(values) > 1 else 0.0
+    root = np.sqrt(max(squares, DEVIATION_FLOOR**2 * power) / flat.shape[1])
+    return float(root * scale) or 1.0
