@@ -37,6 +37,8 @@ def build() -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
+    # Without a callback a single registered verb would lose its name.
+    app.callback()(lambda: None)
     for name in registry.names("commands"):
         verb = registry.load("commands", name)
         if isinstance(verb, typer.Typer):

@@ -1,0 +1,170 @@
+"""Scoring a bundle on a dataset. Presses that the bundle was fitted on are left out; their specimens are counted."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset import SIZES, Dataset, Press, Resolution, open_dataset
+from calibration.metrics import Measure, measure
+from calibration.progress import Advance
+from edge.bundle import Bundle
+from edge.core.errors import DatasetError, NotScorable
+from edge.scorer import Scorer
+
+__all__ = ["Evaluation", "Show", "evaluate_bundle", "score_presses"]
+
+Show = Callable[[str, int], AbstractContextManager[Advance]]
+"""Opens a progress display: what is done, and how many steps."""
+
+
+@dataclass(frozen=True)
+class ScoredPress:
+    """One press with its map, float32 (h, w) of the region, and its mask in the same pixels."""
+
+    press: Press
+    score_map: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    anomaly_score: float
+    trunk_ms: float
+    head_ms: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Everything that is reported.
+
+    left_out: presses of the dataset that the bundle was fitted on. seen_specimens: specimens among the scored ones of
+    which other presses were fitted. unscorable: presses without a score, with the reason.
+    """
+
+    bundle: Bundle
+    dataset: Dataset
+    scored: tuple[ScoredPress, ...]
+    measures: tuple[Measure, ...]
+    left_out: int
+    seen_specimens: int
+    unscorable: tuple[tuple[Press, str], ...]
+    limit: float
+    replicates: int
+    seed: int
+
+    @property
+    def threshold(self) -> float:
+        return self.bundle.manifest.threshold.value
+
+    @property
+    def false_alarms(self) -> int:
+        """Good presses at or above the threshold."""
+        return sum(not s.press.is_defective and s.anomaly_score >= self.threshold for s in self.scored)
+
+    @property
+    def misses(self) -> int:
+        """Defective presses below the threshold."""
+        return sum(s.press.is_defective and s.anomaly_score < self.threshold for s in self.scored)
+
+
+def evaluate_bundle(
+    bundle_path: Path,
+    dataset_path: Path,
+    *,
+    part: str | None,
+    position: str | None,
+    limit: float,
+    replicates: int,
+    seed: int,
+    show: Show,
+) -> Evaluation:
+    """Load, score and measure. part, position: None means the bundle's own, where the dataset has it.
+
+    Errors: BundleError, DatasetError (also when nothing is left to score).
+    """
+    bundle = Bundle.load(bundle_path)
+    dataset = _chosen(open_dataset(dataset_path, _resolution(bundle)), bundle, part, position)
+    fitted = set(bundle.manifest.provenance.presses)
+    is_fitted = [_is_among(p, dataset.root, fitted) for p in dataset.presses]
+    presses = tuple(p for p, out in zip(dataset.presses, is_fitted, strict=True) if not out)
+    if not presses:
+        raise DatasetError(
+            f"the bundle '{bundle_path}' was fitted on all {len(dataset.presses)} presses of '{dataset_path}'; "
+            "evaluate on presses that were held out"
+        )
+    known = {p.specimen for p, out in zip(dataset.presses, is_fitted, strict=True) if out and p.specimen}
+    scored, unscorable = score_presses(Scorer(bundle), presses, show)
+    if not scored:
+        raise DatasetError(f"no press of '{dataset_path}' has a score; the first: {unscorable[0][1]}")
+    return Evaluation(
+        bundle=bundle,
+        dataset=dataset,
+        scored=scored,
+        measures=_measures(scored, limit, replicates, seed),
+        left_out=len(dataset.presses) - len(presses),
+        seen_specimens=len(known & {p.specimen for p in presses}),
+        unscorable=unscorable,
+        limit=limit,
+        replicates=replicates,
+        seed=seed,
+    )
+
+
+def _resolution(bundle: Bundle) -> Resolution:
+    return "hr" if bundle.profile.size == SIZES["hr"] else "lr"
+
+
+def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:
+    """The presses of the asked part and position, else of the bundle's where the dataset has it, else all."""
+    if part is None and position is None:
+        own = (bundle.manifest.part, bundle.manifest.position)
+        return dataset.select(*own) if own in dataset.positions else dataset
+    return dataset.select(part, position)
+
+
+def _is_among(press: Press, root: Path, names: set[str]) -> bool:
+    return bool({press.path.name, press.path.relative_to(root).as_posix()} & names)
+
+
+def score_presses(
+    scorer: Scorer, presses: tuple[Press, ...], show: Show
+) -> tuple[tuple[ScoredPress, ...], tuple[tuple[Press, str], ...]]:
+    """Score each press in the bundle's region. Errors: DatasetError when a picture is not as the profile wants."""
+    region, size = scorer.bundle.region, scorer.bundle.profile.size
+    wrong = [p for p in presses if p.size != size]
+    if wrong:
+        raise DatasetError(
+            f"{len(wrong)} pictures are not {size[0]}x{size[1]} as the bundle's profile "
+            f"'{scorer.bundle.profile.name}' wants, such as '{wrong[0].path}' at {wrong[0].size[0]}x{wrong[0].size[1]}"
+        )
+    scored: list[ScoredPress] = []
+    unscorable: list[tuple[Press, str]] = []
+    with show("scoring presses", len(presses)) as advance:
+        for done, press in enumerate(presses, start=1):
+            try:
+                one = scorer.score(np.ascontiguousarray(region.crop(press.rgb())))
+            except NotScorable as error:
+                unscorable.append((press, str(error)))
+            else:
+                mask = np.ascontiguousarray(region.crop(press.mask()))
+                scored.append(
+                    ScoredPress(press, one.score_map, mask, one.anomaly_score, one.trunk_ms, one.head_ms)
+                )
+            advance(done)
+    return tuple(scored), tuple(unscorable)
+
+
+def _measures(
+    scored: tuple[ScoredPress, ...], limit: float, replicates: int, seed: int
+) -> tuple[Measure, ...]:
+    specimens = [s.press.specimen for s in scored]
+    return measure(
+        [s.score_map for s in scored],
+        [s.mask for s in scored],
+        np.array([s.anomaly_score for s in scored]),
+        [str(s) for s in specimens] if all(specimens) else None,
+        is_defective=np.array([s.press.is_defective for s in scored], np.bool_),
+        limit=limit,
+        replicates=replicates,
+        seed=seed,
+    )

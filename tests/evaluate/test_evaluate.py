@@ -1,0 +1,144 @@
+"""`gelgate evaluate` on the smallest bundle and a dataset whose scores can be worked by hand."""
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tiny
+
+from calibration.evaluate.report import as_json, as_table, write_atomically
+from calibration.evaluate.scoring import Evaluation, evaluate_bundle
+from calibration.evaluate.sheet import draw_sheet
+from calibration.progress import progress
+from edge import cli
+from edge.bundle import write_bundle
+from edge.core.errors import DatasetError, GelgateError
+from edge.manifest import Provenance
+
+
+def frame(path: Path, square: bool, rng: np.random.Generator) -> None:
+    """A 48x40 grey frame with noise; a defect is a bright 8x8 cell of the region's grid."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = rng.integers(120, 136, (40, 48, 3), dtype=np.uint8)
+    if square:
+        pixels[12:20, 16:24] = 230
+    cv2.imwrite(str(path), pixels)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """MVTec folders: 6 good presses of three specimens, 4 defective ones of two."""
+    root = tmp_path / "bolt"
+    rng = np.random.default_rng(0)
+    for specimen in (1, 2, 3):
+        for press in (1, 2):
+            frame(root / "test" / "good" / f"bolt_test_s{specimen:03d}_p{press:02d}.png", False, rng)
+    for specimen in (4, 5):
+        for press in (1, 2):
+            name = f"bolt_test_s{specimen:03d}_p{press:02d}"
+            frame(root / "test" / "dent" / f"{name}.png", True, rng)
+            mask = np.zeros((40, 48), np.uint8)
+            mask[12:20, 16:24] = 255
+            (root / "ground_truth" / "dent").mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(root / "ground_truth" / "dent" / f"{name}_mask.png"), mask)
+    return root
+
+
+def bundle(folder: Path, presses: tuple[str, ...] = (), **changes: object) -> Path:
+    _, files = tiny.tiny_files(provenance=Provenance(created="2026-01-01", presses=presses), **changes)
+    return write_bundle(folder / "bundle", files)
+
+
+def run(at: Path, dataset: Path, **changes: object) -> Evaluation:
+    options: dict[str, object] = {"part": None, "position": None, "limit": 0.01, "replicates": 50, "seed": 0}
+    return evaluate_bundle(at, dataset, show=progress, **(options | changes))  # type: ignore[arg-type]
+
+
+def test_bright_squares_are_found_exactly(tmp_path: Path, dataset: Path) -> None:
+    """The one cell that differs is the mask: every measure is 1, no false alarm at 0.1, no miss."""
+    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
+    values = {m.name: m.value for m in evaluation.measures}
+    assert values == pytest.approx(dict.fromkeys(values, 1.0))
+    assert (evaluation.false_alarms, evaluation.misses) == (0, 0)
+    assert len(evaluation.scored) == 10
+
+
+def test_fitted_presses_are_left_out(tmp_path: Path, dataset: Path) -> None:
+    """A press named in the bundle's provenance is not scored; the other presses of its specimen are counted as seen."""
+    evaluation = run(bundle(tmp_path, ("bolt_test_s001_p01.png",)), dataset)
+    assert evaluation.left_out == 1
+    assert evaluation.seen_specimens == 1
+    assert "bolt_test_s001_p01.png" not in [s.press.path.name for s in evaluation.scored]
+    everything = tuple(p.name for p in (dataset / "test").rglob("*.png"))
+    (tmp_path / "all").mkdir()
+    with pytest.raises(DatasetError, match="held out"):
+        run(bundle(tmp_path / "all", everything), dataset)
+
+
+def test_reports(tmp_path: Path, dataset: Path) -> None:
+    """The table names every measure; the JSON has one entry per press and no absolute path; the sheet is a picture."""
+    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
+    table = as_table(evaluation)
+    assert "aupro_fpr01" in table
+    assert "0 of 6 good presses fail, 0 of 4 defective ones pass" in table
+    document = json.loads(as_json(evaluation))
+    assert len(document["presses"]) == 10
+    assert document["measures"]["image_auroc"]["value"] == 1.0
+    assert str(tmp_path) not in as_json(evaluation)
+    sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)
+    assert sheet is not None
+    assert sheet.shape == (4 * 274, 8 * 224, 3)
+
+
+def test_only_good_presses_give_reasons(tmp_path: Path, dataset: Path) -> None:
+    """Without defective presses the measures are undefined, and the table and JSON say why."""
+    for name in ("dent",):
+        for path in (dataset / "test" / name).iterdir():
+            path.unlink()
+        for path in (dataset / "ground_truth" / name).iterdir():
+            path.unlink()
+    evaluation = run(bundle(tmp_path), dataset)
+    assert "no defective press" in as_table(evaluation)
+    assert json.loads(as_json(evaluation))["measures"]["image_auroc"]["value"] is None
+
+
+def test_another_size_is_refused(tmp_path: Path, dataset: Path) -> None:
+    """Pictures of another size than the bundle's profile are one sentence with both sizes."""
+    rng = np.random.default_rng(1)
+    cv2.imwrite(str(dataset / "test" / "good" / "big.png"), rng.integers(0, 9, (80, 96, 3), dtype=np.uint8))
+    with pytest.raises(DatasetError, match=r"are not 48x40 .*big\.png' at 96x80"):
+        run(bundle(tmp_path), dataset)
+
+
+def test_command_line(
+    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The verb prints the table and writes both files; a wrong part exits with 3 and names what there is."""
+    at = bundle(tmp_path, threshold=0.1)
+    out, sheet = tmp_path / "out.json", tmp_path / "sheet.png"
+    words = ["gelgate", "evaluate", str(at), str(dataset), "--bootstrap", "20"]
+    monkeypatch.setattr(sys, "argv", [*words, "--json", str(out), "--sheet", str(sheet)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 0
+    captured = capsys.readouterr()
+    assert "image_auroc" in captured.out
+    assert "scoring presses: 10 of 10" in captured.err
+    assert json.loads(out.read_text())["schema_version"] == 1
+    assert sheet.stat().st_size > 1000
+    monkeypatch.setattr(sys, "argv", [*words, "--part", "nut"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 3
+    assert "it has bolt/test" in capsys.readouterr().err
+
+
+def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
+    """A folder that is not there is a sentence, and nothing is left behind."""
+    with pytest.raises(GelgateError, match="cannot be written"):
+        write_atomically(tmp_path / "nowhere" / "out.json", b"{}")
+    write_atomically(tmp_path / "out.json", b"{}")
+    assert [p.name for p in tmp_path.iterdir()] == ["out.json"]
