@@ -1,0 +1,88 @@
+"""`gelgate devices`: what is plugged in, by plugin, and why something that looks like a sensor is none."""
+
+from typing import Annotated, Any
+
+import typer
+
+__all__ = ["devices"]
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a program.")]
+DeviceName = Annotated[str | None, typer.Option("--device", help="Ask this plugin only.")]
+OptionTexts = Annotated[
+    list[str] | None, typer.Option("--option", help="An option of that plugin, as name=value.")
+]
+Reset = Annotated[
+    bool, typer.Option(help="Reset the sensor that --device and --option mean, as a re-plug would.")
+]
+
+
+def devices(
+    as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
+) -> None:
+    """List the sensors that are plugged in, by plugin, and what was refused and why."""
+    from edge import registry
+    from edge.core.errors import ConfigError
+
+    if (option or reset) and device is None:
+        raise ConfigError("--option and --reset belong to one plugin; name it with --device")
+    if reset and device is not None:
+        _reset(device, option or [])
+    reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(reports, indent=2, ensure_ascii=False))
+    else:
+        for report in reports:
+            typer.echo(_as_text(report))
+
+
+def _report(name: str, given: list[str]) -> dict[str, Any]:
+    """What a plugin sees, or why it cannot look (a missing option, a missing package)."""
+    from dataclasses import asdict
+
+    from edge import registry
+    from edge.cli.plugin_options import plugin_options
+    from edge.core.errors import GelgateError
+
+    try:
+        plugin = registry.load("devices", name)
+        missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
+        if missing and not given:
+            return {"plugin": name, "seen": [], "note": f"needs --option {missing[0]}=..."}
+        seen = plugin.survey(plugin_options("devices", name, plugin.Options, given))
+        return {
+            "plugin": name,
+            "seen": [asdict(one) for one in seen],
+            "note": "" if seen else "nothing found",
+        }
+    except GelgateError as error:
+        if given:
+            raise
+        return {"plugin": name, "seen": [], "note": str(error)}
+
+
+def _as_text(report: dict[str, Any]) -> str:
+    lines = [f"{report['plugin']}:{' ' + report['note'] if report['note'] else ''}"]
+    for one in report["seen"]:
+        who = one["identity"]
+        if who is None:
+            lines.append(f"  refused  {one['place']}: {one['refusal']}")
+        else:
+            mode = f"{who['mode'][0]}x{who['mode'][1]}"
+            lines.append(
+                f"  sensor   {who['product']}, serial {who['serial']}, {mode} at nominal {who['nominal_fps']:g} fps, "
+                f"{one['place']}"
+            )
+    return "\n".join(lines)
+
+
+def _reset(name: str, given: list[str]) -> None:
+    from edge import registry
+    from edge.cli.plugin_options import plugin_options
+    from edge.core.errors import ConfigError
+
+    plugin = registry.load("devices", name)
+    if not hasattr(plugin, "reset"):
+        raise ConfigError(f"the device plugin '{name}' has nothing to reset")
+    typer.echo(f"reset {plugin.reset(plugin_options('devices', name, plugin.Options, given))}")
