@@ -9,13 +9,11 @@ was, and `noise` adds Gaussian noise of a chosen strength from a chosen seed and
 
 import itertools
 import re
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from edge.core.encoded import damage, kind, picture_size
+from edge.core.encoded import damage, kind, picture_size, with_comment
 from edge.core.errors import DatasetError
 from edge.recording import RecordingHeader, RecordingWriter
 
@@ -123,23 +121,7 @@ def _add_shot(writer: RecordingWriter, shot: _Shot, plan: PressLift) -> None:
 def _copy(original: bytes, position: int, plan: PressLift) -> bytes:
     if plan.noise is not None:
         return _with_noise(original, plan.noise, position)
-    return _with_comment(original, f"gelgate copy, frame {position}") if plan.number_copies else original
-
-
-def _with_comment(original: bytes, text: str) -> bytes:
-    """The same picture with a comment: a JPEG COM segment (T.81 B.2.4.5) or a PNG tEXt chunk (PNG 11.3.4.3)."""
-    body = text.encode("ascii")
-    if kind(original) == "jpg":
-        return original[:2] + b"\xff\xfe" + struct.pack(">H", len(body) + 2) + body + original[2:]
-    chunk = b"tEXt" + b"Comment\0" + body
-    start = 8 + 25  # signature, then IHDR, which always comes first and has 13 bytes and 12 around them
-    return (
-        original[:start]
-        + struct.pack(">I", len(chunk) - 4)
-        + chunk
-        + struct.pack(">I", zlib.crc32(chunk))
-        + original[start:]
-    )
+    return with_comment(original, f"gelgate copy, frame {position}") if plan.number_copies else original
 
 
 def _with_noise(original: bytes, noise: CopyNoise, position: int) -> bytes:

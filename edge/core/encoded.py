@@ -4,12 +4,16 @@ Nothing is decoded here, so these checks cost microseconds and can stand in fron
 """
 
 import struct
+import zlib
 
-__all__ = ["Freshness", "damage", "kind", "picture_size"]
+__all__ = ["Freshness", "comment", "damage", "kind", "picture_size", "with_comment"]
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_END = b"IEND\xaeB`\x82"
+_COM, _TEXT = b"\xff\xfe", b"tEXtComment\0"
+# The signature (8), then IHDR, which always comes first: 13 bytes with 12 around them.
+_PNG_AFTER_HEADER = 33
 # SOF0..SOF15 without DHT (C4), JPG (C8) and DAC (CC): ITU-T T.81, table B.1.
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length field: TEM and RST0..RST7 (T.81, table B.1).
@@ -66,6 +70,30 @@ def _jpeg_size(payload: bytes) -> tuple[int, int] | None:
             return width, height
         else:
             at += 2 + int(struct.unpack_from(">H", payload, at + 2)[0])
+    return None
+
+
+def with_comment(payload: bytes, text: str) -> bytes:
+    """The same picture with a comment at its front: a JPEG COM segment (T.81 B.2.4.5) or a PNG tEXt chunk (11.3.4.3).
+
+    No pixel changes, but the bytes differ, so a copy is told from a frame that a hung camera sends twice.
+    """
+    body = text.encode("ascii")
+    if kind(payload) == "jpg":
+        return payload[:2] + _COM + struct.pack(">H", len(body) + 2) + body + payload[2:]
+    chunk = _TEXT + body
+    length, check = struct.pack(">I", len(chunk) - 4), struct.pack(">I", zlib.crc32(chunk))
+    return payload[:_PNG_AFTER_HEADER] + length + chunk + check + payload[_PNG_AFTER_HEADER:]
+
+
+def comment(payload: bytes) -> str | None:
+    """The comment that `with_comment` put at the front, or None."""
+    if kind(payload) == "jpg" and payload[2:4] == _COM:
+        return payload[6 : 4 + int.from_bytes(payload[4:6], "big")].decode("ascii", "replace")
+    start = _PNG_AFTER_HEADER + 4
+    if kind(payload) == "png" and payload[start : start + len(_TEXT)] == _TEXT:
+        length = int.from_bytes(payload[_PNG_AFTER_HEADER:start], "big")
+        return payload[start + len(_TEXT) : start + 4 + length].decode("ascii", "replace")
     return None
 
 

@@ -16,7 +16,7 @@ from typing import Annotated
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 
 from edge.clock import SystemClock
-from edge.core.encoded import kind
+from edge.core.encoded import comment, kind, with_comment
 from edge.core.errors import FrameCorrupt
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
 from edge.recording import Recording, RecordingHeader
@@ -143,4 +143,6 @@ def _as_jpeg(png: bytes) -> bytes:
     bgr = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     if bgr is None:
         raise FrameCorrupt(f"a PNG frame of {len(png)} bytes cannot be decoded")
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+    text = comment(png)
+    return jpeg if text is None else with_comment(jpeg, text)
