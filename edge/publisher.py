@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Final
 
 from edge.announcements import Announcements
+from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Clock, Message, Sink
 from edge.messages import as_replayed
 from edge.outbox import Outbox, OutboxRow, OutboxStatus
 
-__all__ = ["Backoff", "Lane", "LaneCounters", "OnChange", "Publisher"]
+__all__ = ["Lane", "LaneCounters", "OnChange", "Publisher"]
 
 log = logging.getLogger(__name__)
 
@@ -31,30 +32,15 @@ BATCH_ROWS: Final = 16
 # An idle lane looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
 IDLE_S: Final = 5.0
 
+# An attempt on a sink that is away costs nothing, it does its own connecting: so the pauses stay short.
+BACKOFF_FIRST_S: Final = 0.1
+BACKOFF_CEILING_S: Final = 5.0
+
+# What a sink refused is offered again this often: permissions get repaired, size limits raised.
+OFFER_REFUSED_S: Final = 3600.0
+
 OnChange = Callable[[str, bool, str], None]
 """(sink name, whether it takes messages now, one sentence). Called on changes only, from the lane's thread."""
-
-
-@dataclass
-class Backoff:
-    """How long to wait after the n-th failure in a row: doubling up to a ceiling, half of it random.
-
-    The random half keeps a plant's gateways from returning to a restarted broker at the same instant.
-    """
-
-    rng: random.Random
-    first_s: float = 0.1
-    ceiling_s: float = 5.0  # an attempt on a sink that is away costs nothing: it does its own connecting
-    failures: int = 0
-
-    def failed(self) -> float:
-        """Note one more failure; gives the seconds to wait."""
-        full = min(self.ceiling_s, self.first_s * float(2 ** min(self.failures, 16)))
-        self.failures += 1
-        return full / 2 + self.rng.uniform(0, full / 2)
-
-    def succeeded(self) -> None:
-        self.failures = 0
 
 
 @dataclass(frozen=True)
@@ -97,7 +83,7 @@ class Lane:
         self._passed = 0  # every row up to this one is settled with this sink
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
-        outbox.offer_refused(name)
+        self._offered_ns: int | None = None
 
     def step(self) -> float:
         """Send what has changed and at most one batch of rows; gives seconds until the next step, 0 for at once.
@@ -107,6 +93,7 @@ class Lane:
         try:
             if self._backoff.failures:
                 self._late_up_to = self._outbox.newest()
+            self._offer_refused()
             self._say()
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
             for row in rows:
@@ -119,6 +106,13 @@ class Lane:
     def broken(self) -> float:
         """Note that `step` raised what it must not; gives the seconds to wait, as for any failure."""
         return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
+
+    def _offer_refused(self) -> None:
+        now_ns = self._clock.monotonic_ns()
+        if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
+            self._offered_ns = now_ns
+            if self._outbox.offer_refused(self.name):
+                self._passed = 0
 
     def _say(self) -> None:
         for version, message in self._announcements.since(self._said):
@@ -194,7 +188,15 @@ class Publisher:
         self._stopping = threading.Event()
         self._wakes = {name: threading.Event() for name in self._sinks}
         self._lanes = {
-            name: Lane(name, sink, self._outbox, announcements, clock, Backoff(rng), on_change)
+            name: Lane(
+                name,
+                sink,
+                self._outbox,
+                announcements,
+                clock,
+                Backoff(rng, BACKOFF_FIRST_S, BACKOFF_CEILING_S),
+                on_change,
+            )
             for name, sink in self._sinks.items()
         }
         self._threads = [

@@ -1,0 +1,147 @@
+"""A real MQTT broker on this machine, for the demo and for tests: mosquitto if it is installed, else amqtt.
+
+It listens on a loopback port, lets everybody in, and keeps nothing on disk: not a broker for a plant.
+"""
+
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from edge.core.errors import SinkUnavailable
+
+__all__ = ["BrokerKind", "LocalBroker", "available_brokers"]
+
+BrokerKind = Literal["mosquitto", "amqtt"]
+
+# mosquitto accepts after about 30 ms, amqtt after 300 ms on an idle desktop processor; a loaded gateway is slower.
+START_TIMEOUT_S: Final = 20.0
+STOP_TIMEOUT_S: Final = 5.0
+
+_MOSQUITTO: Final = "listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{extra}\n"
+
+# Without its plugins amqtt 0.12 lets nobody in; these two are what "anonymous" takes.
+_AMQTT: Final = """\
+listeners:
+  default:
+    type: tcp
+    bind: 127.0.0.1:{port}
+plugins:
+  amqtt.plugins.authentication.AnonymousAuthPlugin:
+    allow_anonymous: true
+"""
+
+
+def _mosquitto() -> str | None:
+    # Debian keeps it in /usr/sbin, which an ordinary user's path may lack.
+    return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
+
+
+def available_brokers() -> list[BrokerKind]:
+    """What can be started here, the better one first."""
+    found: list[BrokerKind] = ["mosquitto"] if _mosquitto() else []
+    return [*found, "amqtt"] if find_spec("amqtt") else found
+
+
+class LocalBroker:
+    """A broker process. `start` returns once it accepts connections; `stop` ends it; both may be repeated.
+
+    port None takes a free one, and every later start takes the same. extra: further lines for mosquitto's file.
+    Errors: SinkUnavailable if none is installed or it does not come up.
+    """
+
+    def __init__(self, kind: BrokerKind | None = None, port: int | None = None, extra: str = "") -> None:
+        available = available_brokers()
+        if not available or (kind is not None and kind not in available):
+            raise SinkUnavailable(
+                f"no MQTT broker is installed here (wanted: {kind or 'mosquitto or amqtt'}); "
+                "install mosquitto, or pip install amqtt"
+            )
+        self.host = "127.0.0.1"
+        self.kind: BrokerKind = kind or available[0]
+        self.port = port or _free_port()
+        self._extra = extra
+        self._folder = tempfile.TemporaryDirectory(prefix="gelgate-broker-")
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def speaks_mqtt5(self) -> bool:
+        return self.kind == "mosquitto"
+
+    def start(self) -> Self:
+        if self._process is not None:
+            return self
+        log_path = Path(self._folder.name) / "broker.log"
+        with log_path.open("ab") as log:
+            self._process = subprocess.Popen(
+                self._command(), stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self._accepts():
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self.stop()
+                last = log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:]
+                raise SinkUnavailable(
+                    f"the broker {self.kind} does not come up on port {self.port}: {''.join(last) or 'no word from it'}"
+                )
+            time.sleep(0.02)
+        return self
+
+    def stop(self) -> None:
+        """End it in good order."""
+        self._end(lambda process: process.terminate())
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        self._end(lambda process: process.kill())
+
+    def close(self) -> None:
+        """Stop it and remove its files."""
+        self.stop()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _end(self, how: Callable[[subprocess.Popen[bytes]], None]) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        how(process)
+        try:
+            process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _command(self) -> list[str]:
+        folder = Path(self._folder.name)
+        folder.chmod(0o755)  # mosquitto started by root reads its file as a user of its own
+        config = folder / ("mosquitto.conf" if self.kind == "mosquitto" else "amqtt.yaml")
+        text = (_MOSQUITTO if self.kind == "mosquitto" else _AMQTT).format(port=self.port, extra=self._extra)
+        config.write_text(text, encoding="utf-8")
+        if self.kind == "mosquitto":
+            return [_mosquitto() or "mosquitto", "-c", str(config)]
+        return [sys.executable, "-m", "amqtt.scripts.broker_script", "-c", str(config)]
+
+    def _accepts(self) -> bool:
+        try:
+            socket.create_connection((self.host, self.port), timeout=1.0).close()
+        except OSError:
+            return False
+        return True
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

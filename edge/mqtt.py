@@ -1,0 +1,384 @@
+"""One connection to an MQTT broker, at the level it speaks: 5, or 3.1.1 where 5 is refused.
+
+Used by the MQTT sink, and by whoever listens. A `Connection` never reconnects: when it is lost it is thrown away with
+everything the library had queued, so a message that was given up is never sent later behind one's back.
+
+Ref: MQTT 5.0 (OASIS, 2019), MQTT 3.1.1 (OASIS, 2014), paho-mqtt 2.x. Seen with mosquitto 2.0 (both levels) and amqtt
+0.12 (3.1.1; it drops a level 5 CONNECT without an answer).
+"""
+
+import contextlib
+import socket
+import ssl
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal, Self
+
+import paho.mqtt.client as paho
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
+
+__all__ = ["Broker", "Connection", "Level", "Outgoing", "Received", "Tls"]
+
+Level = Literal["5", "3.1.1"]
+
+# PUBACK codes that say "not this message, ever": not authorized, topic name invalid, payload format invalid. The other
+# failures (quota, unspecified, implementation specific) are about the broker's present state and may pass.
+_REFUSALS: Final = frozenset({0x87, 0x90, 0x99})
+
+# Room for a PUBLISH packet's own fields beside topic and payload: header, ids and our three properties.
+_PACKET_OVERHEAD_BYTES: Final = 128
+
+_RETAIN_SEND_ON_SUBSCRIBE: Final = 0
+_RETAIN_DO_NOT_SEND: Final = 2
+
+
+@dataclass(frozen=True)
+class Tls:
+    """ca: the authorities to trust, None for the system's. cert and key: this client's own, for mutual TLS."""
+
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    def context(self) -> ssl.SSLContext:
+        """The verified context. Errors: ConfigError for a file that is missing or not a certificate."""
+        try:
+            context = ssl.create_default_context(cafile=self.ca)
+            if self.cert is not None:
+                context.load_cert_chain(self.cert, self.key)
+        except (OSError, ssl.SSLError) as error:
+            files = ", ".join(str(path) for path in (self.ca, self.cert, self.key) if path is not None)
+            raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
+        return context
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where the broker is and how to speak to it. level None tries 5, then 3.1.1."""
+
+    host: str
+    port: int
+    client_id: str
+    username: str | None = None
+    password: str | None = None
+    tls: ssl.SSLContext | None = None
+    keepalive_s: int = 15
+    timeout_s: float = 10.0
+    level: Level | None = None
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    def __repr__(self) -> str:
+        return f"Broker({self}, client_id={self.client_id!r})"  # never the password
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """What `publish` sends; also the form of a last will. `topic` is the full one."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = False
+    content_type: str | None = None
+    expiry_s: int | None = None
+    correlation: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message from the broker. response_topic and correlation exist at level 5 alone."""
+
+    topic: str
+    payload: bytes
+    qos: int
+    retain: bool
+    response_topic: str | None = None
+    correlation: bytes | None = None
+
+
+OnReceived = Callable[[Received], None]
+
+
+class Connection:
+    """One connection, up when it is made and for ever down once it is lost. Any thread may publish.
+
+    on_received: called from the connection's own thread; it must return at once. on_lost: likewise, once.
+    """
+
+    @classmethod
+    def open(
+        cls,
+        broker: Broker,
+        will: Outgoing | None = None,
+        on_received: OnReceived | None = None,
+        on_lost: Callable[[], None] = lambda: None,
+    ) -> Self:
+        """Connect and wait for the broker's consent.
+
+        Errors: SinkUnavailable, its sentence saying whether the broker is absent, silent, or refuses us.
+        """
+        if broker.level is not None:
+            return cls(broker, broker.level, will, on_received, on_lost)
+        try:
+            return cls(broker, "5", will, on_received, on_lost)
+        except _LevelRefused:
+            return cls(broker, "3.1.1", will, on_received, on_lost)
+
+    def __init__(
+        self,
+        broker: Broker,
+        level: Level,
+        will: Outgoing | None,
+        on_received: OnReceived | None,
+        on_lost: Callable[[], None],
+    ) -> None:
+        self.broker = broker
+        self.level: Level = level
+        self.why_lost = ""
+        self._on_received = on_received
+        self._on_lost = on_lost
+        self._changed = threading.Condition()
+        self._consent: ReasonCode | None = None
+        self._largest_packet: int | None = None
+        self._is_lost = False
+        self._answers: dict[int, ReasonCode | None] = {}
+        self._client = self._make_client(will)
+        self._establish()
+
+    @property
+    def is_up(self) -> bool:
+        return self._consent is not None and not self._is_lost
+
+    def publish(self, message: Outgoing) -> None:
+        """Send and wait for the acknowledgement; QoS 0 waits until it is written.
+
+        Errors: SinkRejected for this message; SinkUnavailable when the connection is lost meanwhile, or when the
+        broker stays silent, and then the connection is given up.
+        """
+        size = len(message.payload) + len(message.topic.encode()) + _PACKET_OVERHEAD_BYTES
+        if self._largest_packet is not None and size > self._largest_packet:
+            raise SinkRejected(
+                f"broker {self.broker} takes packets up to {self._largest_packet} bytes, "
+                f"this message on {message.topic} has {size}; raise its max_packet_size"
+            )
+        if not self.is_up:
+            raise SinkUnavailable(self._lost_sentence())
+        try:
+            info = self._client.publish(
+                message.topic, message.payload, message.qos, message.retain, self._properties(message)
+            )
+        except ValueError as error:
+            raise SinkRejected(f"a message on {message.topic!r} cannot be sent: {error}") from error
+        self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
+
+    def subscribe(self, topic_filter: str, *, wants_retained: bool = True) -> None:
+        """Ask for messages and wait for consent. Errors: SinkRejected, SinkUnavailable."""
+        if self.level == "5":
+            handling = _RETAIN_SEND_ON_SUBSCRIBE if wants_retained else _RETAIN_DO_NOT_SEND
+            options = SubscribeOptions(qos=1, retainHandling=handling)
+            _, mid = self._client.subscribe(topic_filter, options=options)
+        else:
+            _, mid = self._client.subscribe(topic_filter, qos=1)
+        if mid is None:
+            raise SinkUnavailable(self._lost_sentence())
+        reason = self._answer(mid, f"the subscription to {topic_filter}")
+        if reason is not None and reason.value >= 0x80:
+            raise SinkRejected(f"broker {self.broker} refuses the subscription to {topic_filter}: {reason}")
+
+    def close(self) -> None:
+        """Say goodbye: the will is not published. Harmless when repeated."""
+        with self._changed:
+            self.why_lost = self.why_lost or "closed here"
+        self._client.disconnect()
+        self._await(lambda: self._is_lost, timeout_s=1.0)
+        self.abandon("closed here")
+
+    def abandon(self, why: str) -> None:
+        """Cut the line without a goodbye, and forget everything queued. Harmless when repeated."""
+        with self._changed:
+            self.why_lost = self.why_lost or why
+        sock = self._client.socket()
+        if isinstance(sock, socket.socket):
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)  # the library's thread sees the end and leaves
+        self._lose(why)
+
+    def _make_client(self, will: Outgoing | None) -> paho.Client:
+        is_5 = self.level == "5"
+        client = paho.Client(
+            CallbackAPIVersion.VERSION2,
+            client_id=self.broker.client_id,
+            protocol=MQTTProtocolVersion.MQTTv5 if is_5 else MQTTProtocolVersion.MQTTv311,
+            clean_session=None if is_5 else True,
+            reconnect_on_failure=False,
+        )
+        client.connect_timeout = self.broker.timeout_s
+        if self.broker.username is not None:
+            client.username_pw_set(self.broker.username, self.broker.password)
+        if self.broker.tls is not None:
+            client.tls_set_context(self.broker.tls)
+        if will is not None:
+            properties = self._properties(will, PacketTypes.WILLMESSAGE)
+            client.will_set(will.topic, will.payload, will.qos, will.retain, properties)
+        client.on_connect = self._connected
+        client.on_disconnect = self._disconnected
+        client.on_publish = self._published
+        client.on_subscribe = self._subscribed
+        client.on_message = self._message
+        return client
+
+    def _establish(self) -> None:
+        try:
+            self._client.connect(self.broker.host, self.broker.port, self.broker.keepalive_s)
+        except ssl.SSLError as error:
+            raise SinkUnavailable(
+                f"broker {self.broker}: TLS failed ({error}); check the ca and the host name"
+            ) from error
+        except (OSError, ValueError) as error:
+            raise SinkUnavailable(
+                f"no broker answers at {self.broker} ({error}); start it, or correct host and port"
+            ) from error
+        self._client.loop_start()
+        self._await(lambda: self._consent is not None or self._is_lost, self.broker.timeout_s)
+        consent = self._consent
+        if consent is None or consent.is_failure:
+            why = self.why_lost
+            self.abandon("no consent")
+            raise self._refusal(consent, why)
+
+    def _refusal(self, consent: ReasonCode | None, why: str) -> SinkError:
+        if consent is None and self._is_lost and not why:
+            why = "it closed the connection without an answer"
+        if self.level == "5" and (consent is None or consent.value in (0x01, 0x84)):
+            return _LevelRefused(
+                f"broker {self.broker} does not speak MQTT 5 ({consent or why or 'no answer'})"
+            )
+        if consent is None:
+            return SinkUnavailable(f"broker {self.broker} gives no consent ({why or 'no answer in time'})")
+        return SinkUnavailable(
+            f"broker {self.broker} refuses the connection: {consent}; check user name, password file and client id"
+        )
+
+    def _properties(self, message: Outgoing, packet: int = PacketTypes.PUBLISH) -> Properties | None:
+        if self.level != "5":
+            return None
+        properties = Properties(packet)  # type: ignore[no-untyped-call]
+        if message.content_type is not None:
+            properties.ContentType = message.content_type
+            properties.PayloadFormatIndicator = int(message.content_type == "application/json")
+        if message.expiry_s is not None:
+            properties.MessageExpiryInterval = message.expiry_s
+        if message.correlation is not None:
+            properties.CorrelationData = message.correlation
+        return properties
+
+    def _answer(self, mid: int, what: str) -> ReasonCode | None:
+        self._await(lambda: mid in self._answers or self._is_lost, self.broker.timeout_s)
+        with self._changed:
+            if mid in self._answers:
+                return self._answers.pop(mid)
+        if self._is_lost:
+            raise SinkUnavailable(self._lost_sentence())
+        why = f"it did not acknowledge {what} within {self.broker.timeout_s:g} s"
+        self.abandon(why)
+        raise SinkUnavailable(f"broker {self.broker}: {why}; the connection is given up")
+
+    def _check(self, message: Outgoing, reason: ReasonCode | None) -> None:
+        if reason is None or not reason.is_failure:
+            return
+        sentence = f"broker {self.broker} refuses the message on {message.topic}: {reason}"
+        if reason.value in _REFUSALS:
+            raise SinkRejected(f"{sentence}; check its access rules")
+        raise SinkUnavailable(sentence)
+
+    def _lost_sentence(self) -> str:
+        return (
+            f"the connection to broker {self.broker} is lost ({self.why_lost or 'it closed the connection'})"
+        )
+
+    def _await(self, is_done: Callable[[], bool], timeout_s: float) -> None:
+        with self._changed:
+            self._changed.wait_for(is_done, timeout_s)
+
+    def _lose(self, why: str) -> None:
+        with self._changed:
+            if self._is_lost:
+                return
+            self._is_lost = True
+            self.why_lost = self.why_lost or why
+            self._changed.notify_all()
+        self._on_lost()
+
+    # The callbacks: the library's thread brings news, and never waits here.
+
+    def _connected(
+        self,
+        client: paho.Client,
+        userdata: object,
+        flags: paho.ConnectFlags,
+        reason: ReasonCode,
+        properties: Properties | None,
+    ) -> None:
+        with self._changed:
+            self._consent = reason
+            self._largest_packet = getattr(properties, "MaximumPacketSize", None)
+            self._changed.notify_all()
+
+    def _disconnected(
+        self,
+        client: paho.Client,
+        userdata: object,
+        flags: paho.DisconnectFlags,
+        reason: ReasonCode,
+        properties: Properties | None,
+    ) -> None:
+        self._lose("" if reason.value == 0 else str(reason))
+
+    def _published(
+        self, client: paho.Client, userdata: object, mid: int, reason: ReasonCode, properties: Properties
+    ) -> None:
+        self._note(mid, reason)
+
+    def _subscribed(
+        self,
+        client: paho.Client,
+        userdata: object,
+        mid: int,
+        reasons: list[ReasonCode],
+        properties: Properties,
+    ) -> None:
+        self._note(mid, reasons[0] if reasons else None)
+
+    def _note(self, mid: int, reason: ReasonCode | None) -> None:
+        with self._changed:
+            self._answers[mid] = reason
+            self._changed.notify_all()
+
+    def _message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
+        if self._on_received is None:
+            return
+        properties = message.properties
+        self._on_received(
+            Received(
+                message.topic,
+                bytes(message.payload),
+                message.qos,
+                message.retain,
+                getattr(properties, "ResponseTopic", None),
+                getattr(properties, "CorrelationData", None),
+            )
+        )
+
+
+class _LevelRefused(SinkUnavailable):
+    """The broker is there but does not speak this level; the next one is tried."""

@@ -1,0 +1,259 @@
+"""Publishes to an MQTT broker, at level 5 or, where the broker does not speak it, 3.1.1.
+
+The connection is kept by a thread of its own, so a broker that is down at start, or goes away, is normal: `send` says
+SinkUnavailable until it is back. On every connection the commands are subscribed, then the station's birth messages are
+published, and only then do other messages pass. The last will says that the station is lost.
+
+What it does not do: it stores nothing (the outbox does), never uses QoS 2 (results carry an id), and speaks no
+websockets. At level 3.1.1 a broker acknowledges messages that its access rules then discard: only level 5 tells.
+
+Ref: MQTT 5.0 and 3.1.1 (OASIS). Seen with mosquitto 2.0.11 and amqtt 0.12.1.
+"""
+
+import contextlib
+import logging
+import queue
+import random
+import threading
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from edge.core.backoff import Backoff
+from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
+from edge.core.ports import Message
+from edge.core.station import Station
+from edge.mqtt import Broker, Connection, Outgoing, Received, Tls
+
+__all__ = ["MqttSink", "Options", "TlsOptions", "open"]
+
+log = logging.getLogger(__name__)
+
+# A level 3.1.1 broker has no words for "too large": it closes the connection. Three closings in a row, each while the
+# same message waited for its acknowledgement on a connection that had come up well, are taken as that.
+STRIKES: Final = 3
+
+# Requests that may wait while one is answered; more than a person or a line controller sends at once.
+WAITING_COMMANDS: Final = 16
+
+
+class TlsOptions(BaseModel):
+    """ca: PEM of the authorities to trust, the system's if left out. cert, key: this gateway's own, for mutual TLS."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    @model_validator(mode="after")
+    def _key_with_cert(self) -> Self:
+        if self.key is not None and self.cert is None:
+            raise ValueError("a key needs its cert")
+        return self
+
+
+class Options(BaseModel):
+    """Where the broker is. The password stands in a file of its own, so that the configuration can be shown."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = Field(default="localhost", min_length=1)
+    port: int | None = Field(default=None, ge=1, le=65535, description="1883, or 8883 with TLS, if left out")
+    protocol: Literal["auto", "5", "3.1.1"] = "auto"
+    client_id: str | None = Field(
+        default=None, min_length=1, description="unique in the plant; from the station if left out"
+    )
+    username: str | None = None
+    password_file: Path | None = None
+    tls: TlsOptions | None = None
+    keepalive_s: int = Field(
+        default=15, ge=1, le=3600, description="a silent broker is noticed within 1.5 times this"
+    )
+    acknowledge_s: float = Field(
+        default=10.0, gt=0, description="how long one message may wait for its PUBACK"
+    )
+    retry_s: float = Field(default=30.0, ge=1, description="the longest pause between attempts to connect")
+
+    @model_validator(mode="after")
+    def _password_with_name(self) -> Self:
+        if self.password_file is not None and self.username is None:
+            raise ValueError("a password_file needs a username")
+        return self
+
+    def broker(self, client_id: str) -> Broker:
+        """The broker to connect to. Errors: ConfigError for a password or TLS file that cannot be used."""
+        return Broker(
+            host=self.host,
+            port=self.port or (1883 if self.tls is None else 8883),
+            client_id=self.client_id or client_id,
+            username=self.username,
+            password=None if self.password_file is None else _password(self.password_file),
+            tls=None if self.tls is None else Tls(self.tls.ca, self.tls.cert, self.tls.key).context(),
+            keepalive_s=self.keepalive_s,
+            timeout_s=self.acknowledge_s,
+            level=None if self.protocol == "auto" else self.protocol,
+        )
+
+
+class MqttSink:
+    """Messages of one station to one broker. Any thread may send; messages of one thread keep their order."""
+
+    def __init__(self, broker: Broker, station: Station, backoff: Backoff) -> None:
+        self._broker = broker
+        self._station = station
+        self._backoff = backoff
+        self._closing = threading.Event()
+        self._tried = threading.Event()  # the first attempt to connect has ended
+        self._connection: Connection | None = None
+        self._why_down = f"not yet connected to broker {broker}"
+        self._struck: tuple[Message | None, int] = (None, 0)
+        self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
+        self._threads = [
+            threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
+            threading.Thread(target=self._serve, name="mqtt-commands", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def level(self) -> str | None:
+        """The protocol level spoken now, None while there is no connection."""
+        connection = self._connection
+        return None if connection is None else connection.level
+
+    def send(self, message: Message) -> None:
+        """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected."""
+        self._tried.wait(self._broker.timeout_s)
+        connection = self._connection
+        if connection is None:
+            raise SinkUnavailable(self._why_down)
+        try:
+            connection.publish(self._outgoing(message))
+        except SinkUnavailable as error:
+            self._strike(message, connection, error)
+            raise
+        self._struck = (None, 0)
+
+    def close(self) -> None:
+        """Say goodbye to the broker, so that it does not publish the will; harmless when repeated."""
+        self._closing.set()
+        connection = self._connection
+        if connection is not None:
+            connection.close()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._requests.get_nowait()
+        self._requests.put(None)
+        for thread in self._threads:
+            thread.join(self._broker.timeout_s)
+
+    def _keep_connected(self) -> None:
+        while not self._closing.is_set():
+            lost = threading.Event()
+            try:
+                connection = self._connect(lost)
+            except SinkError as error:
+                self._down(str(error))
+                self._tried.set()
+                self._closing.wait(self._backoff.failed())
+                continue
+            self._backoff.succeeded()
+            self._connection = connection
+            log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
+            self._tried.set()
+            if self._closing.is_set():
+                connection.close()
+            lost.wait()
+            self._connection = None
+            self._down(
+                f"the connection to broker {self._broker} is lost ({connection.why_lost or 'it was cut'})"
+            )
+
+    def _connect(self, lost: threading.Event) -> Connection:
+        will = self._station.will
+        connection = Connection.open(
+            self._broker,
+            will=None if will is None else self._outgoing(will),
+            on_received=self._received,
+            on_lost=lost.set,
+        )
+        try:
+            if self._station.on_command is not None:
+                connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
+            for message in self._station.birth():
+                connection.publish(self._outgoing(message))
+        except SinkError:
+            connection.abandon("its birth failed")
+            raise
+        return connection
+
+    def _down(self, why: str) -> None:
+        if why != self._why_down and not self._closing.is_set():
+            log.warning("%s", why)
+        self._why_down = why
+
+    def _strike(self, message: Message, connection: Connection, error: SinkUnavailable) -> None:
+        if connection.is_up or self._closing.is_set():
+            return
+        struck, strikes = self._struck
+        strikes = strikes + 1 if struck == message else 1
+        self._struck = (message, strikes)
+        if strikes >= STRIKES:
+            self._struck = (None, 0)
+            raise SinkRejected(
+                f"broker {self._broker} closed the connection {strikes} times on the same message on "
+                f"{message.topic}, {len(message.payload)} bytes; it may be larger than the broker allows"
+            ) from error
+
+    def _outgoing(self, message: Message) -> Outgoing:
+        return Outgoing(
+            self._station.topic(message),
+            message.payload,
+            message.qos,
+            message.retain,
+            message.content_type,
+            message.expiry_s,
+        )
+
+    def _received(self, request: Received) -> None:
+        if request.retain:
+            log.warning(
+                "a retained request on %s is ignored: it would run on every connection", request.topic
+            )
+            return
+        try:
+            self._requests.put_nowait(request)
+        except queue.Full:
+            log.warning("a request on %s is dropped: %d are waiting", request.topic, WAITING_COMMANDS)
+
+    def _serve(self) -> None:
+        while (request := self._requests.get()) is not None:
+            connection, answer = self._connection, self._station.on_command
+            if answer is None or self._closing.is_set():
+                continue
+            response = Outgoing(
+                request.response_topic or f"{request.topic}/response",
+                answer(request.topic.rpartition("/")[2], request.payload),
+                content_type="application/json",
+                correlation=request.correlation,
+            )
+            try:
+                if connection is not None:
+                    connection.publish(response)
+            except SinkError as error:
+                log.warning("a response was not delivered: %s", error)
+
+
+def open(options: Options, station: Station) -> MqttSink:
+    """A sink that begins to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
+    backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
+    return MqttSink(options.broker(station.client_id), station, backoff)
+
+
+def _password(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"password file {path} cannot be read: {error}") from error
