@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 from edge.core.detector import Grid, Mode, Packing
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
+from edge.core.touch import Touch
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -175,6 +176,10 @@ class ToleranceEntry(_Entry):
     relative: float = Field(ge=0)
     measured: float = Field(ge=0)
 
+    def around(self, score: float) -> float:
+        """How far a score near this one may lie from it and still be the same."""
+        return self.score + self.relative * abs(score)
+
 
 class GoldenEntry(_Entry):
     """A frame that is scored again at load.
@@ -190,21 +195,30 @@ class GoldenEntry(_Entry):
 
 
 class ContactRange(_Entry):
-    """Where nominal presses touch, low and high: centroid in pixels of the picture, area as a fraction of it."""
+    """Where nominal presses touch, (low, high) with a margin: fractions of the picture, as `edge.core.touch.Touch`."""
 
-    x_px: tuple[float, float]
-    y_px: tuple[float, float]
+    x: tuple[float, float]
+    y: tuple[float, float]
     area: tuple[float, float]
+
+    def holds(self, touch: Touch) -> bool:
+        """Whether a press lies where the nominal ones did."""
+        pairs = ((self.x, touch.x), (self.y, touch.y), (self.area, touch.area))
+        return all(low <= value <= high for (low, high), value in pairs)
 
 
 class CostCard(_Entry):
-    """What scoring and fitting cost on the machine that fitted. Milliseconds are medians of one frame."""
+    """What scoring and fitting cost on the machine that fitted. Milliseconds are medians of one frame.
+
+    features_s: trunk over all presses. fit_s: the bank from the features. threshold_s: the folds for the threshold.
+    """
 
     trunk_ms: float
     head_ms: float
     threads: int
     features_s: float
     fit_s: float
+    threshold_s: float
     bank_bytes_stored: int
     bank_bytes_unpacked: int
 

@@ -1,0 +1,181 @@
+"""`gelgate fit`: nominal presses in, a bundle out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.fit import Fitted, Report
+    from edge.core.profile import SensorProfile
+
+__all__ = ["fit"]
+
+
+def fit(
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE...", help="Recordings, folders of pictures, or pictures.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The bundle: a folder, or a name ending in .zip.")
+    ],
+    part: Annotated[str, typer.Option(help="Which part is pressed.")],
+    position: Annotated[str, typer.Option(help="Where on the part.")] = "default",
+    method: Annotated[str, typer.Option(help="The detector.")] = "padim",
+    mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
+    backbone: Annotated[
+        str, typer.Option(help="An installed backbone, or a trunk .onnx file.")
+    ] = "random_resnet18",
+    profile: Annotated[
+        str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
+    ] = "",
+    region: Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")] = "centre",
+    alpha: Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")] = 0.05,
+    threshold: Annotated[
+        float | None, typer.Option(help="Use this threshold instead of finding one.")
+    ] = None,
+    no_contact: Annotated[
+        list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")
+    ] = None,
+    resize: Annotated[bool, typer.Option(help="Scale pictures of any size to the profile's.")] = False,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the detector.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Fixes every random choice.")] = 0,
+    threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
+    trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
+) -> None:
+    """Learn a bundle from nominal presses: features, bank, threshold, golden frames."""
+    import datetime
+
+    from calibration.backbones import open_trunk
+    from calibration.fit import Recipe, fit_files
+    from calibration.presses import read_presses
+    from edge import registry
+    from edge.bundle import write_bundle
+    from edge.core.errors import ConfigError, StoreError
+    from edge.core.region import Region
+
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+    if mode not in ("corrected", "paper"):
+        raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
+    sensor = _profile(profile, sources)
+    detector = registry.load("detectors", method)
+    overrides = _overrides(settings or [])
+    parameters = detector.parameters(mode, **overrides)
+    recipe = Recipe(
+        part=part,
+        position=position,
+        profile=sensor,
+        region=Region.parse(region, sensor.size),
+        detector=detector,
+        trunk=open_trunk(backbone, detector.taps(parameters)),
+        mode="paper" if mode == "paper" else "corrected",
+        overrides=overrides,
+        alpha=alpha,
+        threshold=threshold,
+        seed=seed,
+        threads=threads,
+        with_trunk=trunk,
+    )
+    presses = read_presses(sources, sensor, recipe.region, no_contact=no_contact or (), resize=resize)
+    typer.echo(
+        f"{len(presses)} nominal presses, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}"
+    )
+    with _Stages() as report:
+        fitted = fit_files(presses, recipe, created=datetime.date.today().isoformat(), report=report)
+    try:
+        write_bundle(output, fitted.files, overwrite=overwrite)
+    except OSError as error:
+        raise StoreError(
+            f"{output} cannot be written: {error.strerror or error}; free some space or choose another folder"
+        ) from error
+    _summary(fitted, output)
+
+
+def _profile(name: str, sources: list[Path]) -> "SensorProfile":
+    """The profile asked for, or the one that all recordings among the sources name."""
+    from calibration.presses import is_recording
+    from edge.core.errors import ConfigError
+    from edge.core.profiles import profile
+    from edge.recording import Recording
+
+    if name:
+        return profile(name)
+    named = {Recording.open(s).header.profile for s in sources if is_recording(s)} - {""}
+    if len(named) > 1:
+        raise ConfigError(
+            f"the recordings name different profiles: {', '.join(sorted(named))}; choose with --profile"
+        )
+    return profile(named.pop() if named else "mini_lr")
+
+
+def _overrides(settings: list[str]) -> dict[str, Any]:
+    """`name=value` pairs; a value is read as JSON where it is JSON, else as text."""
+    import json
+
+    from edge.core.errors import ConfigError
+
+    overrides: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not (name.isidentifier() and equals):
+            raise ConfigError(f"'--set {setting}' is not understood; write --set name=value")
+        try:
+            overrides[name] = json.loads(text)
+        except ValueError:
+            overrides[name] = text
+    return overrides
+
+
+def _summary(fitted: "Fitted", output: Path) -> None:
+    manifest = fitted.manifest
+    limit, cost = manifest.threshold, manifest.cost
+    for warning in manifest.provenance.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
+    if limit.n:
+        typer.echo(
+            f"false alarms: {limit.alpha:g} asked for, 1/{limit.n + 1} = {limit.alpha_floor:.3g} is the floor"
+        )
+    if cost:
+        typer.echo(
+            f"a frame takes {cost.trunk_ms:.1f} + {cost.head_ms:.1f} ms (trunk + head, {cost.threads} threads); "
+            f"the bank {cost.bank_bytes_stored / 1e6:.2f} MB stored, {cost.bank_bytes_unpacked / 1e6:.2f} MB in use"
+        )
+    typer.echo(f"bundle {manifest.part}/{manifest.position} written to {output}")
+
+
+class _Stages:
+    """Progress of named stages: bars on a terminal, one line per finished stage elsewhere."""
+
+    def __init__(self) -> None:
+        import sys
+
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bars = Progress(console=Console(stderr=True), transient=True)
+
+    def __enter__(self) -> "Report":
+        if self._bars:
+            self._bars.start()
+        return self._show
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def _show(self, stage: str, fraction: float) -> None:
+        if self._bars:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._bars.add_task(stage, total=1.0)
+            self._bars.update(self._tasks[stage], completed=fraction)
+        elif fraction >= 1.0 and stage not in self._tasks:
+            self._tasks[stage] = True
+            typer.echo(f"{stage}: done", err=True)

@@ -1,0 +1,398 @@
+"""From nominal presses to a bundle: features, bank, out-of-fold threshold, tolerance, golden frames, files.
+
+A detector's mathematics is its own; the procedure (which presses, which folds, which seed) is here.
+"""
+
+import importlib.metadata
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from calibration.backbones import Trunk
+from calibration.features import extract, trunk_grid
+from calibration.presses import NominalPresses
+from calibration.threshold import conformal_threshold, folds
+from edge.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
+from edge.core.errors import FitError
+from edge.core.profile import SensorProfile
+from edge.core.region import Region
+from edge.manifest import (
+    ContactRange,
+    CostCard,
+    Facts,
+    GridEntry,
+    Manifest,
+    ProfileEntry,
+    Provenance,
+    RegionEntry,
+    ThresholdEntry,
+    ToleranceEntry,
+)
+from edge.packing import pack, unpack
+from edge.runtime import RUNTIME_ERRORS, TrunkSessions, open_session
+from edge.scorer import Scored, Scorer, map_peaks
+
+T = TypeVar("T")
+
+__all__ = ["Fitted", "Recipe", "Report", "fit_bundle", "fit_files"]
+
+Report = Callable[[str, float], None]
+"""Called with the stage's name and its fraction done, 0 to 1."""
+
+FOLDS = 5
+
+GOLDEN_NOMINAL = 2
+"""Golden frames from nominal presses (the middle and the highest score); one with a painted defect comes beside."""
+
+TOLERANCE_FACTOR = 8.0
+"""The tolerance is this many times the largest difference seen over runs, threads and batch sizes."""
+
+TOLERANCE_RELATIVE = 1e-3
+"""Room for other processors, which sum in another order: float32 features through some thousand additions and a
+square root agree to about 1e-5; ten times that and a margin. Measured on x86 alone."""
+
+CONTACT_MARGIN = 0.05
+"""How far beyond the nominal presses one may lie, as a fraction of the picture, or half their spread if more."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is to be made. overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm
+    rate asked for. threshold: a value to use instead of one found from presses. seed: fixes every random choice."""
+
+    part: str
+    position: str
+    profile: SensorProfile
+    region: Region
+    detector: Detector
+    trunk: Trunk
+    mode: Mode = "corrected"
+    overrides: Mapping[str, object] = field(default_factory=dict)
+    alpha: float = 0.05
+    threshold: float | None = None
+    seed: int = 0
+    threads: int = 2
+    with_trunk: bool = True
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted bundle that is not yet on disk."""
+
+    manifest: Manifest
+    files: dict[str, bytes]
+
+    def bundle(self) -> Bundle:
+        """The same, loaded through the same checks as from disk."""
+        return Bundle.in_memory(self.manifest, self.files)
+
+
+def fit_bundle(
+    path: Path,
+    presses: NominalPresses,
+    recipe: Recipe,
+    *,
+    created: str,
+    report: Report = lambda stage, fraction: None,
+    overwrite: bool = False,
+) -> Path:
+    """Fit and write a bundle, a folder or (name ending in .zip) a zip; whole or not at all.
+
+    created: the date for the provenance. Errors: FitError, ConfigError, FileExistsError, OSError.
+    """
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
+    fitted = fit_files(presses, recipe, created=created, report=report)
+    report("write", 0.0)
+    write_bundle(path, fitted.files, overwrite=overwrite)
+    report("write", 1.0)
+    return path
+
+
+def fit_files(
+    presses: NominalPresses, recipe: Recipe, *, created: str, report: Report = lambda stage, fraction: None
+) -> Fitted:
+    """Fit a bundle in memory. Errors as `fit_bundle`."""
+    return _Fit(presses, recipe, created, report).run()
+
+
+class _Fit:
+    """One fit. Its stages are the methods in the order in which `run` calls them."""
+
+    def __init__(self, presses: NominalPresses, recipe: Recipe, created: str, report: Report) -> None:
+        self.presses, self.recipe, self.created, self.report = presses, recipe, created, report
+        self.detector = recipe.detector
+        self.parameters = self.detector.parameters(recipe.mode, **recipe.overrides)
+        self.warnings = _warnings(presses, recipe)
+        self.seconds: dict[str, float] = {}
+        self.trunks = TrunkSessions(recipe.threads)
+
+    def run(self) -> Fitted:
+        features, no_contact = self._timed("features", self._features)
+        nominal = Nominal(features, self.presses.touched, no_contact)
+        bank = self._timed("fit", lambda: self._bank(nominal, self._progress("bank")))
+        head = self.detector.head(self.grid, bank, self.parameters)
+        self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=head)
+        scores = self._timed("threshold", lambda: self._held_out_scores(nominal))
+        return self._measured(bank, scores)
+
+    def _timed(self, stage: str, work: Callable[[], T]) -> T:
+        start = time.perf_counter()
+        result = work()
+        self.seconds[stage] = time.perf_counter() - start
+        return result
+
+    def _progress(self, stage: str) -> Progress:
+        return lambda fraction: self.report(stage, fraction)
+
+    def _features(self) -> tuple[Features, Features | None]:
+        session = open_session(
+            self.recipe.trunk.graph, self.recipe.threads, f"trunk '{self.recipe.trunk.id}'"
+        )
+        region = self.recipe.region
+        self.grid = trunk_grid(
+            session,
+            self.detector.taps(self.parameters),
+            (region.height, region.width),
+            self.recipe.profile.pixels_per_mm,
+        )
+        features = extract(session, self.presses.frames, self.grid, self._progress("features"))
+        free = self.presses.no_contact
+        return features, None if free is None else extract(session, free, self.grid, lambda fraction: None)
+
+    def _bank(self, nominal: Nominal, progress: Progress) -> Bank:
+        rng = np.random.default_rng(self.recipe.seed)
+        return self.detector.fit(nominal, self.grid, self.parameters, rng, progress)
+
+    def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
+        """Anomaly scores of every press by a bank that did not know it; None where the threshold is given."""
+        if self.recipe.threshold is not None:
+            return None
+        specimens = self.presses.specimens or (None,) * len(self.presses)
+        if None not in specimens and len(set(specimens)) < 2:
+            self.warnings.append(
+                "all presses are of one specimen: the threshold knows nothing of other parts"
+            )
+            specimens = (None,) * len(self.presses)
+        parts = folds(specimens, FOLDS, np.random.default_rng(self.recipe.seed))
+        scores = np.empty(len(self.presses))
+        for number, held in enumerate(parts):
+            scores[held] = self._scores_without(nominal, held)
+            self.report("threshold", (number + 1) / len(parts))
+        return scores
+
+    def _scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
+        kept = np.setdiff1d(np.arange(len(self.presses)), held)
+        rest = Nominal(_chosen(nominal.features, kept), nominal.touched, nominal.no_contact)
+        bank = self._bank(rest, lambda fraction: None)
+        head = open_session(
+            self.detector.head(self.grid, bank, self.parameters),
+            self.recipe.threads,
+            f"head of {self.detector.name}",
+        )
+        return np.array([_head_score(head, bank, _chosen(nominal.features, np.array([k]))) for k in held])
+
+    def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
+        """Score with the bundle as it will be loaded, then write down what it measured."""
+        self.report("golden", 0.0)
+        provisional = Fitted(*self._files(bank, self._facts(bank, *_placeholders()), ()))
+        scorer = Scorer(provisional.bundle(), self.recipe.threads, self.trunks)
+        golden = self._golden(scorer)
+        tolerance, cost = self._tolerance(golden, scorer), self._cost(scorer)
+        threshold = self._threshold(scores, tolerance)
+        facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
+        fitted = Fitted(*self._files(bank, facts, golden))
+        Scorer(fitted.bundle(), self.recipe.threads, self.trunks).check_golden()
+        self.report("golden", 1.0)
+        return fitted
+
+    def _golden(self, scorer: Scorer) -> list[GoldenFrame]:
+        order = np.argsort(
+            [scorer.score(frame).anomaly_score for frame in self.presses.frames], kind="stable"
+        )
+        chosen = {"middle nominal score": order[len(order) // 2], "highest nominal score": order[-1]}
+        frames = {what: self.presses.frames[k] for what, k in chosen.items()}
+        frames["middle nominal press with a painted square"] = _painted(frames["middle nominal score"])
+        return [_golden_frame(scorer.score(rgb), rgb, what) for what, rgb in frames.items()]
+
+    def _tolerance(self, golden: Sequence[GoldenFrame], scorer: Scorer) -> ToleranceEntry:
+        """What repeated runs, one thread, two threads and another batch size change in the golden frames."""
+        frames = np.stack([frame.rgb for frame in golden])
+        runs = [[scorer.score(frame) for frame in frames], scorer.score_batch(frames)]
+        for threads in {1, 2} - {self.recipe.threads}:
+            other = Scorer(scorer.bundle, threads)
+            runs.append([other.score(frame) for frame in frames])
+        scores = np.array([[s.anomaly_score for s in run] for run in runs])
+        maps = np.stack([np.stack([s.score_map for s in run]) for run in runs]).astype(np.float64)
+        score, score_map = np.ptp(scores, axis=0).max(), np.ptp(maps, axis=0).max()
+        return ToleranceEntry(
+            score=float(TOLERANCE_FACTOR * score),
+            score_map=float(TOLERANCE_FACTOR * score_map),
+            relative=TOLERANCE_RELATIVE,
+            measured=float(max(score, score_map)),
+        )
+
+    def _threshold(self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry) -> ThresholdEntry:
+        alpha = self.recipe.alpha
+        if self.recipe.threshold is not None:
+            return ThresholdEntry(
+                value=self.recipe.threshold,
+                method="given by hand",
+                alpha=alpha,
+                alpha_floor=1.0,
+                nominal_scores=(),
+            )
+        if scores is None:
+            raise FitError("no threshold: neither given nor found from the presses")
+        return conformal_threshold(scores, alpha, slack=tolerance.around(float(scores.max())))
+
+    def _cost(self, scorer: Scorer) -> CostCard:
+        runs = [scorer.score(self.presses.frames[k % len(self.presses)]) for k in range(9)]
+        entries = scorer.bundle.manifest.bank.values()
+        return CostCard(
+            trunk_ms=float(np.median([run.trunk_ms for run in runs])),
+            head_ms=float(np.median([run.head_ms for run in runs])),
+            threads=self.recipe.threads,
+            features_s=self.seconds["features"],
+            fit_s=self.seconds["fit"],
+            threshold_s=self.seconds["threshold"],
+            bank_bytes_stored=sum(entry.bytes_stored for entry in entries),
+            bank_bytes_unpacked=sum(entry.bytes_unpacked for entry in entries),
+        )
+
+    def _files(
+        self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]
+    ) -> tuple[Manifest, dict[str, bytes]]:
+        with_trunk = self.recipe.with_trunk or not golden
+        return bundle_files(
+            facts, self.graphs, bank, golden, backbone=self.recipe.trunk.id, with_trunk=with_trunk
+        )
+
+    def _facts(self, bank: Bank, threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
+        recipe = self.recipe
+        return Facts(
+            part=recipe.part,
+            position=recipe.position,
+            method=self.detector.name,
+            mode=recipe.mode,
+            parameters=_plain(self.parameters),
+            repairs=tuple(bank.facts.get("repairs", ())),
+            facts={"backbone": recipe.trunk.facts, **{k: v for k, v in bank.facts.items() if k != "repairs"}},
+            profile=ProfileEntry.of(recipe.profile),
+            region=RegionEntry.of(recipe.region),
+            grid=GridEntry.of(self.grid),
+            threshold=threshold,
+            tolerance=tolerance,
+            contact=_contact_range(self.presses),
+            provenance=Provenance(
+                created=self.created,
+                presses=self.presses.names,
+                seed=recipe.seed,
+                versions=_versions(),
+                warnings=tuple(self.warnings),
+            ),
+        )
+
+
+def _chosen(features: Features, rows: NDArray[np.int64]) -> Features:
+    return {tap: maps[rows] for tap, maps in features.items()}
+
+
+def _head_score(head: ort.InferenceSession, bank: Bank, features: Features) -> float:
+    """One press by a bank as it would be stored. Errors: FitError."""
+    wanted = {i.name for i in head.get_inputs()}
+    stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
+    taps = {tap: maps for tap, maps in features.items() if tap in wanted}
+    try:
+        return float(head.run(["score"], {**taps, **stored})[0][0])
+    except RUNTIME_ERRORS as error:
+        raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
+
+
+def _as_stored(bank: Bank, name: str) -> NDArray[Any]:
+    packing = bank.packing.get(name, "none")
+    try:
+        return unpack(pack(bank.arrays[name], packing), packing)
+    except ValueError as error:
+        raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
+
+
+def _placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:
+    return (
+        ThresholdEntry(value=0.0, method="not yet", alpha=0.5, alpha_floor=1.0, nominal_scores=()),
+        ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0),
+    )
+
+
+def _golden_frame(scored: Scored, rgb: NDArray[np.uint8], what: str) -> GoldenFrame:
+    return GoldenFrame(rgb, what, scored.anomaly_score, map_peaks(scored.score_map))
+
+
+def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The frame with a grey square of an eighth of its side in the middle: a score far out is checked as well."""
+    h, w = rgb.shape[:2]
+    painted, half = rgb.copy(), max(1, min(h, w) // 16)
+    painted[h // 2 - half : h // 2 + half, w // 2 - half : w // 2 + half] = 40
+    return painted
+
+
+def _contact_range(presses: NominalPresses) -> ContactRange | None:
+    if not presses.touches:
+        return None
+
+    def around(values: list[float]) -> tuple[float, float]:
+        low, high = min(values), max(values)
+        margin = max(CONTACT_MARGIN, (high - low) / 2)
+        return max(0.0, low - margin), min(1.0, high + margin)
+
+    touches = presses.touches
+    return ContactRange(
+        x=around([t.x for t in touches]),
+        y=around([t.y for t in touches]),
+        area=around([t.area for t in touches]),
+    )
+
+
+def _warnings(presses: NominalPresses, recipe: Recipe) -> list[str]:
+    region, n = recipe.region, len(presses)
+    if n == 0:
+        raise FitError("no nominal press was given; give at least 2")
+    if presses.frames.shape[1:3] != (region.height, region.width):
+        raise FitError(
+            f"presses are {presses.frames.shape[1:3]}, the region is {region} (h, w differ); read them anew"
+        )
+    if recipe.threshold is None:
+        conformal_threshold(np.zeros(n), recipe.alpha)  # refuses too few presses before any work is done
+    found = []
+    distinct = len({frame.tobytes() for frame in presses.frames})
+    if distinct < n:
+        found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
+    if n < 1 / recipe.alpha - 1 and recipe.threshold is None:
+        found.append(
+            f"{n} presses promise a false-alarm rate of 1/{n + 1} at best; {int(np.ceil(1 / recipe.alpha)) - 1} are "
+            f"needed for {recipe.alpha:g}"
+        )
+    return found
+
+
+def _plain(parameters: object) -> dict[str, Any]:
+    if is_dataclass(parameters) and not isinstance(parameters, type):
+        return asdict(parameters)
+    return dict(vars(parameters))
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "gelgate": importlib.metadata.version("gelgate"),
+        "numpy": np.__version__,
+        "onnxruntime": ort.__version__,
+        "python": platform.python_version(),
+    }

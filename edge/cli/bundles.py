@@ -1,0 +1,156 @@
+"""`gelgate inspect` and `gelgate verify`: what is in a bundle, and whether this machine scores it as it should."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from edge.manifest import Manifest
+
+__all__ = ["inspect", "verify"]
+
+BundlePath = Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")]
+TrunkStore = Annotated[
+    Path | None,
+    typer.Option("--trunks", help="Folder of <sha256>.onnx, for bundles sent without their trunk."),
+]
+
+VERIFICATION_FAILED = 5
+
+
+def inspect(
+    bundle: BundlePath,
+    as_json: Annotated[bool, typer.Option("--json", help="The whole manifest as JSON.")] = False,
+) -> None:
+    """Show what a bundle is: part, method, sensor profile, bank, threshold, cost, provenance.
+
+    Reads the manifest alone; `verify` checks the files.
+    """
+    import hashlib
+
+    from edge.archive import MANIFEST, open_archive
+    from edge.bundle import MAX_MANIFEST_BYTES, parse_manifest
+
+    archive = open_archive(bundle)
+    raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
+    manifest = parse_manifest(raw, archive.where)
+    if as_json:
+        typer.echo(manifest.model_dump_json(indent=2))
+        return
+    for label, value in [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest())]:
+        typer.echo(f"{label:<16}{value}")
+
+
+def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
+    limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
+    rows = [
+        ("part", f"{manifest.part}, position {manifest.position}"),
+        ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
+        ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
+        ("repairs", ", ".join(manifest.repairs) or "none"),
+        (
+            "sensor profile",
+            f"{profile.name}, picture {profile.size[0]}x{profile.size[1]}, "
+            f"{profile.pixels_per_mm:.2f} pixels/mm",
+        ),
+        ("region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"),
+    ]
+    if manifest.backbone:
+        place = "in the bundle" if manifest.backbone.in_bundle else "in the gateway's trunk store"
+        rows.append(
+            (
+                "trunk",
+                f"{manifest.backbone.id}, {_mb(manifest.backbone.trunk.size_bytes)}, {place}, "
+                f"{manifest.backbone.trunk.sha256[:12]}",
+            )
+        )
+    if grid:
+        rows.append(("taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())))
+    graphs = [graph for graph in (manifest.head, manifest.detector) if graph]
+    rows += [(graph.file, f"{_mb(graph.size_bytes)}, {graph.sha256[:12]}") for graph in graphs]
+    for name, array in manifest.bank.items():
+        shape = "x".join(map(str, array.shape)) or "one value"
+        rows.append(
+            (
+                f"bank {name}",
+                f"{array.dtype} {shape}, {_mb(array.bytes_unpacked)}, stored as {array.packing} "
+                f"in {_mb(array.bytes_stored)}",
+            )
+        )
+    rows += [
+        ("threshold", f"{limit.value:.6g} ({limit.method})"),
+        ("false alarms", f"{limit.alpha:g} asked for, floor {limit.alpha_floor:.3g} from {limit.n} scores"),
+        ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
+         f"relative {manifest.tolerance.relative:.2g}"),
+        ("golden frames", f"{len(manifest.golden)}: " + ", ".join(f"{g.what} {g.score:.4g}" for g in manifest.golden)),
+    ]  # fmt: skip
+    return rows + _cards(manifest)
+
+
+def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
+    rows = []
+    if manifest.contact:
+        spans = {name: getattr(manifest.contact, name) for name in ("x", "y", "area")}
+        rows.append(
+            ("contact", ", ".join(f"{k} {low:.2f} to {high:.2f}" for k, (low, high) in spans.items()))
+        )
+    if manifest.cost:
+        cost = manifest.cost
+        rows.append(
+            (
+                "cost",
+                f"trunk {cost.trunk_ms:.1f} ms, head {cost.head_ms:.1f} ms, {cost.threads} threads, "
+                f"where it was fitted",
+            )
+        )
+        rows.append(
+            (
+                "fit",
+                f"features {cost.features_s:.1f} s, bank {cost.fit_s:.1f} s, "
+                f"threshold {cost.threshold_s:.1f} s",
+            )
+        )
+    if manifest.accuracy:
+        rows.append(("accuracy", ", ".join(f"{k} {v:.4f}" for k, v in manifest.accuracy.items())))
+    origin = manifest.provenance
+    rows.append(
+        (
+            "made",
+            f"{origin.created}, {len(origin.presses)} presses, seed {origin.seed}, "
+            + ", ".join(f"{k} {v}" for k, v in origin.versions.items()),
+        )
+    )
+    rows += [("warning", warning) for warning in origin.warnings]
+    return rows
+
+
+def _mb(size_bytes: int) -> str:
+    return f"{size_bytes / 1e6:.2f} MB" if size_bytes >= 10_000 else f"{size_bytes} bytes"
+
+
+def verify(
+    bundle: BundlePath,
+    trunks: TrunkStore = None,
+    threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
+) -> None:
+    """Check a bundle: schema, every hash, the graphs, and the golden frames scored on this machine.
+
+    Exit code 5 when a check fails.
+    """
+    from edge.bundle import Bundle
+    from edge.core.errors import BundleError
+    from edge.scorer import Scorer
+
+    try:
+        checked = Bundle.load(bundle, trunks)
+        typer.echo(f"manifest schema {checked.manifest.schema_version}: known")
+        typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 agrees")
+        scorer = Scorer(checked, threads)
+        typer.echo("graphs: open, and answer in the promised shapes")
+        worst = scorer.check_golden()
+        typer.echo(f"{len(checked.golden)} golden frames: scores agree, largest difference {worst:.2g}")
+    except BundleError as error:
+        typer.echo(f"gelgate: {error}", err=True)
+        raise typer.Exit(VERIFICATION_FAILED) from error
+    typer.echo(f"bundle {bundle} is sound")
