@@ -72,7 +72,7 @@ class ContactSettings:
     onset_s: float = 0.06
     release_s: float = 0.08
     # A view is still while fewer pixels than this share of the touched ones have changed since it came to rest.
-    still_share: float = 0.15
+    still_share: float = 0.20
     settle_s: float = 0.12
     settle_timeout_s: float = 3.0
     min_frames: int = 2

@@ -1,0 +1,47 @@
+"""The gel's life."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.core.gel import GelLife, GelState
+
+
+@pytest.mark.parametrize(
+    ("presses", "state", "left"),
+    [
+        (0, GelState.GOOD, 1000),
+        (799, GelState.GOOD, 201),
+        (800, GelState.DUE, 200),
+        (999, GelState.DUE, 1),
+        (1000, GelState.REPLACE, 0),
+        (5000, GelState.REPLACE, 0),
+    ],
+)
+def test_states_at_their_edges(presses: int, state: GelState, left: int) -> None:
+    """Good below 80 % of 1,000 presses, due below the limit, replace from it on."""
+    life = GelLife(presses)
+    assert (life.state, life.presses_left) == (state, left)
+    assert life.used_fraction == presses / 1000
+
+
+@given(st.integers(0, 3000), st.integers(1, 2000), st.floats(0.01, 1.0), st.integers(0, 500))
+def test_a_gel_never_recovers(presses: int, limit: int, warn: float, more: int) -> None:
+    """More presses never make the state better, and counting in two steps is counting in one."""
+    order = list(GelState)
+    life = GelLife(presses, limit, warn)
+    assert order.index(life.state) <= order.index(life.pressed(more).state)
+    assert life.pressed(more).pressed() == life.pressed(more + 1)
+
+
+def test_nonsense_is_refused() -> None:
+    """Negative presses, no limit, a warning beyond the limit, pressing backwards."""
+    for make in (
+        lambda: GelLife(-1),
+        lambda: GelLife(0, 0),
+        lambda: GelLife(0, 10, 0.0),
+        lambda: GelLife(0, 10, 1.1),
+        lambda: GelLife(5).pressed(-1),
+    ):
+        with pytest.raises(ValueError, match=r"found|not pressed"):
+            make()

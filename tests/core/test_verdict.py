@@ -1,0 +1,64 @@
+"""Verdicts."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from edge.core.errors import NotScorable
+from edge.core.quality import Reason, Rejection
+from edge.core.verdict import Kind, Verdict, decide
+
+finite = st.floats(-1e6, 1e6)
+
+
+def test_the_four_kinds() -> None:
+    """Below passes, above fails, near is unsure, a rejection carries its reason and no number."""
+    assert decide(1.0, 2.0, 0.5) == Verdict(Kind.PASS, 1.0, 2.0, 0.5)
+    assert decide(3.0, 2.0, 0.5).kind is Kind.FAIL
+    assert decide(1.5, 2.0, 0.5).kind is Kind.UNSURE
+    assert decide(2.5, 2.0, 0.5).kind is Kind.UNSURE
+    rejection = Rejection(Reason.BLACK, "the frame is black")
+    assert Verdict.rejected(rejection).rejection == rejection
+    assert Verdict.rejected(rejection).score is None
+    assert not Verdict.rejected(rejection).is_pass
+
+
+def test_a_score_at_the_threshold_passes() -> None:
+    """The threshold is the largest score that nominal presses are allowed; the next number fails."""
+    assert decide(2.0, 2.0).is_pass
+    assert decide(math.nextafter(2.0, 3.0), 2.0).kind is Kind.FAIL
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_has_no_verdict(bad: float) -> None:
+    """NaN compares false with everything and would pass or fail by the direction of a comparison."""
+    with pytest.raises(NotScorable):
+        decide(bad, 1.0)
+    with pytest.raises(NotScorable):
+        decide(1.0, bad)
+    with pytest.raises(ValueError, match="tolerance"):
+        decide(1.0, 1.0, bad)
+
+
+def test_nonsense_is_refused() -> None:
+    """A negative tolerance, a pass without a score, a rejection with one."""
+    with pytest.raises(ValueError, match="tolerance"):
+        decide(1.0, 1.0, -0.1)
+    with pytest.raises(ValueError, match="finite"):
+        Verdict(Kind.PASS, 1.0, math.nan, 0.0)
+    with pytest.raises(ValueError, match="reverse"):
+        Verdict(Kind.PASS)
+    with pytest.raises(ValueError, match="reverse"):
+        Verdict(Kind.REJECTED, 1.0, 1.0, 0.0, Rejection(Reason.BLACK, ""))
+
+
+@given(finite, finite, st.floats(0, 1e3), st.floats(0, 1e3))
+def test_a_higher_score_is_never_better(
+    score: float, threshold: float, tolerance: float, more: float
+) -> None:
+    """Pass, unsure, fail come in this order as the score rises."""
+    order = [Kind.PASS, Kind.UNSURE, Kind.FAIL]
+    lower, higher = decide(score, threshold, tolerance), decide(score + more, threshold, tolerance)
+    assert order.index(lower.kind) <= order.index(higher.kind)
