@@ -1,0 +1,123 @@
+"""`gelgate run` and `gelgate check`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from edge.presses import PressReport
+
+__all__ = ["EXAMPLE", "check", "press_line", "run"]
+
+EXAMPLE = """\
+# A gelgate station. Paths are relative to this file.
+version = 1
+
+[station]                     # the levels of every MQTT topic: gelgate/plant/line1/station1/gel/v1/...
+prefix = "gelgate"
+site = "plant"
+line = "line1"
+station = "station1"
+
+[device]
+plugin = "gelsight_mini"      # `gelgate devices` lists what is plugged in
+# options = { serial = "2BNN4ZE7" }
+
+[inspection]
+bundle = "bundles/part"       # made by `gelgate fit`
+threads = 2
+trigger = "automatic"         # or "command": only presses that cmd/trigger asks for
+
+[gel]
+limit_presses = 1000          # the maker's figure for coins; sharp parts cut faster
+warn_fraction = 0.8
+
+[store]
+path = "gelgate.db"
+outbox_mb = 512               # unsent messages: heatmaps are dropped first, then passes, fails last
+outbox_days = 30
+
+[[sinks]]
+plugin = "mqtt"
+options = { host = "localhost", port = 1883 }
+"""
+
+ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
+
+
+def run(
+    config: ConfigOption = Path("gelgate.toml"),
+    presses: Annotated[int | None, typer.Option(min=1, help="Stop after so many presses.")] = None,
+    wait_for_device: Annotated[
+        bool,
+        typer.Option(
+            "--wait-for-device", help="Start without a sensor and wait for it, as a service should."
+        ),
+    ] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every contact event.")] = False,
+) -> None:
+    """Inspect: read the sensor, score every press, publish, count. Ends on Ctrl-C or SIGTERM."""
+    import logging
+    import signal
+    import threading
+
+    from edge.clock import SystemClock
+    from edge.config import load_config
+    from edge.core.errors import DeviceError
+    from edge.gateway import Gateway
+    from edge.preflight import preflight
+
+    logging.basicConfig(
+        level=logging.DEBUG if verbose else logging.INFO,
+        format="%(asctime)s %(levelname)s %(name)s %(message)s",
+    )
+    loaded = load_config(config)
+    for finding in preflight(loaded):
+        if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
+            raise finding.error
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with Gateway.open(loaded, SystemClock(), lambda report: typer.echo(press_line(report))) as gateway:
+        summary = gateway.run(stop, presses=presses)
+    words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
+    typer.echo(f"{summary.presses} presses: {words}")
+
+
+def check(
+    config: ConfigOption = Path("gelgate.toml"),
+    example: Annotated[bool, typer.Option("--example", help="Print a configuration to start from.")] = False,
+) -> None:
+    """Try everything a start would use, and report every fault at once."""
+    if example:
+        typer.echo(EXAMPLE, nl=False)
+        return
+    from edge.config import load_config
+    from edge.core.errors import GelgateError
+    from edge.preflight import preflight
+
+    loaded = load_config(config)
+    typer.echo(f"ok     configuration: {config}")
+    findings = preflight(loaded)
+    for finding in findings:
+        typer.echo(f"{'ok    ' if finding.error is None else 'FAULT '} {finding.part}: {finding.text}")
+    errors: list[GelgateError] = [finding.error for finding in findings if finding.error is not None]
+    if errors:
+        raise type(errors[0])(f"{len(errors)} of {len(findings)} parts cannot be used; see above")
+
+
+def press_line(report: "PressReport") -> str:
+    """One press in one line: part, verdict, score against threshold, latency per stage, gel count."""
+    result = report.result
+    if result.score is None:
+        found = result.error or result.reason or ""
+    else:
+        found = f"score {result.score:8.4f} / {result.threshold:.4f}"
+    stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
+    total = result.latency_ms.get("total", 0.0)
+    verdict = (result.verdict or "error").upper()
+    return (
+        f"{result.part}/{result.position or '-'}  {verdict:8} {found}  "
+        f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}"
+    )

@@ -1,0 +1,404 @@
+"""The composition root: the only place that knows which parts exist. Built in order, closed in reverse.
+
+One thread reads the sensor, one per sink publishes, and the thread that calls `run` does everything between: contact,
+score, verdict, and the one transaction that counts a press and queues its messages.
+"""
+
+import logging
+import queue
+import random
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from statistics import median
+from typing import Any, Final, Self
+
+from edge import registry
+from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
+from edge.announcements import Announcements
+from edge.bundle import Bundle
+from edge.commands import Commands
+from edge.config import Config, PluginTable
+from edge.core.contact import ContactSettings
+from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
+from edge.core.events import Event, StartedTouched
+from edge.core.frames import CameraFrame
+from edge.core.gel import GelState
+from edge.core.ports import Clock, Device, DeviceIdentity, Sink
+from edge.core.station import Station, topic_root
+from edge.core.tracker import ContactTracker
+from edge.inspection import Inspection, Inspector
+from edge.ledger import GelRecord
+from edge.messages import (
+    AlarmPayload,
+    GelPayload,
+    InfoPayload,
+    StatePayload,
+    StatsPayload,
+    alarm_cleared,
+    alarm_message,
+    gel_message,
+    info_message,
+    state_message,
+    stats_message,
+)
+from edge.outbox import Bounds
+from edge.presses import PressReport, PressTaker, Recorder
+from edge.publisher import Publisher
+from edge.scorer import Scorer
+from edge.store import Store
+
+__all__ = ["Gateway", "Summary"]
+
+log = logging.getLogger(__name__)
+
+# The loop looks up from waiting for a frame this often, to serve commands and notice faults.
+WAIT_S: Final = 0.2
+STATS_EVERY_S: Final = 10.0
+# Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
+GAP_S: Final = 0.27
+# How long a store that refuses writes is left alone before it is tried again.
+STORE_RETRY_S: Final = 1.0
+LATENCIES_KEPT: Final = 1000
+
+OnPress = Callable[[PressReport], None]
+
+
+@dataclass
+class Summary:
+    """What a run did. verdicts: word to number, `error` for a press without a verdict."""
+
+    presses: int = 0
+    verdicts: Counter[str] = field(default_factory=Counter)
+    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+
+    def add(self, report: PressReport) -> None:
+        self.presses += 1
+        self.verdicts[report.result.verdict or "error"] += 1
+        if "total" in report.result.latency_ms:
+            self.latencies_ms.append(report.result.latency_ms["total"])
+
+
+class Gateway:
+    """A running station. `open` builds it, `run` inspects until told to stop, `close` takes it down.
+
+    Errors of `open`: ConfigError, BundleError, StoreError. A sensor that is not there is a fault while running, not an
+    error: it is announced, and waited for.
+    """
+
+    def __init__(self, config: Config, clock: Clock, on_press: OnPress = lambda report: None) -> None:
+        self.summary = Summary()
+        self._config = config
+        self._clock = clock
+        self._on_press = on_press
+        self._parts = ExitStack()
+        self._requests: queue.SimpleQueue[Callable[[], list[Inspection]]] = queue.SimpleQueue()
+        self._started_ns = clock.monotonic_ns()
+        self._last_frame_ns: int | None = None
+        self._last_stats_ns = self._started_ns
+        self._taker: PressTaker | None = None
+        self._recorder: Recorder | None = None
+        self._identity: DeviceIdentity | None = None
+        self._drops_seen: Mapping[str, int] = {}
+
+    @classmethod
+    def open(cls, config: Config, clock: Clock, on_press: OnPress = lambda report: None) -> Self:
+        """Build every part; what cannot work is refused here, before anything is started."""
+        gateway = cls(config, clock, on_press)
+        try:
+            gateway._build()
+        except BaseException:
+            gateway.close()
+            raise
+        return gateway
+
+    def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
+        """Inspect until `stop` is set, a recording ends, or so many presses were recorded."""
+        self._publisher.start()
+        self._acquisition.start()
+        try:
+            while not stop.is_set() and (presses is None or self.summary.presses < presses):
+                self._turn(stop)
+        except RecordingEnded as end:
+            log.info("%s", end)
+        self._announce_stats()
+        return self.summary
+
+    def close(self) -> None:
+        """Take the parts down in reverse; unsent messages stay in the outbox. Harmless when repeated."""
+        self._parts.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Building
+
+    def _build(self) -> None:
+        config = self._config
+        bundle = Bundle.load(config.inspection.bundle)
+        scorer = Scorer(bundle, threads=config.inspection.threads)
+        scorer.check_golden()
+        self._inspector = Inspector(scorer, self._clock)
+        self._store = self._parts.enter_context(_open_store(config))
+        self._announcements = Announcements()
+        self._publisher = Publisher(
+            config.store.path, self._open_sinks(), self._announcements, self._clock, random.Random()
+        )
+        self._parts.callback(self._stop_publishing)
+        self._say_state("starting", "waiting for the sensor")
+        self._acquisition = Acquisition(
+            _device_opener(config.device, self._clock), self._clock, self._device_changed
+        )
+        self._parts.callback(self._acquisition.close)
+
+    def _open_sinks(self) -> dict[str, Sink]:
+        table = self._config.station
+        root = topic_root(table.prefix, table.site, table.line, table.station)
+        lost = StatePayload(
+            time_ns=self._clock.time_ns(), state="lost", reason="the gateway vanished without a word"
+        )
+        station = Station(
+            root=root,
+            client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
+            will=state_message(lost),
+            birth=self._announcements.all,
+            on_command=Commands(
+                {
+                    "trigger": self._on_trigger,
+                    "relearn": self._on_relearn,
+                    "replace_gel": self._on_replace_gel,
+                },
+                self._clock,
+            ),
+        )
+        names = _sink_names(self._config.sinks)
+        return {
+            name: _plugin_opened("sinks", sink, station)
+            for name, sink in zip(names, self._config.sinks, strict=True)
+        }
+
+    def _stop_publishing(self) -> None:
+        self._say_state("stopped", None)
+        self._publisher.stop()
+
+    # The loop
+
+    def _turn(self, stop: threading.Event) -> None:
+        frame = self._acquisition.next(WAIT_S)
+        while not self._requests.empty():
+            self._record_all(self._requests.get()(), stop)
+        if frame is not None:
+            self._look_at(frame, stop)
+        if self._clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
+            self._announce_stats()
+
+    def _look_at(self, frame: CameraFrame, stop: threading.Event) -> None:
+        taker = self._taker or self._begin()
+        if self._last_frame_ns is not None and frame.timestamp_ns - self._last_frame_ns > GAP_S * 1e9:
+            self._record_all(taker.gap(), stop)
+        self._last_frame_ns = frame.timestamp_ns
+        self._record_all(taker.feed(frame), stop)
+
+    def _begin(self) -> PressTaker:
+        """The first frame: now the sensor is known, and with it the gel that is being worn."""
+        identity = self._acquisition.status.identity
+        if identity is None:
+            raise DeviceNotFound("a frame arrived from a sensor that has not said who it is")
+        profile = self._inspector.bundle.profile
+        if identity.mode != profile.native:
+            raise BundleMismatch(
+                f"bundle {self._inspector.bundle.where} was made from {profile.native[0]}x{profile.native[1]} frames "
+                f"(profile {profile.name}), sensor {identity.serial} sends {identity.mode[0]}x{identity.mode[1]}; "
+                "use a bundle made for this sensor's mode"
+            )
+        settings = ContactSettings(is_external=self._config.inspection.trigger == "command")
+        self._identity = identity
+        self._taker = PressTaker(ContactTracker(settings), self._inspector, self._clock, self._contact_said)
+        self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
+        gel = self._store.gel(identity.serial, self._clock.time_ns())
+        self._publisher.announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
+        self._publisher.announce(info_message(self._info(identity)))
+        self._check_gel(gel)
+        return self._taker
+
+    def _record_all(self, inspections: list[Inspection], stop: threading.Event) -> None:
+        for inspection in inspections:
+            self._record(inspection, stop)
+
+    def _record(self, inspection: Inspection, stop: threading.Event) -> None:
+        """Write one press, however long the disk refuses; nothing else is inspected meanwhile."""
+        assert self._recorder is not None
+        prepared = self._recorder.prepare(inspection)
+        has_failed = False
+        while True:
+            try:
+                report = self._recorder.record(*prepared)
+                break
+            except StoreError as error:
+                if not has_failed:
+                    log.error("%s", error)
+                    self._raise_alarm("store", str(error))
+                    self._say_state("halted", str(error))
+                has_failed = True
+                if stop.wait(STORE_RETRY_S):
+                    raise
+        if has_failed:
+            self._publisher.announce(alarm_cleared("store"))
+            self._say_state("ready", None)
+        self._publisher.wake()
+        self.summary.add(report)
+        self._check_gel(report.gel)
+        self._on_press(report)
+
+    # What is announced
+
+    def _device_changed(self, status: AcquisitionStatus) -> None:
+        """Called from the reader thread, once per change."""
+        if status.state is AcquisitionState.STREAMING:
+            log.info("sensor %s delivers frames", status.identity.serial if status.identity else "?")
+            self._publisher.announce(alarm_cleared("device"))
+            self._say_state("ready", None)
+        elif status.state is AcquisitionState.FAULT:
+            reason = status.fault or "the sensor stopped without saying why"
+            log.warning("%s", reason)
+            self._raise_alarm("device", reason)
+            self._say_state("halted", reason)
+
+    def _contact_said(self, event: Event) -> None:
+        log.debug("%s", event)
+        if isinstance(event, StartedTouched):
+            log.warning("something presses the gel at the start; nothing is inspected until it is free")
+
+    def _check_gel(self, gel: GelRecord) -> None:
+        if gel.state is GelState.GOOD:
+            self._publisher.announce(alarm_cleared("gel"))
+            return
+        word = "must be replaced" if gel.state is GelState.REPLACE else "is due"
+        text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
+        self._raise_alarm("gel", text, severity="warning" if gel.state is GelState.DUE else "error")
+
+    def _check_outbox(self, dropped: Mapping[str, int]) -> None:
+        """Drops since this process started are an alarm; older ones were told before."""
+        if not self._drops_seen:
+            self._drops_seen = dict(dropped)
+        new = {kind: n - self._drops_seen.get(kind, 0) for kind, n in dropped.items()}
+        if any(new.values()):
+            words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
+            self._raise_alarm("outbox_full", f"unsent messages were dropped for want of room: {words}")
+
+    def _raise_alarm(self, alarm: str, text: str, severity: str = "error") -> None:
+        payload = AlarmPayload.model_validate(
+            {"time_ns": self._clock.time_ns(), "alarm": alarm, "text": text, "severity": severity}
+        )
+        self._publisher.announce(alarm_message(payload))
+
+    def _say_state(self, state: str, reason: str | None) -> None:
+        payload = StatePayload.model_validate(
+            {"time_ns": self._clock.time_ns(), "state": state, "reason": reason}
+        )
+        self._publisher.announce(state_message(payload))
+
+    def _info(self, identity: DeviceIdentity) -> InfoPayload:
+        bundle = self._inspector.bundle
+        manifest = bundle.manifest
+        return InfoPayload(
+            time_ns=self._clock.time_ns(),
+            gelgate_version=version("gelgate"),
+            sensor_product=identity.product,
+            sensor_serial=identity.serial,
+            sensor_profile=manifest.profile.name,
+            part=manifest.part,
+            position=manifest.position,
+            method=manifest.method,
+            backbone=manifest.backbone.id if manifest.backbone else None,
+            bundle_id=bundle.digest,
+            threshold=manifest.threshold.value,
+        )
+
+    def _announce_stats(self) -> None:
+        self._last_stats_ns = self._clock.monotonic_ns()
+        status, outbox = self._acquisition.status, self._publisher.outbox_status()
+        self._check_outbox(outbox.dropped)
+        latencies = self.summary.latencies_ms
+        payload = StatsPayload(
+            time_ns=self._clock.time_ns(),
+            uptime_s=(self._last_stats_ns - self._started_ns) / 1e9,
+            frames=status.frames,
+            frames_corrupt=status.corrupt + (self._taker.corrupt if self._taker else 0),
+            delivered_fps=status.fps,
+            presses=self.summary.presses,
+            verdicts=dict(self.summary.verdicts),
+            reconnects=status.reconnects,
+            latency_ms_p50=median(latencies) if latencies else None,
+            latency_ms_max=max(latencies, default=None),
+            outbox_rows=outbox.rows,
+            outbox_bytes=outbox.bytes,
+            dropped=dict(outbox.dropped),
+        )
+        self._publisher.announce(stats_message(payload))
+
+    # Commands: they arrive on a sink's thread and are done by the loop's
+
+    def _on_trigger(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self._asked(lambda taker: taker.trigger())
+
+    def _on_relearn(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        return self._asked(lambda taker: taker.relearn())
+
+    def _on_replace_gel(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """arguments: `gel_id`, `limit_presses` and `note`, all optional."""
+        unknown = set(arguments) - {"gel_id", "limit_presses", "note"}
+        if unknown:
+            raise ValueError(f"unknown arguments {sorted(unknown)}; gel_id, limit_presses and note are known")
+        if self._identity is None:
+            raise DeviceNotFound("no sensor has been seen yet, so it is not known whose gel was replaced")
+        now_ns = self._clock.time_ns()
+        gel = self._store.replace_gel(self._identity.serial, now_ns, **arguments)
+        self._publisher.announce(gel_message(GelPayload.of(gel, now_ns)))
+        self._check_gel(gel)
+        self._asked(lambda taker: taker.relearn())
+        return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+
+    def _asked(self, request: Callable[[PressTaker], list[Inspection]]) -> Mapping[str, Any]:
+        taker = self._taker
+        if taker is None:
+            raise DeviceNotFound("no frame has arrived from the sensor yet")
+        self._requests.put(lambda: request(taker))
+        return {"state": taker.tracker.state.value}
+
+
+def _open_store(config: Config) -> Store:
+    bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
+    return Store(config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction)
+
+
+def _plugin_opened(kind: str, table: PluginTable, *context: object) -> Any:
+    plugin = registry.load(kind, table.plugin)
+    return plugin.open(plugin.Options.model_validate(table.options), *context)
+
+
+def _device_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
+    plugin = registry.load("devices", table.plugin)
+    options = plugin.Options.model_validate(table.options)
+
+    def opened() -> Device:
+        device: Device = plugin.open(options, clock)
+        return device
+
+    return opened
+
+
+def _sink_names(tables: list[PluginTable]) -> list[str]:
+    """The plugin's name, numbered where it is used twice: the names under which the outbox remembers who has what."""
+    seen: Counter[str] = Counter()
+    names = []
+    for table in tables:
+        seen[table.plugin] += 1
+        names.append(table.plugin if seen[table.plugin] == 1 else f"{table.plugin}-{seen[table.plugin]}")
+    return names

@@ -1,0 +1,167 @@
+"""From frames to recorded presses: contact finds the press, the inspector judges it, one transaction records it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from edge.core.decode import decode_view
+from edge.core.errors import FrameCorrupt
+from edge.core.events import Event, PressNotSettled, PressSettled, TriggerWithoutContact
+from edge.core.frames import CameraFrame
+from edge.core.ports import Clock
+from edge.core.quality import Reason, Rejection
+from edge.core.tracker import ContactTracker
+from edge.core.verdict import Verdict
+from edge.heatmap import overlay_png
+from edge.inspection import Inspection, Inspector
+from edge.ledger import GelRecord
+from edge.messages import ResultPayload, press_messages
+from edge.store import Press, Store
+from edge.ulid import new_ulid
+
+__all__ = ["PressReport", "PressTaker", "Recorder"]
+
+
+@dataclass(frozen=True)
+class PressReport:
+    """One press as it was recorded and as it will be published."""
+
+    result: ResultPayload
+    gel: GelRecord
+    heatmap_png: bytes | None
+
+
+class Recorder:
+    """Writes presses of one sensor, judged with one bundle, into the store."""
+
+    def __init__(self, store: Store, inspector: Inspector, serial: str, clock: Clock) -> None:
+        self._store = store
+        self._bundle = inspector.bundle
+        self._serial = serial
+        self._clock = clock
+
+    def prepare(
+        self, inspection: Inspection
+    ) -> tuple[Press, Callable[[GelRecord], ResultPayload], bytes | None]:
+        """Everything of a press but its place in the ledger, made once so that a repeated write is the same press."""
+        time_ns = self._clock.time_ns()
+        manifest, verdict = self._bundle.manifest, inspection.verdict
+        heatmap = self._heatmap(inspection)
+        press = Press(
+            press_id=new_ulid(time_ns),
+            time_ns=time_ns,
+            serial=self._serial,
+            part=manifest.part,
+            position=manifest.position,
+            verdict="error" if verdict is None else verdict.kind.value,
+            score=verdict.score if verdict else None,
+            threshold=manifest.threshold.value,
+        )
+        rejection = verdict.rejection if verdict else None
+
+        def result(gel: GelRecord) -> ResultPayload:
+            return ResultPayload(
+                press_id=press.press_id,
+                time_ns=time_ns,
+                part=press.part,
+                position=press.position,
+                verdict=None if verdict is None else verdict.kind.value,
+                reason=f"{rejection.reason.value}: {rejection.text}" if rejection else None,
+                error=inspection.error if verdict is None else None,
+                score=press.score,
+                threshold=press.threshold,
+                method=manifest.method,
+                bundle_id=self._bundle.digest,
+                sensor_serial=self._serial,
+                gel_id=gel.gel_id,
+                gel_presses=gel.presses,
+                gel_limit_presses=gel.limit_presses,
+                latency_ms=inspection.latency_ms,
+                heatmap_topic=f"heatmap/{press.press_id}" if heatmap else None,
+            )
+
+        return press, result, heatmap
+
+    def record(
+        self, press: Press, result: Callable[[GelRecord], ResultPayload], heatmap: bytes | None
+    ) -> PressReport:
+        """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
+        gel = self._store.record_press(press, lambda gel: press_messages(result(gel), gel, heatmap))
+        return PressReport(result(gel), gel, heatmap)
+
+    def _heatmap(self, inspection: Inspection) -> bytes | None:
+        if inspection.rgb is None or inspection.score_map is None:
+            return None
+        return overlay_png(inspection.rgb, inspection.score_map, self._bundle.manifest.threshold.value)
+
+
+class PressTaker:
+    """Feeds frames to the contact tracker and judges the one frame that each press gives.
+
+    on_event hears every contact event. Frames that contact does not need are not decoded.
+    """
+
+    def __init__(
+        self,
+        tracker: ContactTracker,
+        inspector: Inspector,
+        clock: Clock,
+        on_event: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        self.tracker = tracker
+        self.corrupt = 0
+        self._inspector = inspector
+        self._clock = clock
+        self._on_event = on_event
+        self._kept: dict[int, CameraFrame] = {}
+
+    def feed(self, frame: CameraFrame) -> list[Inspection]:
+        """One camera frame; gives an inspection for each press that it decides (at most one)."""
+        if not self.tracker.is_due(frame.timestamp_ns):
+            return []
+        try:
+            view = decode_view(frame, self._inspector.bundle.profile)
+        except FrameCorrupt:
+            self.corrupt += 1
+            return []
+        self._kept[frame.sequence] = frame
+        events = self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
+        inspections = self._told(events)
+        wanted = {self.tracker.candidate, frame.sequence}
+        self._kept = {sequence: kept for sequence, kept in self._kept.items() if sequence in wanted}
+        return inspections
+
+    def gap(self) -> list[Inspection]:
+        """The stream was interrupted."""
+        return self._told(self.tracker.gap())
+
+    def trigger(self) -> list[Inspection]:
+        """A verdict is asked for now."""
+        return self._told(self.tracker.trigger())
+
+    def relearn(self) -> list[Inspection]:
+        """Learn the free gel anew."""
+        return self._told(self.tracker.relearn())
+
+    def _told(self, events: list[Event]) -> list[Inspection]:
+        inspections = []
+        for event in events:
+            self._on_event(event)
+            match event:
+                case PressSettled():
+                    inspections.append(self._judged(event))
+                case PressNotSettled():
+                    text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
+                    rejected = Verdict.rejected(Rejection(Reason.NOT_SETTLED, text))
+                    inspections.append(Inspection(rejected))
+                case TriggerWithoutContact():
+                    pass  # answered to the asker; nothing pressed, so nothing is counted
+        return inspections
+
+    def _judged(self, event: PressSettled) -> Inspection:
+        started_ns = self._clock.monotonic_ns()
+        frame = self._kept.get(event.sequence)
+        if frame is None:
+            return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
+        inspection = self._inspector.inspect(frame, event.touch)
+        total = (self._clock.monotonic_ns() - started_ns) / 1e6
+        return replace(inspection, latency_ms={**inspection.latency_ms, "total": total})
