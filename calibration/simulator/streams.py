@@ -5,6 +5,7 @@ stream is drawn before another, and a run that is resumed in the middle draws wh
 """
 
 import zlib
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,17 +19,21 @@ class Streams(Protocol):
     def __call__(self, *words: str | int) -> np.random.Generator: ...
 
 
-def named_streams(seed: int) -> Streams:
-    """The streams of one seed. Errors: ValueError for a negative seed."""
-    if seed < 0:
-        raise ValueError(f"a seed is a number from 0 up, found {seed}")
+@dataclass(frozen=True)
+class _NamedStreams:
+    seed: int
 
-    def stream(*words: str | int) -> np.random.Generator:
+    def __call__(self, *words: str | int) -> np.random.Generator:
         # Numbers and text get different tags, so that ("a", 1) and ("a", "1") are different streams.
         key = [part for word in words for part in _entropy(word)]
-        return np.random.Generator(np.random.SFC64(np.random.SeedSequence([seed, *key])))
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *key])))
 
-    return stream
+
+def named_streams(seed: int) -> Streams:
+    """The streams of one seed; equal seeds give equal streams. Errors: ValueError for a negative seed."""
+    if seed < 0:
+        raise ValueError(f"a seed is a number from 0 up, found {seed}")
+    return _NamedStreams(seed)
 
 
 def _entropy(word: str | int) -> tuple[int, int]:

@@ -1,0 +1,229 @@
+"""Scenes: what is simulated, as data. One TOML file, its version on the first line, read into frozen values.
+
+A scene names the effects that it calls for; what it does not name is not computed. Every fault of a file is reported
+at once, an unknown key with the nearest known one.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.effects import EFFECTS, chosen
+from calibration.simulator.look import LOOKS
+from calibration.simulator.parts import PARTS
+from calibration.simulator.pose import Jitter
+from edge.core.errors import ConfigError
+
+__all__ = ["SCENES", "Camera", "Defects", "Motion", "Nominal", "Run", "Scene", "load_scene", "scene_names"]
+
+SCENES = Path(__file__).parent / "scenes"
+"""The scenes that come with the product, known by their file names."""
+
+Seconds = Annotated[float, Field(ge=0, le=60)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Camera(_Table):
+    """What the frames are. `modes`: lr (320x240), hr (1280x720), native (3280x2464 as the camera sends it).
+
+    `fps`: delivered frames a second; the real sensor manages 18.75 of its 25. `reduction`: native frames are
+    rendered at 1/reduction of their size and scaled up, since a gateway decodes them at that reduction.
+    """
+
+    modes: Annotated[tuple[Literal["lr", "hr", "native"], ...], Field(min_length=1)] = ("lr",)
+    fps: Annotated[float, Field(gt=0, le=200)] = 18.75
+    reduction: Literal[2, 4, 8] = 4
+    sensor: str = "unit_b"
+
+    @field_validator("sensor")
+    @classmethod
+    def _known_sensor(cls, name: str) -> str:
+        return _known(name, LOOKS, "sensor")
+
+
+class Motion(_Table):
+    """One press in time: untouched, going down, coming to rest, held, going up. `idle_s` comes before the first."""
+
+    idle_s: Seconds = 1.5
+    approach_s: Seconds = 0.3
+    press_s: Annotated[float, Field(gt=0, le=60)] = 0.15
+    settle_s: Seconds = 0.15
+    hold_s: Annotated[float, Field(gt=0, le=60)] = 0.35
+    lift_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+
+
+class JitterTable(_Table):
+    """Standard deviations of a press about its command, in place of the part's own."""
+
+    shift_mm: Annotated[float, Field(ge=0, le=3)]
+    turn_deg: Annotated[float, Field(ge=0, le=45)]
+    tilt_deg: Annotated[float, Field(ge=0, le=5)]
+    depth_fraction: Annotated[float, Field(ge=0, le=0.3)]
+
+
+class Nominal(_Table):
+    """A dataset's sound pieces: how many, and how often each is pressed at each position."""
+
+    specimens: Annotated[int, Field(ge=1, le=10_000)]
+    presses: Annotated[int, Field(ge=1, le=100)] = 10
+
+
+class Defects(_Table):
+    """Which damage there is. `images`: pictures of damaged pieces over all positions (datasets)."""
+
+    kinds: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(DEFECTS)
+    severity: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] = (0.3, 1.0)
+    images: Annotated[int, Field(ge=0, le=10_000)] = 0
+
+    @field_validator("kinds")
+    @classmethod
+    def _known_kinds(cls, kinds: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(_known(kind, DEFECTS, "defect") for kind in kinds)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.severity[0] > self.severity[1]:
+            raise ValueError(f"severity is [least, most], found {list(self.severity)}")
+        return self
+
+
+class Run(_Table):
+    """One recording of a scene: how many presses, how many of them on damaged pieces, and with how worn a gel."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$", max_length=40)]
+    presses: Annotated[int, Field(ge=1, le=100_000)]
+    faulty: Annotated[int, Field(ge=0)] = 0
+    gel_presses: Annotated[int, Field(ge=0)] = 0
+
+    @model_validator(mode="after")
+    def _not_all_faulty(self) -> Self:
+        if self.faulty >= self.presses and self.faulty > 0:
+            raise ValueError(f"the first press of a run is sound, so faulty is below presses, found {self.faulty}")
+        return self
+
+
+class Scene(_Table):
+    """The whole file. A scene has either `runs` (recordings) or `nominal` (a dataset)."""
+
+    version: Literal[1]
+    name: str
+    part: str
+    positions: tuple[str, ...] = ()
+    effects: tuple[str, ...]
+    camera: Camera = Camera()
+    motion: Motion = Motion()
+    depth_mm: Annotated[float, Field(gt=0, le=2)] | None = None
+    mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.01
+    jitter: JitterTable | None = None
+    nominal: Nominal | None = None
+    defects: Defects = Defects()
+    runs: tuple[Run, ...] = ()
+
+    @field_validator("part")
+    @classmethod
+    def _known_part(cls, name: str) -> str:
+        return _known(name, PARTS, "part")
+
+    @field_validator("effects")
+    @classmethod
+    def _known_effects(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        chosen(names)
+        return tuple(name for name in EFFECTS if name in names)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for position in self.positions:
+            _known(position, PARTS[self.part].positions, f"position of {self.part}")
+        if bool(self.runs) == bool(self.nominal):
+            raise ValueError("a scene has either [[runs]] (recordings) or [nominal] (a dataset)")
+        if self.runs and len(self.camera.modes) != 1:
+            raise ValueError(f"a recording has one camera mode, found {list(self.camera.modes)}")
+        if self.nominal and "native" in self.camera.modes:
+            raise ValueError("a dataset has the camera modes lr and hr, found native")
+        if len({run.name for run in self.runs}) != len(self.runs):
+            raise ValueError(f"runs have different names, found {[run.name for run in self.runs]}")
+        return self
+
+    @property
+    def at(self) -> tuple[str, ...]:
+        """The positions, all of the part's where the scene names none."""
+        return self.positions or tuple(PARTS[self.part].positions)
+
+    @property
+    def press_depth_mm(self) -> float:
+        """How deep a press goes: the scene's own, or the part's."""
+        return PARTS[self.part].depth_mm if self.depth_mm is None else self.depth_mm
+
+    @property
+    def press_jitter(self) -> Jitter:
+        """How presses differ: the scene's own, or the part's."""
+        return PARTS[self.part].jitter if self.jitter is None else Jitter(**self.jitter.model_dump())
+
+
+def _known(name: str, known: Mapping[str, object], what: str) -> str:
+    if name in known:
+        return name
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+    raise ValueError(f"no {what} is named '{name}'; {hint}")
+
+
+def scene_names() -> list[str]:
+    """The scenes that come with the product."""
+    return sorted(path.stem for path in SCENES.glob("*.toml"))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """A scene by its name or its file. Errors: ConfigError with one line for every fault found."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = SCENES / f"{name_or_path}.toml"
+        if not path.is_file():
+            near = difflib.get_close_matches(str(name_or_path), scene_names(), n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(scene_names())}"
+            raise ConfigError(f"no scene is named '{name_or_path}'; {hint} A file's name ends in .toml")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return Scene.model_validate(table)
+    except ValidationError as error:
+        faults = [_sentence(dict(fault)) for fault in error.errors()]
+        lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
+        raise ConfigError(f"scene {path} has {len(faults)} fault(s):{lines}") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"scene {path} cannot be read: {error}") from error
+
+
+def _sentence(fault: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = _keys_at(fault["loc"][:-1])
+        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
+        return f"'{key}' is not known; {hint}"
+    if fault["type"] == "missing":
+        return f"'{key}' is missing"
+    message = fault["msg"].removeprefix("Value error, ")
+    return f"'{key}' is {fault['input']!r}: {message}" if key else message
+
+
+def _keys_at(location: tuple[Any, ...]) -> list[str]:
+    model: type[BaseModel] = Scene
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            model = next(_models_in(model.model_fields[part].annotation), model)
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models_in(inner)

@@ -1,0 +1,191 @@
+"""What a scene amounts to, press by press, before anything is rendered: pieces, damage, order, gel and time.
+
+A plan is a pure function of scene and seed. Nothing in it depends on how many workers render it, or on where a run
+was cut and resumed.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+
+from calibration.scene import Run, Scene
+from calibration.simulator.defects import Damaged, Defect, place_defect
+from calibration.simulator.field import Field
+from calibration.simulator.parts import PARTS, Specimen, specimen
+from calibration.simulator.pose import Pose
+from calibration.simulator.renderer import Key, Renderer
+from calibration.simulator.streams import Streams, named_streams
+
+__all__ = ["PressPlan", "damage", "dataset_plan", "piece", "recording_plan"]
+
+# A press with the robot's way there and back; the seed paper's acquisition waits 3 s after each picture.
+PRESS_CYCLE_S = 8.0
+# Two gels were used up over 2678 listed images.
+_PRESSES_PER_GEL = 1340
+
+
+@dataclass(frozen=True)
+class PressPlan:
+    """One press. specimen counts from 1, nominal ones first; press counts from 1 within specimen and position.
+
+    kind, severity: of its defect; kind is empty for a sound piece. gel, gel_presses: which cartridge, and how many
+    presses it has had. time_s: since power on.
+    """
+
+    part: str
+    position: str
+    specimen: int
+    press: int
+    kind: str = ""
+    severity: float = 0.0
+    gel: str = "gel1"
+    gel_presses: int = 0
+    time_s: float = 0.0
+
+    @property
+    def key(self) -> Key:
+        """The words that select this press's random numbers."""
+        return (self.part, self.position, self.specimen, self.press)
+
+    @property
+    def name(self) -> str:
+        """The file name without its ending."""
+        return f"{self.part}_{self.position}_s{self.specimen:03d}_p{self.press:02d}"
+
+
+def piece(plan: PressPlan, streams: Streams) -> Specimen:
+    """The sound piece that is pressed, as it is seen at that position."""
+    return specimen(PARTS[plan.part].positions[plan.position], streams("specimen", plan.part, plan.specimen))
+
+
+# Severe enough to be marked: an imprint change over so many LR pixels of the placement's coarse look.
+_LEAST_MASK_PX = 6
+_TRIES = 8
+_LOOK = Field((224, 224), (0.0634, 0.0634))
+
+
+def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Streams) -> Defect | None:
+    """The defect of that piece at that position, None for a sound one; where it lies depends on the piece alone.
+
+    A spot where the imprint would not show it is tried again, at most 8 times; a defect of next to no severity shows
+    nowhere, and is then left where it is.
+    """
+    if not plan.kind:
+        return None
+    return _damage(plan.part, plan.position, plan.specimen, plan.kind, plan.severity, depth_mm, mask_depth_mm, streams)
+
+
+@lru_cache(maxsize=64)
+def _damage(
+    part: str,
+    position: str,
+    number: int,
+    kind: str,
+    severity: float,
+    depth_mm: float,
+    mask_depth_mm: float,
+    streams: Streams,
+) -> Defect:
+    sound = PARTS[part].positions[position]
+    rng = streams("defect", part, position, number)
+    look = Renderer(_LOOK, ("deformation",))
+    for _ in range(_TRIES):
+        defect = place_defect(kind, severity, sound, depth_mm, rng)
+        mask = look.mask(*look.imprints(sound, defect, depth_mm, Pose()), mask_depth_mm)
+        if int(mask.sum()) >= _LEAST_MASK_PX:
+            break
+    return defect
+
+
+def dataset_plan(scene: Scene, seed: int) -> list[PressPlan]:
+    """Every press of a dataset, position by position, in the order in which they would be acquired.
+
+    Sound and damaged pieces are mixed, so that wear and drift tell nothing about damage. A damaged piece is pressed
+    once at each position, where it carries one defect, until `defects.images` pictures exist.
+    """
+    if scene.nominal is None:
+        raise ValueError(f"scene '{scene.name}' describes recordings, not a dataset")
+    streams = named_streams(seed)
+    plans: list[PressPlan] = []
+    for place, position in enumerate(scene.at):
+        pieces = _pieces(scene, place, position)
+        order = streams("order", scene.part, position).permutation(len(pieces))
+        presses = [press for k in order.tolist() for press in pieces[k]]
+        plans += [_timed(press, len(plans) + k, k) for k, press in enumerate(presses)]
+    return plans
+
+
+def _pieces(scene: Scene, place: int, position: str) -> list[list[PressPlan]]:
+    assert scene.nominal is not None
+    sound = [
+        [PressPlan(scene.part, position, s + 1, p + 1) for p in range(scene.nominal.presses)]
+        for s in range(scene.nominal.specimens)
+    ]
+    images, places = scene.defects.images, len(scene.at)
+    damaged = [
+        [
+            PressPlan(
+                scene.part,
+                position,
+                scene.nominal.specimens + image // places + 1,
+                1,
+                scene.defects.kinds[image // places % len(scene.defects.kinds)],
+                _graded(scene, image // places, -(-images // places)),
+            )
+        ]
+        for image in range(place, images, places)
+    ]
+    return sound + damaged
+
+
+def _graded(scene: Scene, piece: int, pieces: int) -> float:
+    """Severities from least to most, spread so that every kind meets mild and severe."""
+    low, high = scene.defects.severity
+    golden = (piece * 0.6180339887) % 1.0
+    return round(low + (high - low) * (golden if pieces > 1 else 1.0), 4)
+
+
+def _timed(press: PressPlan, index: int, since_power_on: int) -> PressPlan:
+    return PressPlan(
+        press.part,
+        press.position,
+        press.specimen,
+        press.press,
+        press.kind,
+        press.severity,
+        f"gel{1 + index // _PRESSES_PER_GEL}",
+        index % _PRESSES_PER_GEL,
+        since_power_on * PRESS_CYCLE_S,
+    )
+
+
+def recording_plan(scene: Scene, run: Run, seed: int, press_s: float) -> list[PressPlan]:
+    """Every press of a recording. Each press is of another piece; damaged ones are spread at random, never first.
+
+    No two runs of a scene press the same piece.
+    """
+    names = [other.name for other in scene.runs]
+    before = sum(other.presses for other in scene.runs[: names.index(run.name)])
+    rng = named_streams(seed)("faulty", run.name)
+    faulty = set((1 + rng.permutation(run.presses - 1)[: run.faulty]).tolist()) if run.faulty else set()
+    low, high = scene.defects.severity
+    plans = []
+    for k in range(run.presses):
+        rank = sorted(faulty).index(k) if k in faulty else -1
+        share = rank / max(1, run.faulty - 1)
+        plans.append(
+            PressPlan(
+                scene.part,
+                scene.at[k % len(scene.at)],
+                before + k + 1,
+                1,
+                scene.defects.kinds[rank % len(scene.defects.kinds)] if rank >= 0 else "",
+                round(low + (high - low) * share, 4) if rank >= 0 else 0.0,
+                "gel1",
+                run.gel_presses + k,
+                scene.motion.idle_s + k * press_s,
+            )
+        )
+    return plans
+
+

@@ -1,0 +1,228 @@
+"""A scene's run as a recording: every frame of every press, as the camera's bytes, with a label that tells the truth."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calibration.scene import Run, Scene
+from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
+from calibration.simulator.defects import Damaged
+from calibration.simulator.field import F32, HR, LR, NATIVE_SIZE, Field, native_field
+from calibration.simulator.look import LOOKS
+from calibration.simulator.motion import Moment, PressMotion
+from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
+from calibration.simulator.pose import Pose, sample
+from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.streams import named_streams
+from calibration.simulator.workers import in_order
+from edge.core.detector import Progress
+from edge.core.errors import RecordingError
+from edge.recording import Recording, RecordingHeader, RecordingWriter
+
+__all__ = ["FrameOut", "press_frames", "record_run"]
+
+# Names of a sensor that does not exist, in the maker's pattern.
+_PRODUCT, _SERIAL = "GelSight Mini R0B SIM0-0001", "SIM00001"
+_STAMP = "scene.json"
+
+Label = Mapping[str, object]
+FrameOut = tuple[int, bytes, Label]
+"""Nanoseconds since the recording began, the camera's bytes, the label."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Frames of one press, or of the idle time before the first (`press` is None)."""
+
+    scene: Scene
+    seed: int
+    index: int
+    first_frame: int
+    press: PressPlan | None
+    previous: PressPlan | None
+
+
+def record_run(
+    scene: Scene, run: Run, folder: Path, seed: int, *, workers: int = 1, progress: Progress | None = None
+) -> Path:
+    """Write one run of a scene as a recording in `folder`, and return the folder.
+
+    It is rendered beside its place and moved there when it is whole; a whole recording of the same scene, run and
+    seed is left as it is. Errors: RecordingError when the folder holds anything else.
+    """
+    stamp = _stamp(scene, run, seed)
+    if _is_done(folder, stamp):
+        return folder
+    beside = folder.with_name(folder.name + ".part")
+    if beside.is_dir() and (beside / "recording.toml").is_file():
+        shutil.rmtree(beside)
+    tasks = list(_tasks(scene, run, seed))
+    with RecordingWriter(beside, _header(scene)) as writer:
+        for done, frames in enumerate(in_order(_frames, tasks, workers), 1):
+            for time_ns, payload, label in frames:
+                writer.add(payload, time_ns, label)
+            if progress is not None:
+                progress(done / len(tasks))
+    (beside / _STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
+    if folder.is_dir():
+        folder.rmdir()
+    os.replace(beside, folder)
+    return folder
+
+
+def _stamp(scene: Scene, run: Run, seed: int) -> dict[str, object]:
+    text = scene.model_dump_json() + run.model_dump_json()
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
+
+
+def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return False
+    try:
+        found = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if found == stamp:
+        Recording.open(folder)
+        return True
+    raise RecordingError(
+        f"{folder} is not empty and holds no recording of scene '{stamp['scene']}', run '{stamp['run']}', "
+        f"seed {stamp['seed']}; choose another folder"
+    )
+
+
+def _header(scene: Scene) -> RecordingHeader:
+    mode = scene.camera.modes[0]
+    sizes = {"lr": LR.size, "hr": HR.size, "native": NATIVE_SIZE}
+    profile = {"lr": "cropped_lr", "hr": "", "native": "mini_lr"}[mode]
+    return RecordingHeader(_PRODUCT, _SERIAL, sizes[mode], scene.camera.fps, profile)
+
+
+def _motion(scene: Scene) -> PressMotion:
+    m = scene.motion
+    return PressMotion(m.approach_s, m.press_s, m.settle_s, m.hold_s, m.lift_s, scene.camera.fps)
+
+
+def _tasks(scene: Scene, run: Run, seed: int) -> Iterator[_Task]:
+    motion = _motion(scene)
+    idle = round(scene.motion.idle_s * scene.camera.fps)
+    plans = recording_plan(scene, run, seed, motion.frames / scene.camera.fps)
+    if idle:
+        yield _Task(scene, seed, -1, 0, None, plans[0])
+    for index, plan in enumerate(plans):
+        previous = plans[index - 1] if index else None
+        yield _Task(scene, seed, index, idle + index * motion.frames, plan, previous)
+
+
+@lru_cache(maxsize=2)
+def _renderer(scene: Scene, seed: int) -> Renderer:
+    mode = scene.camera.modes[0]
+    field = {"lr": LR, "hr": HR, "native": native_field(scene.camera.reduction)}[mode]
+    # The bytes of a recording are JPEG anyhow: the effect chooses their quality, and is not applied twice.
+    effects = tuple(name for name in scene.effects if name != "jpeg")
+    sensor = LOOKS[scene.camera.sensor]
+    return Renderer(field, effects, sensor, scene.press_jitter, named_streams(seed), session=scene.name)
+
+
+def _frames(task: _Task) -> list[FrameOut]:
+    if task.press is None:
+        return _idle_frames(task)
+    return list(press_frames(task.scene, task.seed, task.index, task.first_frame, task.press, task.previous))
+
+
+def _idle_frames(task: _Task) -> list[FrameOut]:
+    renderer, fps = _renderer(task.scene, task.seed), task.scene.camera.fps
+    worn = 0 if task.previous is None else task.previous.gel_presses
+    light = renderer.light(renderer.surface(np.zeros(renderer.field.shape, dtype=np.float32), worn), worn)
+    frames = round(task.scene.motion.idle_s * fps)
+    label: Label = {"press": None, "phase": "idle", "specimen": None, "defect": None, "severity": 0.0}
+    return [
+        (
+            round(k / fps * 1e9),
+            _payload(task.scene, renderer.expose(light, ("idle", worn), Exposure(k, k / fps, (0.0, 0.0)))),
+            label,
+        )
+        for k in range(frames)
+    ]
+
+
+def press_frames(
+    scene: Scene, seed: int, index: int, first_frame: int, plan: PressPlan, previous: PressPlan | None
+) -> Iterator[FrameOut]:
+    """The frames of one press, in order. index: which press of the run, from 0. first_frame: of its first frame."""
+    renderer, streams, fps = _renderer(scene, seed), named_streams(seed), scene.camera.fps
+    defect = damage(plan, scene.press_depth_mm, scene.mask_depth_mm, streams)
+    whole = piece(plan, streams)
+    placed = renderer.place(Pose(), plan.key)
+    height = sample(whole if defect is None else Damaged(whole, defect), placed, renderer.field)
+    depth = scene.press_depth_mm * placed.depth_factor
+    angle = float(streams("slide", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
+    left = _left_by(previous, scene, seed)
+    light, shown = None, None
+    for k, moment in enumerate(_motion(scene).moments()):
+        state = (moment.depth, moment.since_release_s if left is not None and moment.depth == 0 else None)
+        if light is None or state != shown:
+            light, shown = _light(renderer, height, depth, moment, plan, left), state
+        time_s = (first_frame + k) / fps
+        slide = (moment.slide_mm_s * np.cos(angle), moment.slide_mm_s * np.sin(angle))
+        rgb = renderer.expose(light, plan.key, Exposure(k, time_s, slide))
+        yield round(time_s * 1e9), _payload(scene, rgb), _label(index, moment, plan, defect and asdict(defect))
+
+
+def _light(
+    renderer: Renderer, height: F32, depth_mm: float, moment: Moment, plan: PressPlan, left: F32 | None
+) -> F32:
+    if moment.depth > 0:
+        imprint = renderer.imprint(height, depth_mm * moment.depth)
+        previous = None
+    else:
+        imprint = np.zeros(renderer.field.shape, dtype=np.float32)
+        previous = None if left is None else (left, moment.since_release_s)
+    return renderer.light(renderer.surface(imprint, plan.gel_presses, previous), plan.gel_presses)
+
+
+def _left_by(previous: PressPlan | None, scene: Scene, seed: int) -> F32 | None:
+    """The imprint of the press before, where the scene calls for what it leaves behind."""
+    if previous is None or "residual_imprint" not in scene.effects:
+        return None
+    renderer, streams = _renderer(scene, seed), named_streams(seed)
+    placed = renderer.place(Pose(), previous.key)
+    height = sample(piece(previous, streams), placed, renderer.field)
+    return renderer.imprint(height, scene.press_depth_mm * placed.depth_factor)
+
+
+def _label(index: int, moment: Moment, plan: PressPlan, defect: Mapping[str, object] | None) -> Label:
+    return {
+        "press": index,
+        "phase": moment.phase,
+        "specimen": f"s{plan.specimen:03d}",
+        "part": plan.part,
+        "position": plan.position,
+        "defect": None if defect is None else {key: defect[key] for key in ("kind", "severity", "at_mm", "turn_rad")},
+        "severity": plan.severity,
+    }
+
+
+# Compression that leaves no trace, for a scene without the effect: the bytes are JPEG whatever it says.
+_FINE_QUALITY = 98
+
+
+def _payload(scene: Scene, rgb: U8) -> bytes:
+    """The camera's bytes: scaled up to the camera's size where the scene renders its native mode."""
+    if "native" in scene.camera.modes:
+        rgb = np.asarray(cv2.resize(rgb, NATIVE_SIZE, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    return encode_jpeg(rgb, CAMERA_QUALITY if "jpeg" in scene.effects else _FINE_QUALITY)
+
+
+def field_of(scene: Scene) -> Field:
+    """The pixels that a recording of this scene is rendered on."""
+    return _renderer(scene, 0).field

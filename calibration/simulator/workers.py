@@ -1,0 +1,45 @@
+"""Work spread over processes: results come back in order, few are held at once, and an interrupt leaves files whole."""
+
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from itertools import islice
+from multiprocessing import get_context
+from typing import TypeVar
+
+import cv2
+
+__all__ = ["in_order"]
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
+    """The results of the tasks, in their order. `work` is a module's function; with one worker nothing is started.
+
+    At most two results a worker are waiting, so memory is bounded however many tasks there are. An interrupt cancels
+    what has not begun and lets each worker finish the task at hand.
+    """
+    if workers < 1:
+        raise ValueError(f"at least one worker is needed, found {workers}")
+    if workers == 1:
+        yield from map(work, tasks)
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_quiet)
+    queue = iter(tasks)
+    waiting: deque[Future[Result]] = deque(pool.submit(work, task) for task in islice(queue, 2 * workers))
+    try:
+        while waiting:
+            result = waiting.popleft().result()
+            waiting.extend(pool.submit(work, task) for task in islice(queue, 1))
+            yield result
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _quiet() -> None:
+    """A worker is one of several: one thread each, and Ctrl-C is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
