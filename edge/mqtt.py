@@ -4,7 +4,7 @@ Used by the MQTT sink, and by whoever listens. A `Connection` never reconnects: 
 everything the library had queued, so a message that was given up is never sent later behind one's back.
 
 Ref: MQTT 5.0 (OASIS, 2019), MQTT 3.1.1 (OASIS, 2014), paho-mqtt 2.x. Seen with mosquitto 2.0 (both levels) and amqtt
-0.12 (3.1.1; it drops a level 5 CONNECT without an answer).
+0.12 (3.1.1 alone; it drops a level 5 CONNECT without an answer, or waits).
 """
 
 import contextlib
@@ -12,7 +12,7 @@ import socket
 import ssl
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, Self
 
@@ -35,6 +35,10 @@ _REFUSALS: Final = frozenset({0x87, 0x90, 0x99})
 
 # Room for a PUBLISH packet's own fields beside topic and payload: header, ids and our three properties.
 _PACKET_OVERHEAD_BYTES: Final = 128
+
+# In search of the level, a silent broker is not waited for in full: amqtt 0.12 reads a level 5 CONNECT with a will as
+# one of 3.1.1, and waits for bytes that never come.
+_LEVEL_TRIAL_S: Final = 2.0
 
 _RETAIN_SEND_ON_SUBSCRIBE: Final = 0
 _RETAIN_DO_NOT_SEND: Final = 2
@@ -129,8 +133,11 @@ class Connection:
         """
         if broker.level is not None:
             return cls(broker, broker.level, will, on_received, on_lost)
+        trial = replace(broker, timeout_s=min(broker.timeout_s, _LEVEL_TRIAL_S))
         try:
-            return cls(broker, "5", will, on_received, on_lost)
+            connection = cls(trial, "5", will, on_received, on_lost)
+            connection.broker = broker
+            return connection
         except _LevelRefused:
             return cls(broker, "3.1.1", will, on_received, on_lost)
 
@@ -151,13 +158,14 @@ class Connection:
         self._consent: ReasonCode | None = None
         self._largest_packet: int | None = None
         self._is_lost = False
+        self._is_established = False
         self._answers: dict[int, ReasonCode | None] = {}
         self._client = self._make_client(will)
         self._establish()
 
     @property
     def is_up(self) -> bool:
-        return self._consent is not None and not self._is_lost
+        return self._is_established and not self._is_lost
 
     def publish(self, message: Outgoing) -> None:
         """Send and wait for the acknowledgement; QoS 0 waits until it is written.
@@ -255,6 +263,10 @@ class Connection:
             why = self.why_lost
             self.abandon("no consent")
             raise self._refusal(consent, why)
+        with self._changed:
+            self._is_established = not self._is_lost
+        if not self._is_established:
+            raise SinkUnavailable(self._lost_sentence())
 
     def _refusal(self, consent: ReasonCode | None, why: str) -> SinkError:
         if consent is None and self._is_lost and not why:
@@ -317,7 +329,8 @@ class Connection:
             self._is_lost = True
             self.why_lost = self.why_lost or why
             self._changed.notify_all()
-        self._on_lost()
+        if self._is_established:  # an attempt that failed was told by its exception
+            self._on_lost()
 
     # The callbacks: the library's thread brings news, and never waits here.
 

@@ -15,6 +15,7 @@ import logging
 import queue
 import random
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, Self
 
@@ -24,7 +25,7 @@ from edge.core.backoff import Backoff
 from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.station import Station
-from edge.mqtt import Broker, Connection, Outgoing, Received, Tls
+from edge.mqtt import Broker, Connection, Level, Outgoing, Received, Tls
 
 __all__ = ["MqttSink", "Options", "TlsOptions", "open"]
 
@@ -107,6 +108,7 @@ class MqttSink:
         self._closing = threading.Event()
         self._tried = threading.Event()  # the first attempt to connect has ended
         self._connection: Connection | None = None
+        self._worked: Level | None = None  # the level of the last connection
         self._why_down = f"not yet connected to broker {broker}"
         self._struck: tuple[Message | None, int] = (None, 0)
         self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
@@ -173,12 +175,14 @@ class MqttSink:
 
     def _connect(self, lost: threading.Event) -> Connection:
         will = self._station.will
+        level, self._worked = self._worked, None  # after a failure the search for the level begins anew
         connection = Connection.open(
-            self._broker,
+            replace(self._broker, level=self._broker.level or level),
             will=None if will is None else self._outgoing(will),
             on_received=self._received,
             on_lost=lost.set,
         )
+        self._worked = connection.level
         try:
             if self._station.on_command is not None:
                 connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
