@@ -17,6 +17,7 @@ from edge.core.encoded import Freshness, picture_size
 from edge.core.errors import DeviceError, DeviceLost, DeviceStalled, FrameCorrupt
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
+from edge.usb.controls import pin_uvc_controls
 from edge.usb.faults import guarded
 from edge.usb.identity import SensorOnBus, largest_mode, streaming_formats
 from edge.usb.lock import SensorLock
@@ -59,9 +60,11 @@ class PacketBackend(Protocol):
 
 
 class UvcSensor:
-    """An open, streaming sensor (a `Device`). `stale` counts frames that came twice and were not delivered."""
+    """An open, streaming sensor (a `Device`).
 
-    on_demand: bool
+    stale: frames that came twice and were not delivered. unset_controls: camera controls that are not as they were
+    to be pinned, with the reasons. on_demand: set by a plugin whose frames come as fast as they are read.
+    """
 
     def __init__(
         self,
@@ -73,6 +76,7 @@ class UvcSensor:
     ) -> None:
         self.identity = identity
         self.on_demand = False
+        self.unset_controls: dict[str, str] = {}
         self._stream = stream
         self._clock = clock
         self._undo = undo
@@ -84,9 +88,15 @@ class UvcSensor:
 
     @classmethod
     def open(
-        cls, backend: PacketBackend, found: SensorOnBus, clock: Clock, *, lock_name: str | None = None
+        cls,
+        backend: PacketBackend,
+        found: SensorOnBus,
+        clock: Clock,
+        *,
+        lock_name: str | None = None,
+        controls: Mapping[str, int] | None = None,
     ) -> Self:
-        """Lock, take and start the sensor; whatever was done is undone when a later step fails.
+        """Lock, take, set and start the sensor; whatever was done is undone when a later step fails.
 
         Errors: DeviceBusy, DeviceLost, DeviceStalled.
         """
@@ -99,8 +109,11 @@ class UvcSensor:
             with guarded(who):
                 _quietly(undo, usb.util.dispose_resources, found.device)
                 _take_interfaces(found.device, undo)
+                unset = pin_uvc_controls(found.device, controls or {})
                 stream, limit = _start_stream(backend, found.device, undo)
-            return cls(identity, stream, limit, clock, undo.pop_all())
+            sensor = cls(identity, stream, limit, clock, undo.pop_all())
+            sensor.unset_controls = unset
+            return sensor
         raise AssertionError("unreachable")
 
     @property

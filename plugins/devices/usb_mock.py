@@ -5,8 +5,9 @@ alternate settings, packets, reassembly, freshness, unplugging). Beside the sens
 same vendor and product id.
 
 What it does not simulate: electrical and timing effects of a bus (no jitter, no lost micro-frames unless scripted, no
-bandwidth limit), frames lost because the host reads too slowly (they come late instead), camera controls, exposure,
-the V4L2 path, and a JPEG encoder: a recording's JPEGs are sent as they are, its PNG frames as JPEG of quality 95.
+bandwidth limit), frames lost because the host reads too slowly (they come late instead), exposure and what camera
+controls do to a picture, the V4L2 path, and a JPEG encoder: a recording's JPEGs are sent as they are, its PNG frames
+as JPEG of quality 95.
 """
 
 from collections.abc import Sequence
@@ -42,6 +43,7 @@ class UsbMockOptions(BaseModel):
     recording: the folder to play. serial: instead of the recorded one. pace: 1 is real time (0.75 of the nominal
     rate, as on the real sensor), 2 twice as fast, 0 as fast as frames are read. loop: start over at the end.
     faults: such as "drop@12", "stall@40:2.5", "unplug@80:1". with_webcam: plug the unrelated webcam in, too.
+    controls: pinned as on the real sensor; they change nothing in a recorded picture.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -52,6 +54,7 @@ class UsbMockOptions(BaseModel):
     loop: bool = False
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = ()
     with_webcam: bool = True
+    controls: dict[str, int] = Field(default_factory=dict)
 
     _bench: "Bench | None" = PrivateAttr(default=None)
 
@@ -105,7 +108,7 @@ class UsbMock:
         bench = self.bench(options, clock)
         found = choose(survey(bench.bus), options.serial)
         lock_name = f"virtual-{options.recording.resolve()}"[-200:]
-        sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name)
+        sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
         sensor.on_demand = options.pace == 0
         return sensor
 

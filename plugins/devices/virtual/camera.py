@@ -26,6 +26,7 @@ from edge.usb.uvc import (
     UNITS_PER_SECOND,
     StreamControl,
 )
+from plugins.devices.virtual.controls import ControlBank
 from plugins.devices.virtual.descriptors import (
     ALTERNATE_PACKETS,
     CONTROL_INTERFACE,
@@ -101,6 +102,7 @@ class VirtualCamera:
             self.claims: dict[int, object] = {}
             self.kernel_driver = {CONTROL_INTERFACE: True, STREAMING_INTERFACE: True}
             self.alternate = 0
+            self.controls = ControlBank()
             self._probe = self._committed = _NO_CONTROL
             self._silent_until_ns = self._return_ns = None
             self._is_present = True
@@ -133,6 +135,8 @@ class VirtualCamera:
             return self._string(value & 0xFF, data)
         if index & 0xFF == STREAMING_INTERFACE and request_type & 0x7F == 0x21:
             return self._streaming_request(request, value >> 8, data)
+        if index & 0xFF == CONTROL_INTERFACE and request_type & 0x7F == 0x21:
+            return self._control_request(request, index >> 8, value >> 8, data)
         raise usb_error(errno.EPIPE)
 
     def _string(self, index: int, data: Any) -> int:
@@ -140,6 +144,12 @@ class VirtualCamera:
             return _fill(data, string_descriptor(self.board, index))
         except IndexError as error:
             raise usb_error(errno.EPIPE) from error
+
+    def _control_request(self, request: int, entity: int, selector: int, data: Any) -> int:
+        answer = self.controls.request(request, entity, selector, data)
+        if answer is None:
+            raise usb_error(errno.EPIPE)
+        return _fill(data, answer) if request != SET_CUR else len(data)
 
     def _streaming_request(self, request: int, selector: int, data: Any) -> int:
         if request == SET_CUR and selector == PROBE:

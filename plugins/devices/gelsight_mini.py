@@ -1,0 +1,110 @@
+"""The GelSight Mini on a real USB bus: found by pyusb, streamed by the kernel (v4l2) or directly (uvc).
+
+References and what is seen, measured, read or assumed: firmware_notes/gelsight_mini.md. Not yet seen with this
+program: a sensor on a bus; the v4l2 path was tried on a virtual camera under a real kernel, the uvc path on the
+virtual bus of `usb_mock`.
+"""
+
+import logging
+from contextlib import ExitStack
+from typing import Literal
+
+import usb.core
+import usb.util
+from pydantic import BaseModel, ConfigDict, Field
+
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.usb.faults import guarded
+from edge.usb.identity import SensorOnBus, choose, survey
+from edge.usb.libusb import LibusbBackend, get_backend
+from edge.usb.lock import SensorLock
+from edge.usb.stream import UvcSensor
+from plugins.devices.v4l2.controls import pin_v4l2_controls
+from plugins.devices.v4l2.nodes import capture_node
+from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
+
+__all__ = ["GelsightMini", "GelsightMiniOptions", "plugin"]
+
+_log = logging.getLogger(__name__)
+
+
+class GelsightMiniOptions(BaseModel):
+    """serial: which sensor, where several are plugged in; the product's tail without its dash.
+
+    stream: `v4l2` through the kernel, `uvc` through libusb (takes the sensor from the kernel while open).
+    controls: camera controls to pin, V4L2 names (old or new) to values; usually the bundle's sensor profile has them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    serial: str | None = Field(default=None, pattern="^[A-Z0-9]{8}$")
+    stream: Literal["v4l2", "uvc"] = "v4l2"
+    controls: dict[str, int] = Field(default_factory=dict)
+
+
+class GelsightMini:
+    """The plugin (see `edge.plugin.DevicePlugin`)."""
+
+    Options = GelsightMiniOptions
+
+    def survey(self, options: GelsightMiniOptions) -> list[Sighting]:
+        """Errors: DeviceNotFound when libusb cannot be loaded."""
+        return [one.sighting for one in survey(get_backend())]
+
+    def find(self, options: GelsightMiniOptions) -> list[DeviceIdentity]:
+        return [one.identity for one in self.survey(options) if one.identity is not None]
+
+    def open(self, options: GelsightMiniOptions, clock: Clock) -> Device:
+        """Errors: DeviceNotFound, DeviceBusy, DeviceLost, DeviceStalled."""
+        backend = get_backend()
+        found = choose(survey(backend), options.serial)
+        if options.stream == "uvc":
+            sensor: UvcSensor | V4l2Sensor = UvcSensor.open(backend, found, clock, controls=options.controls)
+        else:
+            sensor = _open_v4l2(backend, found, options, clock)
+        for name, reason in sensor.unset_controls.items():
+            _log.warning("camera control %s of %s is not pinned: %s", name, sensor.identity.serial, reason)
+        return sensor
+
+    def reset(self, options: GelsightMiniOptions) -> str:
+        """Reset the sensor as a re-plug would, and say which. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
+        found = choose(survey(get_backend()), options.serial)
+        who = f"{found.sighting.product} at {found.sighting.place}"
+        with guarded(who):
+            found.device.reset()
+            usb.util.dispose_resources(found.device)
+        return who
+
+
+plugin = GelsightMini()
+
+
+def _open_v4l2(
+    backend: LibusbBackend, found: SensorOnBus, options: GelsightMiniOptions, clock: Clock
+) -> V4l2Sensor:
+    identity = found.sighting.identity
+    if identity is None:
+        raise ValueError(f"{found.sighting.place} is not a sensor")
+    with ExitStack() as undo:
+        lock = SensorLock(identity.serial)
+        undo.callback(lock.close)
+        node = capture_node(identity.serial)
+        capture = open_capture(node.path)
+        undo.callback(capture.release)
+        with guarded(identity.product):
+            unset = pin_v4l2_controls(node.path, options.controls)
+        sensor = V4l2Sensor(
+            identity,
+            capture,
+            clock,
+            is_present=lambda: _is_on_bus(backend, identity.serial),
+            on_close=lock.close,
+        )
+        sensor.unset_controls = unset
+        undo.pop_all()
+        return sensor
+    raise AssertionError("unreachable")
+
+
+def _is_on_bus(backend: LibusbBackend, serial: str) -> bool:
+    return any(one.sighting.identity and one.sighting.identity.serial == serial for one in survey(backend))

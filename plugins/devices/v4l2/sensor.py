@@ -1,0 +1,112 @@
+"""A sensor streamed by the kernel, its JPEG bytes taken through OpenCV without decoding.
+
+Ref: OpenCV modules/videoio/src/cap_v4l.cpp. Seen with a virtual camera on Linux 6.1 and OpenCV 5.0: with the colour
+conversion off, `read` gives the JPEG as (1, n) uint8; after an unplug, `read` gives False at once and for ever while
+`isOpened` stays true. So the first False is the end of this opening.
+"""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from edge.core.encoded import Freshness, damage, kind, picture_size
+from edge.core.errors import DeviceBusy, DeviceLost, DeviceStalled, FrameCorrupt
+from edge.core.frames import CameraFrame
+from edge.core.ports import Clock, DeviceIdentity
+
+__all__ = ["V4l2Sensor", "open_capture"]
+
+# OpenCV waits ten seconds for a frame unless told otherwise; a sensor that is silent for three is to be opened again.
+_SELECT_TIMEOUT = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "3")
+
+
+def open_capture(node: Path) -> Any:
+    """OpenCV's capture on a node: MJPG, bytes as they come, one buffer. Errors: DeviceBusy when it does not open."""
+    os.environ.setdefault(*_SELECT_TIMEOUT)
+    import cv2
+
+    capture = cv2.VideoCapture(str(node), cv2.CAP_V4L2)
+    if not capture.isOpened():
+        raise DeviceBusy(
+            f"{node} cannot be opened; is another program streaming, or is the user not in group video?"
+        )
+    capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+    capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    return capture
+
+
+class V4l2Sensor:
+    """An open, streaming sensor (a `Device`).
+
+    capture: `read` gives (ok, uint8 array) and `release` ends it. is_present: asks the bus. on_close: gives back the
+    lock. A blocked `read` ends with OpenCV's own timeout, not with the deadline: the kernel's queue cannot be waited
+    on from here. unset_controls: camera controls that are not as the profile pins them, with the reasons.
+    """
+
+    def __init__(
+        self,
+        identity: DeviceIdentity,
+        capture: Any,
+        clock: Clock,
+        *,
+        is_present: Callable[[], bool],
+        on_close: Callable[[], None],
+    ) -> None:
+        self.identity = identity
+        self.on_demand = False
+        self.unset_controls: dict[str, str] = {}
+        self._capture, self._clock = capture, clock
+        self._is_present, self._on_close = is_present, on_close
+        self._freshness = Freshness()
+        self._sequence = 0
+        self._lost: str | None = None
+        self._is_closed = False
+
+    @property
+    def stale(self) -> int:
+        return self._freshness.stale
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        """The next new frame (see `Device.read`)."""
+        while True:
+            payload = self._next_payload()
+            if self._freshness.is_new(payload):
+                frame = CameraFrame(payload, self._clock.monotonic_ns(), self._sequence)
+                self._sequence += 1
+                return frame
+            if self._clock.monotonic_ns() >= deadline_ns:
+                raise DeviceStalled(
+                    f"{self.identity.product} sends the same frame again and again ({self.stale} times)"
+                )
+
+    def _next_payload(self) -> bytes:
+        if self._lost is not None:
+            raise DeviceLost(self._lost)
+        came, data = self._capture.read()
+        if not came:
+            where = "stopped sending" if self._is_present() else "was unplugged"
+            self._lost = f"{self.identity.product} {where}; it is opened again"
+            raise DeviceLost(self._lost)
+        payload = bytes(data)
+        fault = self._fault(payload)
+        if fault is not None:
+            self._sequence += 1
+            raise FrameCorrupt(f"{self.identity.product}, frame {self._sequence - 1}: {fault}")
+        return payload
+
+    def _fault(self, payload: bytes) -> str | None:
+        if kind(payload) != "jpg":
+            return f"{len(payload)} bytes that are no JPEG; OpenCV may have converted them"
+        size = picture_size(payload)
+        if size != self.identity.mode:
+            return f"a picture of {size}; the video mode is {self.identity.mode}"
+        return damage(payload)
+
+    def close(self) -> None:
+        if not self._is_closed:
+            self._is_closed = True
+            self._lost = self._lost or f"{self.identity.product} was closed"
+            self._capture.release()
+            self._on_close()
