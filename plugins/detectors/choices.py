@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from edge.core.detector import Features, Grid, Nominal
-from edge.core.errors import FitError
+from edge.core.errors import FitError, NotScorable
 
-__all__ = ["choose", "require_fittable"]
+__all__ = ["choose", "require_fittable", "require_scorable"]
 
 P = TypeVar("P")
 
@@ -47,6 +47,13 @@ def require_fittable(detector: str, nominal: Nominal, grid: Grid, taps: tuple[st
             f"{detector}: the touched mask is {nominal.touched.shape}, the inspected region is {grid.frame}; "
             "give both in pixels of the region"
         )
+
+
+def require_scorable(detector: str, features: Features, taps: tuple[str, ...]) -> None:
+    """Refuse a press that has no score. Errors: NotScorable for features that are not finite."""
+    for tap in taps:
+        if not np.isfinite(features[tap]).all():
+            raise NotScorable(f"{detector}: '{tap}' of this press is not finite; it has no score")
 
 
 def _check(detector: str, what: str, features: Features, grid: Grid, taps: tuple[str, ...]) -> None:

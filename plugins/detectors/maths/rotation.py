@@ -1,0 +1,64 @@
+"""Fewer dimensions without losing what lies outside them: leading principal directions and one remainder.
+
+Rows of the basis are orthonormal, so a distance over the first d coordinates never exceeds the true one. Cutting there
+would hide an anomaly that points away from everything nominal, so one coordinate more is kept: the length of what the
+basis leaves out. By the triangle inequality the distance in these d+1 numbers still never exceeds the true distance,
+and equals it where both sides leave out parallel parts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.detectors.maths.lowrank import spectrum
+from plugins.graph import Graph, Value
+
+__all__ = ["Rotation", "emit_rotation", "fit_rotation"]
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """mean: (c,). basis: (d, c) with orthonormal rows (zero rows where the samples span less), None for all c."""
+
+    mean: NDArray[np.float32]
+    basis: NDArray[np.float32] | None
+
+    @property
+    def width(self) -> int:
+        """Numbers per descriptor afterwards."""
+        return len(self.mean) if self.basis is None else len(self.basis) + 1
+
+    def __call__(self, rows: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Descriptors (..., c) to (..., width), in float64."""
+        centred = rows.astype(np.float64) - self.mean
+        if self.basis is None:
+            return centred
+        along = centred @ self.basis.T.astype(np.float64)
+        rest = np.linalg.norm(centred - along @ self.basis, axis=-1, keepdims=True)
+        return np.concatenate([along, rest], axis=-1)
+
+
+def fit_rotation(rows: NDArray[np.floating], dims: int | None) -> Rotation:
+    """Mean and leading `dims` directions of descriptors (m, c); dims None or at least c: all of them, unrotated."""
+    mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
+    width = rows.shape[1]
+    if dims is None or dims >= width:
+        return Rotation(mean, None)
+    found = spectrum(rows, dims).basis
+    basis = np.zeros((dims, width), np.float32)
+    basis[: len(found)] = found
+    return Rotation(mean, basis)
+
+
+def emit_rotation(graph: Graph, columns: Value, mean: Value, basis: Value | None) -> Value:
+    """The same in a graph: descriptors as columns (n, c, p), mean (c,), basis (d, c); gives rows (n, p, width)."""
+    centred = graph.op("Sub", columns, graph.op("Unsqueeze", mean, graph.ints(1)))
+    if basis is not None:
+        along = graph.op("MatMul", basis, centred)
+        rest = graph.op("Sub", centred, graph.op("MatMul", graph.transpose(basis, 1, 0), along))
+        length = graph.op(
+            "Sqrt", graph.op("ReduceSum", graph.op("Mul", rest, rest), graph.ints(1), keepdims=1)
+        )
+        centred = graph.op("Concat", along, length, axis=1)
+    return graph.transpose(centred, 0, 2, 1)

@@ -1,0 +1,174 @@
+"""Nearest rows inside many small groups at once: a matrix product makes the shortlist, differences decide.
+
+`distances.py` searches one bank. Here every group of queries has a bank of its own (a block of cells, a press's
+gallery, a cell of the grid), all groups in one batched product. The rules are the same: both sides centred, squared
+distances never negative, the winners measured again as a sum of squared differences, plain (not squared) distances,
+and among equals the lowest row wins (ONNX TopK keeps the lower index).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.graph import Graph, Value
+
+__all__ = ["FORBIDDEN", "SHORTLIST", "Blocks", "emit_group_nearest", "emit_window_nearest", "window_nearest"]
+
+# Added to the squared distance of a row that a query may not use: far above any feature distance, far below the end
+# of float32.
+FORBIDDEN = 1e30
+# Rows measured exactly for each query.
+SHORTLIST = 4
+# Cells along one side of a block: small enough that a window around it is little larger, large enough for a product.
+BLOCK = 4
+
+
+def emit_group_nearest(
+    graph: Graph,
+    queries: Value,
+    bank: Value,
+    width: int,
+    k: int = 1,
+    shortlist: int = SHORTLIST,
+    bias: Value | None = None,
+) -> Value:
+    """Plain distances (g, q, k), rising, from queries (g, q, width) to the rows of their own bank (g, m, width).
+
+    Both float32 and centred alike; m is at least `shortlist`. bias: broadcastable to (g, q, m), 0 where a row may be
+    used and `FORBIDDEN` where not; a query with fewer than k usable rows gets 1e15 for those that it lacks.
+    """
+    # One more column on both sides, 1 and -|row|^2/2: the product then ranks by distance without a pass of its own.
+    squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(2), keepdims=0)
+    penalty = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(-0.5)), graph.ints(2))
+    columns = graph.op("Concat", bank, penalty, axis=2)
+    one = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
+    closeness = graph.op("MatMul", one, graph.transpose(columns, 0, 2, 1))
+    if bias is not None:
+        closeness = graph.op("Sub", closeness, bias)
+    short, rows = graph.ops("TopK", 2, closeness, graph.ints(shortlist), axis=2)
+    chosen = graph.op("GatherND", bank, graph.reshape(rows, 0, -1, 1), batch_dims=1)
+    shape = graph.op("Concat", graph.op("Shape", rows), graph.ints(width), axis=0)
+    difference = graph.op(
+        "Sub", graph.op("Reshape", chosen, shape), graph.op("Unsqueeze", queries, graph.ints(2))
+    )
+    exact = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(3), keepdims=0)
+    if bias is not None:
+        forbidden = graph.op("Less", short, graph.scalar(-FORBIDDEN / 2))
+        exact = graph.op("Where", forbidden, graph.scalar(FORBIDDEN), exact)
+    if k == 1:
+        nearest = graph.op("ReduceMin", exact, graph.ints(2), keepdims=1)
+    else:
+        nearest, _ = graph.ops("TopK", 2, exact, graph.ints(k), axis=2, largest=0)
+    return graph.op("Sqrt", nearest)
+
+
+class Blocks:
+    """A grid of cells cut into blocks, each with the cells that its window reaches.
+
+    cells: (h, w). window: how many cells a query may look away from its own, in both directions. Cells beyond the
+    edge are clamped onto it: clamping never brings a cell into a window that it was outside of, and a cell met
+    twice changes no nearest distance.
+    """
+
+    def __init__(self, cells: tuple[int, int], window: int) -> None:
+        if min(cells) < 1 or window < 0:
+            raise ValueError(f"blocks need cells and a window of at least 0, found {cells} and {window}")
+        self.cells = cells
+        self.window = window
+        self.side = tuple(_side(n) for n in cells)
+        self.count = tuple(-(-n // side) for n, side in zip(cells, self.side, strict=True))
+
+    def queries(self) -> NDArray[np.int64]:
+        """The cells of each block, row-major numbers, (blocks, cells per block); clamped in the last block."""
+        return self._table(0)
+
+    def gallery(self) -> NDArray[np.int64]:
+        """The cells that a block's window reaches, (blocks, cells reached)."""
+        return self._table(self.window)
+
+    def back(self) -> NDArray[np.int64]:
+        """Where each cell of the grid, row-major, stands in the flattened `queries`: (h * w,)."""
+        (bh, bw), columns = self.side, self.count[1]
+        y, x = np.indices(self.cells).reshape(2, -1)
+        place = (y // bh * columns + x // bw) * (bh * bw) + y % bh * bw + x % bw
+        return np.asarray(place, np.int64)
+
+    def bias(self) -> NDArray[np.float32]:
+        """0 where a query of a block may use a cell reached and `FORBIDDEN` outside its window, (queries, reached)."""
+        near = []
+        for side in self.side:
+            q, g = np.arange(side)[:, None], np.arange(side + 2 * self.window)[None, :]
+            near.append(np.abs(g - self.window - q) <= self.window)
+        allowed = near[0][:, None, :, None] & near[1][None, :, None, :]
+        count = self.side[0] * self.side[1]
+        return np.where(allowed.reshape(count, -1), 0.0, FORBIDDEN).astype(np.float32)
+
+    def _table(self, margin: int) -> NDArray[np.int64]:
+        axes = []
+        for n, side, count in zip(self.cells, self.side, self.count, strict=True):
+            reach = np.arange(count)[:, None] * side + np.arange(-margin, side + margin)[None, :]
+            axes.append(np.clip(reach, 0, n - 1))
+        rows, columns = axes
+        table: NDArray[np.int64] = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
+        return table.reshape(self.count[0] * self.count[1], -1)
+
+
+def _side(cells: int) -> int:
+    """The side of a block on an axis of so many cells: near `BLOCK`, with the fewest cells left over."""
+    if cells <= BLOCK + 2:
+        return cells
+    return min(range(BLOCK - 2, BLOCK + 3), key=lambda side: (-cells % side, abs(side - BLOCK)))
+
+
+def emit_window_nearest(
+    graph: Graph, rows: Value, presses: Value, gallery: Value, blocks: Blocks, width: int
+) -> Value:
+    """Plain distances (n, cells, 1) from each cell's descriptor to the gallery's within its window, block by block.
+
+    rows: (n, cells, width). presses: (m, cells, width), all that there are. gallery: int64 (n, k), which of them.
+    """
+    queries, reached = blocks.queries(), blocks.gallery()
+    cells = blocks.cells[0] * blocks.cells[1]
+    asked = graph.op("Gather", rows, graph.constant(queries.reshape(-1)), axis=1)
+    asked = graph.reshape(asked, -1, queries.shape[1], width)
+    # Row numbers (n, blocks, k, reached) into all presses laid end to end.
+    first = graph.op("Mul", graph.op("Unsqueeze", gallery, graph.ints(1, 3)), graph.ints(cells))
+    numbers = graph.op("Add", first, graph.constant(reached[None, :, None, :]))
+    found = graph.op("Gather", graph.reshape(presses, -1, width), numbers, axis=0)
+    per_block = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(reached.shape[1]))
+    shape = graph.op("Concat", graph.ints(-1), per_block, graph.ints(width), axis=0)
+    bias = graph.op("Tile", graph.constant(blocks.bias()[None]), _repeats(graph, gallery))
+    distances = emit_group_nearest(
+        graph,
+        asked,
+        graph.op("Reshape", found, shape),
+        width,
+        shortlist=min(SHORTLIST, reached.shape[1]),
+        bias=bias,
+    )
+    flat = graph.reshape(distances, -1, queries.size, 1)
+    return graph.op("Gather", flat, graph.constant(blocks.back()), axis=1)
+
+
+def _repeats(graph: Graph, gallery: Value) -> Value:
+    """Repeat counts that lay one mask (1, queries, reached) beside itself for each press of the gallery (n, k)."""
+    return graph.op("Concat", graph.ints(1, 1), graph.op("Shape", gallery, start=1, end=2), axis=0)
+
+
+def window_nearest(
+    queries: NDArray[np.floating], gallery: NDArray[np.floating], window: int
+) -> NDArray[np.float64]:
+    """The float64 oracle: for each cell of `queries` (h, w, c) the nearest of `gallery` (k, h, w, c) within the window.
+
+    Plain distances, (h, w). One shift at a time, no products.
+    """
+    h, w = queries.shape[:2]
+    q = queries.astype(np.float64)
+    best = np.full((h, w), np.inf)
+    for dy in range(-min(window, h - 1), min(window, h - 1) + 1):
+        rows = np.clip(np.arange(h) + dy, 0, h - 1)
+        for dx in range(-min(window, w - 1), min(window, w - 1) + 1):
+            columns = np.clip(np.arange(w) + dx, 0, w - 1)
+            for press in gallery:
+                difference = q - press[rows][:, columns]
+                best = np.minimum(best, np.einsum("hwc,hwc->hw", difference, difference))
+    return np.asarray(np.sqrt(best))

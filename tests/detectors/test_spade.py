@@ -1,0 +1,262 @@
+"""SPADE: the graph against the oracle, each repair against the published behaviour, and hard nominal sets."""
+
+import numpy as np
+import pytest
+from heads import RESNET18, SMALL, fit, grid, parity, presses_of, run_head, with_spot
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.core.errors import FitError, NotScorable
+from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.shortlist import Blocks, window_nearest
+from plugins.detectors.spade import spade
+
+MODES = ("paper", "corrected")
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n", [1, 2, 4, 9])
+def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
+    """Map and score agree to 1e-5, also with fewer presses than neighbours, for several presses at once."""
+    _, map_error, score_error = parity(spade, spade.parameters(mode), presses_of(n), presses_of(3, 1), grid())
+    assert map_error < 1e-5
+    assert score_error < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
+    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
+    nominal, asked = presses_of(6, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
+    _, map_error, score_error = parity(spade, spade.parameters(mode), nominal, asked, grid(RESNET18))
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
+    """A stored press is its own nearest neighbour everywhere; with it as the only neighbour its score is 0."""
+    nominal = presses_of(5)
+    p = spade.parameters(mode, image_neighbours=1, pixel_neighbours=1, packing="none")
+    again = {tap: maps[2:3] for tap, maps in nominal.items()}
+    oracle, _, _ = parity(spade, p, nominal, again, grid())
+    foreign = spade.reference_score(presses_of(1, 5), grid(), fit(spade, p, nominal, grid()), p)
+    assert oracle.score_map.max() < 1e-4 * foreign.score_map.max()
+    assert oracle.score[0] < 1e-4 * foreign.score[0]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
+    """A patch unlike anything nominal is found at its place, and raises the map's maximum."""
+    p = spade.parameters(mode)
+    bank = fit(spade, p, presses_of(8), grid())
+    clean = spade.reference_score(presses_of(1, 3), grid(), bank, p)
+    spotted = spade.reference_score(with_spot(presses_of(1, 3), 0.75), grid(), bank, p)
+    row, column = np.unravel_index(spotted.score_map[0].argmax(), (32, 32))
+    assert 20 <= row < 32
+    assert 20 <= column < 32
+    assert spotted.score_map.max() > 1.2 * clean.score_map.max()
+
+
+def test_the_window_keeps_matches_near() -> None:
+    """Repair: a patch that is nominal elsewhere on the part is anomalous here; searched everywhere it is not seen."""
+    nominal = presses_of(4, spread=0.02)
+    moved = {tap: maps[:1].copy() for tap, maps in presses_of(1, 0, spread=0.02).items()}
+    for maps in moved.values():
+        maps[..., 0, 0] = maps[..., -1, -1]
+    corner = {}
+    for window_mm in (0.25, None):
+        p = spade.parameters(window_mm=window_mm, layers=("layer1",), dims=(), packing="none")
+        bank = fit(spade, p, nominal, grid())
+        corner[window_mm] = spade.reference_score(moved, grid(), bank, p).score_map[0, :4, :4].max()
+    assert corner[0.25] > 5 * corner[None]
+
+
+def test_the_whole_gallery_is_searched() -> None:
+    """Repair: the published scan drops up to 99 gallery cells at the end, and with them exact matches."""
+    taps = {"layer1": (5, 12, 12)}
+    at, nominal = grid(taps), presses_of(1, 0, taps)
+    for is_whole, is_exact in ((True, True), (False, False)):
+        p = spade.parameters("paper", layers=("layer1",), is_gallery_whole=is_whole, sigma=0.0)
+        bank = fit(spade, p, nominal, at)
+        found = run_head(spade.head(at, bank, p), nominal, bank)["score_map"]
+        lost = found[0, -10:].max()  # 144 cells: the last 44 are dropped
+        assert (lost < 1e-5) == is_exact
+
+
+def test_no_layer_rules_by_its_scale() -> None:
+    """Repair: features of one layer a thousand times larger leave the balanced map's shape as it was."""
+    spot = with_spot(presses_of(1, 9))
+    changes = {}
+    for is_balanced in (True, False):
+        p = spade.parameters("paper", is_balanced=is_balanced, is_normalised=False, image_score="map")
+        plain = _map(p, presses_of(6), spot)
+        large = _map(p, _louder(presses_of(6)), _louder(spot))
+        changes[is_balanced] = np.abs(large / large.max() - plain / plain.max()).max()
+    assert changes[True] < 0.01
+    assert changes[False] > 0.05
+
+
+def _louder(features: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {tap: maps * np.float32(1000 if tap == "layer3" else 1) for tap, maps in features.items()}
+
+
+def _map(p: object, nominal: dict[str, np.ndarray], asked: dict[str, np.ndarray]) -> np.ndarray:
+    bank = fit(spade, p, nominal, grid())
+    return spade.reference_score(asked, grid(), bank, p).score_map[0]
+
+
+def test_faint_features_are_still_told_apart() -> None:
+    """Repair: with features of 1e-6 the published division by length + 1e-6 shrinks every distance; ours does not."""
+    for is_relative in (True, False):
+        p = spade.parameters("paper", is_floor_relative=is_relative, image_score="map")
+        faint = _map(p, presses_of(5, scale=1e-6), presses_of(1, 2, scale=1e-6))
+        plain = _map(p, presses_of(5), presses_of(1, 2))
+        assert (np.abs(faint / plain - 1).max() < 1e-3) == is_relative
+
+
+def test_the_score_comes_from_the_map() -> None:
+    """Repair: a small spot raises the map's maximum far more than the mean distance to five whole presses."""
+    taps = {"layer1": (6, 32, 32)}
+    clean = presses_of(1, 3, taps, spread=0.1)
+    rise = {}
+    for image_score in ("map", "presses"):
+        p = spade.parameters("paper", layers=("layer1",), image_score=image_score)
+        bank = fit(spade, p, presses_of(8, 0, taps, spread=0.1), grid(taps))
+        scores = [
+            spade.reference_score(f, grid(taps), bank, p).score[0]
+            for f in (clean, with_spot(clean))
+        ]
+        rise[image_score] = scores[1] / scores[0]
+    assert rise["map"] > 1.1 * rise["presses"]
+
+
+def test_squared_distances_are_a_choice() -> None:
+    """H12's side of SPADE: SPADE-fast averages squared distances; the switch says so and changes the score."""
+    asked = presses_of(1, 3)
+    scores = {}
+    for is_squared in (False, True):
+        p = spade.parameters("paper", is_squared=is_squared, image_neighbours=1)
+        scores[is_squared] = parity(spade, p, presses_of(5), asked, grid())[0].score[0]
+    assert scores[True] == pytest.approx(scores[False] ** 2, rel=1e-9)
+
+
+def test_cells_are_drawn_where_they_look() -> None:
+    """Repair: the cell at row 2, column 2 of stride 4 looks at pixel (8, 8); published, it is at (9.5, 9.5)."""
+    taps = {"layer1": (4, 8, 8)}
+    spot = with_spot(presses_of(1, 0, taps), 0.25)
+    for is_sampled, place in ((True, (8, 8)), (False, (10, 10))):
+        p = spade.parameters(layers=("layer1",), dims=(), is_sampled=is_sampled, sigma=1.0, sigma_unit="px")
+        bank = fit(spade, p, presses_of(1, 0, taps), grid(taps))
+        found = spade.reference_score(spot, grid(taps), bank, p).score_map[0]
+        row, column = np.unravel_index(found.argmax(), found.shape)
+        assert abs(row - place[0]) <= (not is_sampled)
+        assert abs(column - place[1]) <= (not is_sampled)
+
+
+def test_the_bank_stays_within_its_size() -> None:
+    """Presses are left out until the bank fits, the most different ones stay, and the bundle says so."""
+    nominal = presses_of(20)
+    whole = fit(spade, spade.parameters(), nominal, grid())
+    size = sum(whole.arrays[f"{tap}_bank"].nbytes // 2 for tap in SMALL) / 20e6
+    small = fit(spade, spade.parameters(bank_mb=8 * size), nominal, grid())
+    assert 5 <= len(small.arrays["layer1_bank"]) <= 8
+    assert "left out" in small.facts["warnings"][0]
+    assert len(small.facts["presses"]) == len(small.arrays["layer1_bank"])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(1, 4), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
+    st.sampled_from(MODES), st.integers(0, 10_000),
+)  # fmt: skip
+def test_hard_nominal_sets_keep_the_error_bound(
+    n: int, scale: float, kind: str, mode: str, seed: int
+) -> None:
+    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    nominal = presses_of(n, seed, scale=scale)
+    for tap, maps in nominal.items():
+        if kind == "same":
+            nominal[tap] = np.repeat(maps[:1], n, axis=0)
+        elif kind == "constant":
+            nominal[tap] = np.full_like(maps, scale)
+        elif kind == "dead":
+            maps[:, ::2] = 0
+    asked = with_spot(presses_of(1, seed + 1, scale=scale))
+    oracle, map_error, score_error = parity(spade, spade.parameters(mode), nominal, asked, grid())
+    assert np.isfinite(oracle.score_map).all()
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+def test_all_dark_features_have_a_score() -> None:
+    """Presses whose features are all zero have no length and no distances; a bright press still scores high."""
+    dark = {tap: np.zeros_like(maps) for tap, maps in presses_of(3).items()}
+    p = spade.parameters()
+    bank = fit(spade, p, dark, grid())
+    assert spade.reference_score(dark, grid(), bank, p).score.max() == 0
+    assert spade.reference_score(presses_of(1), grid(), bank, p).score.min() > 0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_order_of_the_bank_is_free(mode: str) -> None:
+    """Permuted presses give equal scores."""
+    nominal, asked = presses_of(7), presses_of(2, 1)
+    p = spade.parameters(mode, is_gallery_whole=True)
+    bank = fit(spade, p, nominal, grid())
+    order = np.random.default_rng(0).permutation(7)
+    shuffled = fit(spade, p, nominal, grid())
+    for name in ("press_descriptors", *(f"{tap}_bank" for tap in SMALL)):
+        shuffled.arrays[name][:] = bank.arrays[name][order]  # type: ignore[index]
+    a = spade.reference_score(asked, grid(), bank, p)
+    b = spade.reference_score(asked, grid(), shuffled, p)
+    np.testing.assert_allclose(a.score_map, b.score_map, rtol=1e-9)
+
+
+def test_features_that_are_not_finite_are_refused() -> None:
+    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
+    broken = presses_of(3)
+    broken["layer2"][1, 0, 0, 0] = np.nan
+    p = spade.parameters()
+    with pytest.raises(FitError, match="not finite"):
+        fit(spade, p, broken, grid())
+    bank = fit(spade, p, presses_of(3), grid())
+    with pytest.raises(NotScorable, match="no score"):
+        spade.reference_score(broken, grid(), bank, p)
+    found = run_head(spade.head(grid(), bank, p), broken, bank)
+    assert not np.isfinite(found["score_map"][1]).all()
+    assert np.isfinite(found["score_map"][[0, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("image_neighbours", 0), ("dims", [1, 2]), ("sigma", -1.0), ("layers", []), ("windw_mm", 1)],
+)
+def test_nonsense_is_refused(name: str, value: object) -> None:
+    """Unknown names and values out of range are refused by name."""
+    with pytest.raises(FitError, match="spade"):
+        spade.parameters(**{name: value})
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 15), st.integers(1, 15), st.integers(0, 4))
+def test_blocks_reach_their_windows(h: int, w: int, window: int) -> None:
+    """Every cell finds in its block exactly the cells of its clamped window."""
+    blocks = Blocks((h, w), window)
+    queries, gallery, bias = blocks.queries(), blocks.gallery(), blocks.bias()
+    place = blocks.back()
+    assert (queries.reshape(-1)[place] == np.arange(h * w)).all()
+    per_block = queries.shape[1]
+    for cell, at in enumerate(place):
+        block, slot = divmod(int(at), per_block)
+        reached = set(gallery[block][bias[slot] == 0].tolist())
+        rows = range(max(0, cell // w - window), min(h, cell // w + window + 1))
+        columns = range(max(0, cell % w - window), min(w, cell % w + window + 1))
+        assert reached == {r * w + c for r in rows for c in columns}
+
+
+def test_a_window_over_the_whole_map_is_the_whole_search() -> None:
+    """Window equals full search once it covers the map."""
+    rng = np.random.default_rng(0)
+    queries, gallery = rng.normal(size=(5, 4, 3)), rng.normal(size=(2, 5, 4, 3))
+    whole = nearest(queries.reshape(-1, 3), gallery.reshape(-1, 3)).distances.reshape(5, 4)
+    np.testing.assert_allclose(window_nearest(queries, gallery, 4), whole, rtol=1e-12)

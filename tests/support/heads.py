@@ -1,0 +1,84 @@
+"""Synthetic feature maps, and a detector's graph beside its oracle."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+
+from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
+
+__all__ = ["RESNET18", "SMALL", "fit", "grid", "parity", "presses_of", "run_head", "with_spot"]
+
+SMALL = {"layer1": (6, 8, 8), "layer2": (8, 4, 4), "layer3": (10, 2, 2)}
+"""Taps of a toy trunk on a 32x32 frame."""
+
+RESNET18 = {"layer1": (64, 56, 56), "layer2": (128, 28, 28), "layer3": (256, 14, 14)}
+"""The taps of a real trunk on the default region."""
+
+
+def grid(taps: Mapping[str, tuple[int, int, int]] = SMALL) -> Grid:
+    side = 4 * next(iter(taps.values()))[1]
+    return Grid((side, side), taps, 15.77)
+
+
+def presses_of(
+    n: int,
+    seed: int = 0,
+    taps: Mapping[str, tuple[int, int, int]] = SMALL,
+    scale: float = 1.0,
+    spread: float = 0.3,
+) -> Features:
+    """n presses of one part: the same relief each time, a few ways in which presses vary, and noise; no negatives."""
+    part, own = np.random.default_rng(77), np.random.default_rng(seed)
+    found = {}
+    for tap, shape in taps.items():
+        relief, ways = part.normal(0.5, 1, shape), part.normal(size=(4, *shape))
+        varied = np.einsum("nk,kchw->nchw", own.normal(size=(n, 4)), ways)
+        maps = relief + spread * (varied + own.normal(size=(n, *shape)))
+        found[tap] = (np.maximum(maps, 0) * scale).astype(np.float32)
+    return found
+
+
+def with_spot(features: Features, fraction: float = 0.5, amount: float = 5.0) -> Features:
+    """The same presses with a foreign patch at one place, seen by every tap."""
+    found = {}
+    for tap, maps in features.items():
+        changed = maps.copy()
+        row, column = (int(fraction * size) for size in maps.shape[2:])
+        top = np.float32(max(float(maps.max()), np.finfo(np.float32).tiny))
+        changed[:, ::2, row, column] += np.float32(amount) * top
+        found[tap] = changed
+    return found
+
+
+def fit(detector: Detector, parameters: Any, features: Features, at: Grid, seed: int = 0) -> Bank:
+    return detector.fit(Nominal(features), at, parameters, np.random.default_rng(seed), lambda fraction: None)
+
+
+def run_head(head: bytes, features: Features, bank: Bank, threads: int = 1) -> dict[str, np.ndarray]:
+    """The graph's outputs by name, with the bank bound to the inputs of its arrays' names."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.use_deterministic_compute = True
+    session = ort.InferenceSession(head, options, providers=["CPUExecutionProvider"])
+    wanted = [i.name for i in session.get_inputs()]
+    feed = {name: features[name] if name in features else bank.arrays[name] for name in wanted}
+    names = [o.name for o in session.get_outputs()]
+    return dict(zip(names, session.run(names, feed), strict=True))
+
+
+def parity(
+    detector: Detector, parameters: Any, nominal: Features, asked: Features, at: Grid, seed: int = 0
+) -> tuple[ScoreMaps, float, float]:
+    """The oracle's answer, and the graph's largest errors of map and score relative to the oracle's maxima."""
+    bank = fit(detector, parameters, nominal, at, seed)
+    oracle = detector.reference_score(asked, at, bank, parameters)
+    graph = run_head(detector.head(at, bank, parameters), asked, bank)
+    assert graph["score_map"].dtype == np.float32
+    assert graph["score_map"].shape == oracle.score_map.shape
+    errors = []
+    for found, expected in ((graph["score_map"], oracle.score_map), (graph["score"], oracle.score)):
+        top = max(float(np.abs(expected).max()), np.finfo(np.float64).tiny)
+        errors.append(float(np.abs(found - expected).max()) / top)
+    return oracle, errors[0], errors[1]
