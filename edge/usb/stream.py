@@ -7,6 +7,7 @@ Ref: UVC 1.5 section 4.3.1.1 (negotiation); the kernel's behaviour as seen with 
 """
 
 from collections import deque
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import Any, Protocol, Self
 
