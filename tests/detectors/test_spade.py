@@ -120,12 +120,9 @@ def test_the_score_comes_from_the_map() -> None:
     clean = presses_of(1, 3, taps, spread=0.1)
     rise = {}
     for image_score in ("map", "presses"):
-        p = spade.parameters("paper", layers=("layer1",), image_score=image_score)
+        p = spade.parameters("paper", layers=("layer1",), is_normalised=False, image_score=image_score)
         bank = fit(spade, p, presses_of(8, 0, taps, spread=0.1), grid(taps))
-        scores = [
-            spade.reference_score(f, grid(taps), bank, p).score[0]
-            for f in (clean, with_spot(clean))
-        ]
+        scores = [spade.reference_score(f, grid(taps), bank, p).score[0] for f in (clean, with_spot(clean))]
         rise[image_score] = scores[1] / scores[0]
     assert rise["map"] > 1.1 * rise["presses"]
 
