@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from edge.core.errors import FitError, NotScorable
-from plugins.detectors.choices import choose, require_fittable
+from edge.core.errors import FitError
+from plugins.detectors.choices import choose, require_fittable, require_scorable
 from plugins.detectors.maths.embedding import (
     Embedded,
     Embedding,
@@ -166,6 +166,7 @@ class Padim:
         self, features: Features, grid: Grid, bank: Bank, parameters: PadimParameters
     ) -> ScoreMaps:
         """The oracle. Errors: NotScorable for features that are not finite."""
+        require_scorable(self.name, features, parameters.taps)
         arrays = bank.arrays
         embedding = _embedding(grid, bank, parameters)
         descriptors = embedding.numpy(features)
@@ -185,8 +186,6 @@ class Padim:
             squared[elsewhere[part]] = mahalanobis_squared(
                 delta, values, arrays["shared_basis"].astype(np.float64), ridge
             )
-        if not np.isfinite(squared).all():
-            raise NotScorable("padim: the features of this press are not finite; it has no score")
         raw = np.sqrt(squared).T.reshape(-1, *embedding.cells)
         return parameters.smoothing(grid, embedding.cells).score_maps(raw)
 
@@ -195,26 +194,26 @@ class Padim:
         arrays, embedding = bank.arrays, _embedding(grid, bank, parameters)
         graph = Graph("padim")
         count, width, rank = embedding.count, embedding.width, arrays["basis"].shape[1]
-        x = graph.transpose(embedding.emit(graph), 1, 0, 2)
-        mean = graph.op("Unsqueeze", graph.input("mean", (count, width)), graph.ints(1))
-        delta = graph.op("Sub", x, mean)
+        delta = graph.op("Sub", embedding.emit(graph), graph.input("mean", (count, width)))
         basis, weights = (
             graph.input("basis", ("locations", rank, width)),
             graph.input("weights", ("locations", rank)),
         )
         if "locations" not in arrays:
-            squared = _squared(graph, delta, basis, graph.op("Unsqueeze", weights, graph.ints(1)), parameters)
+            squared = _squared(graph, delta, basis, weights, parameters.total_ridge)
         else:
-            shared_rank = arrays["shared_basis"].shape[0]
-            shared = graph.input("shared_basis", (shared_rank, width))
-            shared_weights = graph.input("shared_weights", (shared_rank,))
-            here = graph.op("Gather", delta, graph.input("locations", ("locations",), "int64"), axis=0)
-            there = graph.op("Gather", delta, graph.input("elsewhere", ("elsewhere",), "int64"), axis=0)
-            local = _squared(graph, here, basis, graph.op("Unsqueeze", weights, graph.ints(1)), parameters)
-            rest = _squared(graph, there, shared, shared_weights, parameters)
-            both = graph.op("Concat", local, rest, axis=0)
-            squared = graph.op("Gather", both, graph.input("order", (count,), "int64"), axis=0)
-        raw = graph.reshape(graph.transpose(graph.op("Sqrt", squared), 1, 0), -1, *embedding.cells)
+            directions = len(arrays["shared_basis"])
+            shared = (
+                graph.input("shared_basis", (directions, width)),
+                graph.input("shared_weights", (directions,)),
+            )
+            here = graph.op("Gather", delta, graph.input("locations", ("locations",), "int64"), axis=1)
+            there = graph.op("Gather", delta, graph.input("elsewhere", ("elsewhere",), "int64"), axis=1)
+            local = _squared(graph, here, basis, weights, parameters.total_ridge)
+            rest = _squared_shared(graph, there, *shared, parameters.total_ridge)
+            both = graph.op("Concat", local, rest, axis=1)
+            squared = graph.op("Gather", both, graph.input("order", (count,), "int64"), axis=1)
+        raw = graph.reshape(graph.op("Sqrt", squared), -1, *embedding.cells)
         emit_scores(graph, raw, parameters.smoothing(grid, embedding.cells))
         return graph.serialise()
 
@@ -289,16 +288,30 @@ def _fit_shared(
 SHARED_RANK = 32
 
 
-def _squared(graph: Graph, delta: Value, basis: Value, weights: Value, parameters: PadimParameters) -> Value:
-    """Squared distances (m, n) of delta (m, n, d) under basis (m, r, d) or (r, d); sums of squares, never negative."""
-    turned = graph.transpose(basis, 1, 0) if basis.startswith("shared") else graph.transpose(basis, 0, 2, 1)
-    along = graph.op("MatMul", delta, turned)
+def _squared(graph: Graph, delta: Value, basis: Value, weights: Value, ridge: float) -> Value:
+    """Squared distances (n, m) of delta (n, m, d), each location under its own basis (m, r, d) and weights (m, r).
+
+    One row times one matrix per press and location, whatever n is: so a press scores the same alone and in a batch.
+    """
+    rows = graph.op("Unsqueeze", delta, graph.ints(2))
+    along = graph.op("MatMul", rows, graph.transpose(basis, 0, 2, 1))
+    off = graph.op("Sub", rows, graph.op("MatMul", along, basis))
+    return _sum(graph, along, graph.op("Unsqueeze", weights, graph.ints(1)), off, ridge, 2, 3)
+
+
+def _squared_shared(graph: Graph, delta: Value, basis: Value, weights: Value, ridge: float) -> Value:
+    """The same under one basis (r, d) and weights (r,) for all locations."""
+    along = graph.op("MatMul", delta, graph.transpose(basis, 1, 0))
     off = graph.op("Sub", delta, graph.op("MatMul", along, basis))
-    inside = graph.op(
-        "ReduceSum", graph.op("Mul", graph.op("Mul", along, along), weights), graph.ints(2), keepdims=0
-    )
-    outside = graph.op("ReduceSum", graph.op("Mul", off, off), graph.ints(2), keepdims=0)
-    return graph.op("Add", inside, graph.op("Mul", outside, graph.scalar(1 / parameters.total_ridge)))
+    return _sum(graph, along, weights, off, ridge, 2)
+
+
+def _sum(graph: Graph, along: Value, weights: Value, off: Value, ridge: float, *axes: int) -> Value:
+    """Weighted squares on the span plus squares off it by the ridge: never negative, and not finite stays so."""
+    weighted = graph.op("Mul", graph.op("Mul", along, along), weights)
+    inside = graph.op("ReduceSum", weighted, graph.ints(*axes), keepdims=0)
+    outside = graph.op("ReduceSumSquare", off, graph.ints(*axes), keepdims=0)
+    return graph.op("Add", inside, graph.op("Mul", outside, graph.scalar(1 / ridge)))
 
 
 def _embedding(grid: Grid, bank: Bank, parameters: PadimParameters) -> Embedding:

@@ -7,6 +7,7 @@ are chosen or projected at each tap's own resolution, before the coarse taps are
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -93,10 +94,16 @@ class Embedding:
         return Embedded(self, {tap: self._native(tap, features[tap], dtype) for tap in self.choice.taps})
 
     def emit(self, graph: Graph) -> Value:
-        """The same in a graph: inputs for the taps and arrays, result float32 (n, cells, d)."""
-        parts = [self._emit_tap(graph, index, tap) for index, tap in enumerate(self.choice.taps)]
+        """The same in a graph: inputs for the taps and arrays, result float32 (n, cells, d).
+
+        A tap of which no channel was drawn is no input.
+        """
+        read = [(index, tap) for index, tap in enumerate(self.choice.taps) if len(self._chosen(tap))]
+        if "scales" in self.arrays:
+            graph.input("scales", (len(self.choice.taps),))
+        parts = [self._emit_tap(graph, index, tap) for index, tap in read]
         if self.choice.projection == "semi_orthogonal":
-            return graph.op("Sum", *parts)
+            return reduce(lambda total, part: graph.op("Add", total, part), parts)
         return graph.op("Concat", *parts, axis=2) if len(parts) > 1 else parts[0]
 
     def index(self, tap: str) -> NDArray[np.int64]:
@@ -156,8 +163,7 @@ class Embedding:
         if f"projection_{tap}" in self.arrays:
             x = graph.op("MatMul", x, graph.input(f"projection_{tap}", (channels, self.width)))
         elif "scales" in self.arrays:
-            scales = "scales" if position else graph.input("scales", (len(self.choice.taps),))
-            x = graph.op("Mul", x, graph.op("Gather", scales, graph.ints(position), axis=0))
+            x = graph.op("Mul", x, graph.op("Gather", "scales", graph.ints(position), axis=0))
         if (rows, columns) != self.cells:
             x = graph.op("Gather", x, graph.constant(self.index(tap)), axis=1)
         return x
@@ -175,7 +181,8 @@ class Embedded:
         taps = self.embedding.choice.taps
         parts = [self.native[tap][:, self.embedding.index(tap)[cells]].swapaxes(0, 1) for tap in taps]
         if self.embedding.choice.projection == "semi_orthogonal":
-            return np.sum(parts, axis=0, dtype=np.float64)
+            total: NDArray[np.float64] = np.sum(parts, axis=0, dtype=np.float64)
+            return total
         return np.concatenate(parts, axis=2, dtype=np.float64)
 
 

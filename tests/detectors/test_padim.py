@@ -1,0 +1,309 @@
+"""PaDiM: the textbook's distances in float64, the same from the graph, and each repair seen to work."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, run_head, stored
+from scipy.ndimage import gaussian_filter
+
+from edge.core.detector import Features, Grid, Nominal
+from edge.core.errors import FitError, NotScorable
+from plugins.backbones.random import random_state
+from plugins.backbones.reference import forward, normalise
+from plugins.detectors.maths.smoothing import smoothing_matrix
+from plugins.detectors.padim import PadimParameters, padim
+
+QUERY = features(3, seed=7)
+EXACT = padim.parameters("corrected", projection="all", rank=None, packing="none")
+TOUCHED = np.zeros((48, 48), bool)
+TOUCHED[20:26, 22:30] = True
+
+
+def textbook(train: Features, query: Features, ridge: float, sigma_px: float) -> np.ndarray:
+    """PaDiM by its paper, all channels: dense covariances and their inverses, one location after the other."""
+
+    def embed(maps: Features) -> np.ndarray:
+        taps = [
+            np.kron(maps[tap].astype(np.float64), np.ones((1, 1, k, k)))
+            for tap, k in (("layer1", 1), ("layer2", 2), ("layer3", 4))
+        ]
+        return np.concatenate(taps, axis=1)
+
+    x, q = embed(train), embed(query)
+    distances = np.empty((len(q), 12, 12))
+    for row, column in np.ndindex(12, 12):
+        samples = x[:, :, row, column]
+        covariance = np.cov(samples, rowvar=False) + ridge * np.eye(samples.shape[1])
+        delta = q[:, :, row, column] - samples.mean(axis=0)
+        distances[:, row, column] = np.sqrt(np.einsum("nc,cd,nd->n", delta, np.linalg.inv(covariance), delta))
+    up = smoothing_matrix(12, 48, 0.0)
+    return np.stack([gaussian_filter(up @ each @ up.T, sigma_px) for each in distances])
+
+
+@pytest.mark.parametrize("n", [2, 5, 39, 40, 41, 90])
+def test_the_paper_mode_is_the_textbooks_padim(n: int) -> None:
+    """With every channel kept, the low-rank oracle and the graph equal dense inversion, below and above N = d = 40."""
+    parameters = padim.parameters("paper", channels=40)
+    train = features(n, seed=1)
+    bank = fitted(padim, parameters, Nominal(train))
+    oracle = padim.reference_score(QUERY, LIKE_RESNET, bank, parameters)
+    np.testing.assert_allclose(oracle.score_map, textbook(train, QUERY, 0.02, 4.0), rtol=2e-5)
+    np.testing.assert_allclose(oracle.score, oracle.score_map.max(axis=(1, 2)))
+    assert largest_error(head_scores(padim, parameters, QUERY, bank), oracle) < 1e-5
+
+
+@pytest.mark.parametrize("touched", [None, TOUCHED], ids=["everywhere", "partly"])
+@pytest.mark.parametrize(
+    "choice",
+    [
+        {},
+        {"rank": None},
+        {"rank": 3, "neighbours": 1},
+        {"projection": "all"},
+        {"projection": "random", "channels": 17},
+        {"projection": "random", "channels": 2},
+        {"grid_tap": "layer2"},
+        {"grid_tap": "layer2", "projection": "all", "is_balanced": False},
+        {"grid_tap": "layer3", "taps": ("layer2", "layer3")},
+        {"is_sampled": False, "sigma": 3.0, "sigma_unit": "px"},
+        {"is_ridge_twice": True, "ridge": 1e-4},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("n", [1, 2, 30])
+def test_the_graph_equals_the_oracle(n: int, choice: dict[str, Any], touched: np.ndarray | None) -> None:
+    """Map and score within 1e-4 of float64 (found: below 2e-6), for every choice, also from one or two presses."""
+    parameters = padim.parameters("corrected", **choice)
+    nominal = Nominal(features(n, seed=1), touched, features(2, seed=2))
+    bank = fitted(padim, parameters, nominal)
+    oracle = padim.reference_score(QUERY, LIKE_RESNET, bank, parameters)
+    assert largest_error(head_scores(padim, parameters, QUERY, bank), oracle) < 2e-6
+
+
+@pytest.mark.parametrize("topology", ["resnet18", "wide_resnet50_2"])
+@pytest.mark.parametrize("mode", ["paper", "corrected"])
+def test_parity_on_real_topologies(topology: str, mode: str) -> None:
+    """On the taps of seeded networks: within 1e-4 with the bank as fitted, and within 3 % with the bank as stored."""
+    frames = np.random.default_rng(0).integers(0, 256, (7, 64, 64, 3), dtype=np.uint8)
+    taps = {
+        k: v.astype(np.float32)
+        for k, v in forward(random_state(topology), topology, normalise(frames)).items()
+    }
+    grid = Grid((64, 64), {tap: value.shape[1:] for tap, value in taps.items()}, 15.77)
+    parameters = padim.parameters(mode)
+    bank = fitted(padim, parameters, Nominal({tap: value[:5] for tap, value in taps.items()}), grid)
+    query = {tap: value[5:] for tap, value in taps.items()}
+    oracle = padim.reference_score(query, grid, bank, parameters)
+    assert largest_error(head_scores(padim, parameters, query, bank, grid), oracle) < 1e-4
+    assert largest_error(head_scores(padim, parameters, query, stored(bank), grid), oracle) < 0.03
+
+
+@pytest.mark.parametrize(("packing", "bound"), [("float16", 2e-3), ("int8", 2e-2)])
+def test_stored_banks_stay_within_their_bound(packing: str, bound: float) -> None:
+    """float16 costs at most 0.2 % of the largest distance, int8 at most 2 %; the stored size follows."""
+    parameters = padim.parameters(packing=packing)
+    bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
+    oracle = padim.reference_score(QUERY, LIKE_RESNET, bank, parameters)
+    assert largest_error(head_scores(padim, parameters, QUERY, stored(bank)), oracle) < bound
+    assert bank.packing["basis"] == packing
+    assert bank.packing["mean"] == "float16"
+
+
+def test_a_press_scores_the_same_alone_and_in_a_batch() -> None:
+    """Batch size moves no score by more than 1e-6 of it."""
+    parameters = padim.parameters()
+    bank = fitted(padim, parameters, Nominal(features(20, seed=1), TOUCHED))
+    head = padim.head(LIKE_RESNET, bank, parameters)
+    together = run_head(head, QUERY, bank)
+    for index in range(3):
+        alone = run_head(head, {tap: value[index : index + 1] for tap, value in QUERY.items()}, bank)
+        np.testing.assert_allclose(alone.score_map[0], together.score_map[index], rtol=1e-6)
+
+
+def test_one_head_serves_parts_touched_in_different_places() -> None:
+    """The head fitted on one part scores another part's bank, touched elsewhere and in fewer cells."""
+    parameters = padim.parameters()
+    other = np.zeros((48, 48), bool)
+    other[2:5, 2:5] = True
+    first = fitted(padim, parameters, Nominal(features(20, seed=1), TOUCHED))
+    second = fitted(padim, parameters, Nominal(features(20, seed=3), other))
+    assert first.facts["locations"] != second.facts["locations"]
+    found = run_head(padim.head(LIKE_RESNET, first, parameters), QUERY, second)
+    assert largest_error(found, padim.reference_score(QUERY, LIKE_RESNET, second, parameters)) < 2e-6
+
+
+def test_the_maximum_is_where_the_features_were_changed() -> None:
+    """A deviation painted into one cell of layer1 is the peak of the map, at the pixel where that cell looks."""
+    parameters = padim.parameters(sigma=2.0, sigma_unit="px")
+    bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
+    odd = {tap: value[:1].copy() for tap, value in QUERY.items()}
+    odd["layer1"][0, :, 4, 9] += 5
+    score_map = head_scores(padim, parameters, odd, bank).score_map[0]
+    assert np.unravel_index(score_map.argmax(), score_map.shape) == (16, 36)
+
+
+# --- what the corrected mode repairs, switch by switch
+
+
+def test_repair_ridge_once() -> None:
+    """is_ridge_twice: the seed paper's scripts add the ridge at fit and at prediction; corrected adds it once."""
+    assert padim.parameters("paper").total_ridge == pytest.approx(0.02)
+    assert padim.parameters("corrected", ridge=0.01).total_ridge == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_repair_balanced_taps(scale: float) -> None:
+    """is_balanced: the scores do not depend on the features' scale; in the paper's form the ridge decides."""
+
+    def score(parameters: PadimParameters, by: float) -> np.ndarray:
+        bank = fitted(padim, parameters, Nominal(features(20, seed=1, scale=by)))
+        query = features(3, seed=7, scale=by)
+        found = head_scores(padim, parameters, query, bank)
+        assert largest_error(found, padim.reference_score(query, LIKE_RESNET, bank, parameters)) < 1e-4
+        return found.score
+
+    balanced, paper = padim.parameters(), padim.parameters("paper", channels=40)
+    np.testing.assert_allclose(score(balanced, scale), score(balanced, 1.0), rtol=1e-4)
+    assert not np.allclose(score(paper, scale), score(paper, 1.0), rtol=0.5)
+
+
+def test_repair_balance_between_taps() -> None:
+    """is_balanced: one tap at a thousand times the scale of the others does not silence them."""
+    loud = {tap: value * (1000 if tap == "layer3" else 1) for tap, value in features(20, seed=1).items()}
+    query = {tap: value * (1000 if tap == "layer3" else 1) for tap, value in QUERY.items()}
+    odd = {tap: value.copy() for tap, value in query.items()}
+    odd["layer1"][:, :, 4, 4] += 5
+
+    def rise(parameters: PadimParameters) -> float:
+        bank = fitted(padim, parameters, Nominal(loud))
+        a, b = (padim.reference_score(each, LIKE_RESNET, bank, parameters) for each in (odd, query))
+        return float((a.score_map / b.score_map).max())
+
+    assert rise(padim.parameters()) > 1.3
+    assert rise(padim.parameters(is_balanced=False)) < 1.01
+
+
+def test_repair_physical_blur() -> None:
+    """sigma_unit: in millimetres the blur follows the resolution; in pixels it does not."""
+    fine = dataclasses.replace(LIKE_RESNET, pixels_per_mm=4 * LIKE_RESNET.pixels_per_mm)
+    for mode, factor in (("paper", 1), ("corrected", 4)):
+        parameters = padim.parameters(mode)
+        low, high = (parameters.smoothing(grid, (12, 12)).sigma_px for grid in (LIKE_RESNET, fine))
+        assert high == pytest.approx(factor * low)
+        assert low == pytest.approx(4.0, rel=1e-6)
+
+
+def test_repair_sampled_cells() -> None:
+    """is_sampled: a cell of layer3 is drawn around the pixel where its convolution looks (16 i), not 7.5 px beside."""
+    odd = {tap: value[:1].copy() for tap, value in QUERY.items()}
+    odd["layer3"][0, :, 1, 1] += 20
+
+    def centre(is_sampled: bool) -> float:
+        parameters = padim.parameters(
+            taps=("layer2", "layer3"), grid_tap="layer2", is_sampled=is_sampled, sigma=0.1
+        )
+        bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
+        rows = head_scores(padim, parameters, odd, bank).score_map[0].max(axis=1)
+        hot = np.flatnonzero(rows > 0.9 * rows.max())
+        return float(hot.mean())
+
+    assert abs(centre(True) - 16) <= 4.5
+    assert abs(centre(False) - 23.5) <= 2
+
+
+def test_repair_untouched_cells_need_no_bank() -> None:
+    """is_touched_only: cells that no press touches hold a mean and no eigenvectors, and still notice a stray touch."""
+    nominal = Nominal(features(30, seed=1), TOUCHED, features(3, seed=2))
+    parameters = padim.parameters(margin_mm=0.0)
+    bank = fitted(padim, parameters, nominal)
+    assert bank.facts["locations"] == len(bank.arrays["basis"]) == 2 * 3
+    assert bank.facts["locations_shared"] == 144 - 6
+    stray = {tap: value.copy() for tap, value in QUERY.items()}
+    stray["layer1"][:, :, 1, 1] += 5
+    plain, odd = (head_scores(padim, parameters, each, bank) for each in (QUERY, stray))
+    assert (odd.score_map[:, 4, 4] > 1.5 * plain.score_map[:, 4, 4]).all()
+
+
+def test_neighbours_tolerate_a_shift() -> None:
+    """neighbours=1: presses shifted by one cell score lower than with a Gaussian per bare cell."""
+    train = features(30, seed=1)
+    shifted = {tap: np.roll(value[:5], 1, axis=3) for tap, value in train.items()}
+
+    def score(parameters: PadimParameters) -> np.ndarray:
+        bank = fitted(padim, parameters, Nominal(train))
+        return padim.reference_score(shifted, LIKE_RESNET, bank, parameters).score_map[:, 12:36, 12:36].mean()
+
+    exact: dict[str, Any] = {"rank": None, "ridge": 0.05}
+    assert score(padim.parameters(neighbours=1, **exact)) < 0.7 * score(padim.parameters(**exact))
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("overrides", "says"),
+    [
+        ({"chanels": 5}, "did you mean 'channels'"),
+        ({"ridge": 0.0}, "ridge is a positive number"),
+        ({"ridge": float("nan")}, "ridge is a positive number"),
+        ({"rank": 0}, "rank is at least 1"),
+        ({"neighbours": 2}, "neighbours is 0 or 1"),
+        ({"sigma": -1.0}, "sigma and margin_mm"),
+        ({"sigma_unit": "inch"}, "sigma_unit is mm or px"),
+        ({"taps": ()}, "taps must be distinct"),
+        ({"grid_tap": "layer4"}, "not among the taps"),
+        ({"projection": "pca"}, "projection is all"),
+        ({"projection": "random", "channels": 0}, "needs channels >= 1"),
+    ],
+)
+def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str) -> None:
+    """Each names itself, what was found and what is allowed."""
+    with pytest.raises(FitError, match=says):
+        padim.parameters(**overrides)
+
+
+def test_unfit_presses_are_refused() -> None:
+    """No press, a missing tap, a foreign shape, a value that is not finite, a foreign mask, no touch: FitError."""
+    train = features(4, seed=1)
+    spoilt = {tap: value.copy() for tap, value in train.items()}
+    spoilt["layer2"][3, 0, 0, 0] = np.nan
+    cases = {
+        "there are no nominal presses": Nominal({tap: value[:0] for tap, value in train.items()}),
+        "needs the tap 'layer3'": Nominal({"layer1": train["layer1"], "layer2": train["layer2"]}),
+        "the grid says": Nominal({**train, "layer1": train["layer1"][:, :3]}),
+        r"not finite in nominal presses \[3\]": Nominal(spoilt),
+        "touched mask": Nominal(train, np.ones((3, 3), bool)),
+        "different numbers": Nominal({**train, "layer1": train["layer1"][:2]}),
+        "no nominal press touches": Nominal(train, np.zeros((48, 48), bool)),
+        "not finite in no-contact frames": Nominal(train, TOUCHED, spoilt),
+    }
+    for says, nominal in cases.items():
+        with pytest.raises(FitError, match=says):
+            fitted(padim, padim.parameters(), nominal)
+
+
+def test_the_oracle_refuses_features_that_are_not_finite() -> None:
+    """NaN in a press: NotScorable."""
+    parameters = padim.parameters()
+    bank = fitted(padim, parameters, Nominal(features(4, seed=1)))
+    spoilt = {tap: value.copy() for tap, value in QUERY.items()}
+    spoilt["layer3"][0, 0, 0, 0] = np.inf
+    with pytest.raises(NotScorable, match="layer3"):
+        padim.reference_score(spoilt, LIKE_RESNET, bank, parameters)
+
+
+def test_the_fit_is_reproducible() -> None:
+    """Same presses and seed: the same bank, bit by bit; the drawn channels are in it."""
+    parameters = padim.parameters("paper", channels=9)
+    first, second, third = (
+        fitted(padim, parameters, Nominal(features(6, seed=1)), seed=seed) for seed in (0, 0, 1)
+    )
+    assert all(np.array_equal(first.arrays[name], second.arrays[name]) for name in first.arrays)
+    assert sum(len(first.arrays[f"channels_{tap}"]) for tap in parameters.taps) == 9
+    assert any(
+        not np.array_equal(first.arrays[name], third.arrays[name])
+        for name in first.arrays
+        if "channels" in name
+    )
