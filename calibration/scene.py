@@ -50,7 +50,10 @@ class Camera(_Table):
 
 
 class Motion(_Table):
-    """One press in time: untouched, going down, coming to rest, held, going up. `idle_s` comes before the first."""
+    """One press in time: untouched, going down, coming to rest, held, going up.
+
+    `idle_s` of free gel come before the first press, `tail_s` after the last.
+    """
 
     idle_s: Seconds = 1.5
     approach_s: Seconds = 0.3
@@ -58,6 +61,7 @@ class Motion(_Table):
     settle_s: Seconds = 0.15
     hold_s: Annotated[float, Field(gt=0, le=60)] = 0.35
     lift_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+    tail_s: Seconds = 0.5
 
 
 class JitterTable(_Table):
@@ -106,7 +110,9 @@ class Run(_Table):
     @model_validator(mode="after")
     def _not_all_faulty(self) -> Self:
         if self.faulty >= self.presses and self.faulty > 0:
-            raise ValueError(f"the first press of a run is sound, so faulty is below presses, found {self.faulty}")
+            raise ValueError(
+                f"the first press of a run is sound, so faulty is below presses, found {self.faulty}"
+            )
         return self
 
 

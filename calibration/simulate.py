@@ -1,13 +1,20 @@
 """Making recordings and datasets from scenes: the library behind `gelgate simulate`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from calibration.scene import Run, Scene
+from calibration.scene import SCENES, Run, Scene, load_scene
+from calibration.simulator.dataset_writer import write_dataset
 from calibration.simulator.record import record_run
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError
 
-__all__ = ["simulate_recording"]
+__all__ = ["paper_scenes", "simulate_dataset", "simulate_recording"]
+
+
+def paper_scenes() -> list[Scene]:
+    """The scenes that together have the counts of the published dataset (its Table 1): PZ1 to PZ5."""
+    return [load_scene(path) for path in sorted((SCENES / "paper").glob("*.toml"))]
 
 
 def simulate_recording(
@@ -27,6 +34,37 @@ def simulate_recording(
     Errors: ConfigError for a scene without runs or an unknown run, RecordingError when the folder holds other things.
     """
     return record_run(scene, _run(scene, run, presses), folder, seed, workers=workers, progress=progress)
+
+
+def simulate_dataset(
+    scenes: Scene | Sequence[Scene],
+    folder: Path,
+    seed: int = 0,
+    *,
+    presses: int | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Path:
+    """Write one or more scenes as one dataset, and return its folder.
+
+    presses: of each sound piece and position, in place of the scene's own. What is already there is kept. Errors:
+    ConfigError for a scene of recordings, DatasetError when the folder holds other things, StoreError for the disk.
+    """
+    several = [scenes] if isinstance(scenes, Scene) else list(scenes)
+    return write_dataset(
+        [_pressed(scene, presses) for scene in several], folder, seed, workers=workers, progress=progress
+    )
+
+
+def _pressed(scene: Scene, presses: int | None) -> Scene:
+    if scene.nominal is None:
+        raise ConfigError(
+            f"scene '{scene.name}' describes recordings; it has no [nominal] to make a dataset of"
+        )
+    if presses is None:
+        return scene
+    nominal = scene.nominal.model_copy(update={"presses": presses})
+    return scene.model_copy(update={"nominal": nominal})
 
 
 def _run(scene: Scene, name: str | None, presses: int | None) -> Run:

@@ -7,9 +7,8 @@ was cut and resumed.
 from dataclasses import dataclass
 from functools import lru_cache
 
-
 from calibration.scene import Run, Scene
-from calibration.simulator.defects import Damaged, Defect, place_defect
+from calibration.simulator.defects import Defect, place_defect
 from calibration.simulator.field import Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import Pose
@@ -72,7 +71,9 @@ def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Stre
     """
     if not plan.kind:
         return None
-    return _damage(plan.part, plan.position, plan.specimen, plan.kind, plan.severity, depth_mm, mask_depth_mm, streams)
+    return _damage(
+        plan.part, plan.position, plan.specimen, plan.kind, plan.severity, depth_mm, mask_depth_mm, streams
+    )
 
 
 @lru_cache(maxsize=64)
@@ -187,5 +188,3 @@ def recording_plan(scene: Scene, run: Run, seed: int, press_s: float) -> list[Pr
             )
         )
     return plans
-
-

@@ -1,4 +1,4 @@
-"""A scene's run as a recording: every frame of every press, as the camera's bytes, with a label that tells the truth."""
+"""A scene's run as a recording: every frame of every press, as the camera's bytes, labelled with the truth."""
 
 import hashlib
 import json
@@ -40,14 +40,16 @@ FrameOut = tuple[int, bytes, Label]
 
 @dataclass(frozen=True)
 class _Task:
-    """Frames of one press, or of the idle time before the first (`press` is None)."""
+    """Frames of one press, or of the free gel before the first and after the last (`press` is None)."""
 
     scene: Scene
     seed: int
     index: int
     first_frame: int
     press: PressPlan | None
-    previous: PressPlan | None
+    previous: PressPlan | None = None
+    idle_frames: int = 0
+    gel_presses: int = 0
 
 
 def record_run(
@@ -116,11 +118,12 @@ def _tasks(scene: Scene, run: Run, seed: int) -> Iterator[_Task]:
     motion = _motion(scene)
     idle = round(scene.motion.idle_s * scene.camera.fps)
     plans = recording_plan(scene, run, seed, motion.frames / scene.camera.fps)
-    if idle:
-        yield _Task(scene, seed, -1, 0, None, plans[0])
+    yield _Task(scene, seed, -1, 0, None, idle_frames=idle, gel_presses=run.gel_presses)
     for index, plan in enumerate(plans):
         previous = plans[index - 1] if index else None
         yield _Task(scene, seed, index, idle + index * motion.frames, plan, previous)
+    end, tail = idle + len(plans) * motion.frames, round(scene.motion.tail_s * scene.camera.fps)
+    yield _Task(scene, seed, -1, end, None, plans[-1], tail, run.gel_presses + run.presses)
 
 
 @lru_cache(maxsize=2)
@@ -140,19 +143,20 @@ def _frames(task: _Task) -> list[FrameOut]:
 
 
 def _idle_frames(task: _Task) -> list[FrameOut]:
-    renderer, fps = _renderer(task.scene, task.seed), task.scene.camera.fps
-    worn = 0 if task.previous is None else task.previous.gel_presses
-    light = renderer.light(renderer.surface(np.zeros(renderer.field.shape, dtype=np.float32), worn), worn)
-    frames = round(task.scene.motion.idle_s * fps)
+    renderer, scene, worn = _renderer(task.scene, task.seed), task.scene, task.gel_presses
+    free = np.zeros(renderer.field.shape, dtype=np.float32)
+    left = _left_by(task.previous, scene, task.seed)
     label: Label = {"press": None, "phase": "idle", "specimen": None, "defect": None, "severity": 0.0}
-    return [
-        (
-            round(k / fps * 1e9),
-            _payload(task.scene, renderer.expose(light, ("idle", worn), Exposure(k, k / fps, (0.0, 0.0)))),
-            label,
-        )
-        for k in range(frames)
-    ]
+    frames = []
+    light = None
+    for k in range(task.idle_frames):
+        time_s = (task.first_frame + k) / scene.camera.fps
+        if light is None or left is not None:
+            previous = None if left is None else (left, k / scene.camera.fps)
+            light = renderer.light(renderer.surface(free, worn, previous), worn)
+        rgb = renderer.expose(light, ("idle", worn), Exposure(k, time_s, (0.0, 0.0)))
+        frames.append((round(time_s * 1e9), _payload(scene, rgb), label))
+    return frames
 
 
 def press_frames(
@@ -165,7 +169,9 @@ def press_frames(
     placed = renderer.place(Pose(), plan.key)
     height = sample(whole if defect is None else Damaged(whole, defect), placed, renderer.field)
     depth = scene.press_depth_mm * placed.depth_factor
-    angle = float(streams("slide", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
+    angle = (
+        float(streams("slide", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
+    )
     left = _left_by(previous, scene, seed)
     light, shown = None, None
     for k, moment in enumerate(_motion(scene).moments()):
@@ -175,7 +181,11 @@ def press_frames(
         time_s = (first_frame + k) / fps
         slide = (moment.slide_mm_s * np.cos(angle), moment.slide_mm_s * np.sin(angle))
         rgb = renderer.expose(light, plan.key, Exposure(k, time_s, slide))
-        yield round(time_s * 1e9), _payload(scene, rgb), _label(index, moment, plan, defect and asdict(defect))
+        yield (
+            round(time_s * 1e9),
+            _payload(scene, rgb),
+            _label(index, moment, plan, defect and asdict(defect)),
+        )
 
 
 def _light(
@@ -207,7 +217,9 @@ def _label(index: int, moment: Moment, plan: PressPlan, defect: Mapping[str, obj
         "specimen": f"s{plan.specimen:03d}",
         "part": plan.part,
         "position": plan.position,
-        "defect": None if defect is None else {key: defect[key] for key in ("kind", "severity", "at_mm", "turn_rad")},
+        "defect": None
+        if defect is None
+        else {key: defect[key] for key in ("kind", "severity", "at_mm", "turn_rad")},
         "severity": plan.severity,
     }
 

@@ -175,6 +175,21 @@ class Renderer:
             self._picture(sound, key, presses, exposure),
         )
 
+    def damaged(
+        self,
+        part: HeightField,
+        defect: Defect,
+        depth_mm: float,
+        key: Key = (),
+        commanded: Pose | None = None,
+        presses: int = 0,
+        exposure: Exposure | None = None,
+        mask_depth_mm: float = MASK_DEPTH_MM,
+    ) -> tuple[U8, NDArray[np.bool_]]:
+        """`pair` without the picture of the sound part: (damaged rgb, mask)."""
+        sound, damaged = self.imprints(part, defect, depth_mm, self.place(commanded or Pose(), key))
+        return self._picture(damaged, key, presses, exposure), self.mask(sound, damaged, mask_depth_mm)
+
     def imprints(self, part: HeightField, defect: Defect, depth_mm: float, placed: Pose) -> tuple[F32, F32]:
         """The imprints of the sound and of the damaged part in one pose, mm, float32 (h, w) each."""
         depth = depth_mm * placed.depth_factor

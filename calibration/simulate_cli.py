@@ -1,0 +1,84 @@
+"""`gelgate simulate`: scenes in, recordings or a dataset out."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.scene import Scene
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    scene: Annotated[
+        str,
+        typer.Argument(help="A scene's name or .toml file, or 'paper': the published dataset's counts."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Where to: a new folder, or one to go on with.")],
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal bytes.")] = 0,
+    presses: Annotated[
+        int | None, typer.Option(min=1, help="Presses of each sound piece, or of each run, in place of the scene's.")
+    ] = None,
+    run: Annotated[
+        str, typer.Option(help="Only this run, straight into the output folder; default: all, a folder each.")
+    ] = "",
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Only write preview.png: frames, masks, effects one by one.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
+) -> None:
+    """Simulate presses: a dataset with exact masks, or recordings of whole press motions.
+
+    An interrupted command, given again, goes on where it stopped; what is complete is not made again.
+    """
+    from calibration.scene import load_scene
+    from calibration.simulate import paper_scenes
+
+    scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
+    workers = workers or os.cpu_count() or 1
+    if preview:
+        _preview(scenes, output, seed)
+    elif scenes[0].runs:
+        _recordings(scenes[0], output, seed, presses, run, workers)
+    else:
+        _dataset(scenes, output, seed, presses, workers)
+
+
+def _dataset(scenes: "list[Scene]", output: Path, seed: int, presses: int | None, workers: int) -> None:
+    from calibration.progress import progress
+    from calibration.simulate import simulate_dataset
+
+    with progress("simulate", 1000) as advance:
+        simulate_dataset(
+            scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(1000 * f))
+        )
+    typer.echo(f"dataset: {output}")
+
+
+def _recordings(scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int) -> None:
+    from calibration.progress import progress
+    from calibration.simulate import simulate_recording
+
+    for name in [only] if only else [run.name for run in scene.runs]:
+        folder = output if only else output / name
+        with progress(f"simulate {name}", 1000) as advance:
+            simulate_recording(
+                scene,
+                folder,
+                seed,
+                run=name,
+                presses=presses,
+                workers=workers,
+                progress=lambda f, advance=advance: advance(int(1000 * f)),  # type: ignore[misc]
+            )
+        typer.echo(f"recording: {folder}")
+
+
+def _preview(scenes: "list[Scene]", output: Path, seed: int) -> None:
+    from calibration.simulator.preview import write_preview
+
+    for scene in scenes:
+        typer.echo(f"preview: {write_preview(scene, output, seed)}")
