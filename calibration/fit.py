@@ -198,7 +198,10 @@ class _Fit:
             self.recipe.threads,
             f"head of {self.detector.name}",
         )
-        return np.array([_head_score(head, bank, _chosen(nominal.features, np.array([k]))) for k in held])
+        wanted = {i.name for i in head.get_inputs()}
+        stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
+        taps = {tap: maps for tap, maps in nominal.features.items() if tap in wanted}
+        return np.array([_head_score(head, {**_chosen(taps, np.array([k])), **stored}) for k in held])
 
     def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
         """Score with the bundle as it will be loaded, then write down what it measured."""
@@ -306,18 +309,16 @@ def _chosen(features: Features, rows: NDArray[np.int64]) -> Features:
     return {tap: maps[rows] for tap, maps in features.items()}
 
 
-def _head_score(head: ort.InferenceSession, bank: Bank, features: Features) -> float:
-    """One press by a bank as it would be stored. Errors: FitError."""
-    wanted = {i.name for i in head.get_inputs()}
-    stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
-    taps = {tap: maps for tap, maps in features.items() if tap in wanted}
+def _head_score(head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]) -> float:
+    """The anomaly score of one press. Errors: FitError."""
     try:
-        return float(head.run(["score"], {**taps, **stored})[0][0])
+        return float(head.run(["score"], dict(inputs))[0][0])
     except RUNTIME_ERRORS as error:
         raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
 
 
 def _as_stored(bank: Bank, name: str) -> NDArray[Any]:
+    """A bank array as it will be after being stored and loaded."""
     packing = bank.packing.get(name, "none")
     try:
         return unpack(pack(bank.arrays[name], packing), packing)

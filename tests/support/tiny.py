@@ -34,8 +34,12 @@ __all__ = [
     "TINY",
     "TinyBackbone",
     "TinyDetector",
+    "TinyParameters",
     "presses",
+    "tiny_bank",
+    "tiny_facts",
     "tiny_files",
+    "tiny_graphs",
     "tiny_grid",
     "tiny_trunk",
 ]
@@ -168,10 +172,14 @@ def tiny_bank(value: float = 0.5, packing: Packing = "none") -> Bank:
     return Bank({"mean": np.full(tiny_grid().taps["layer1"], value, np.float32)}, {"mean": packing})
 
 
+def tiny_graphs() -> Graphs:
+    return Graphs(trunk=tiny_trunk(), head=TINY.head(tiny_grid(), tiny_bank(), TinyParameters()))
+
+
 def tiny_files(bank: Bank | None = None, **changes: Any) -> tuple[Manifest, dict[str, bytes]]:
     """The files of a bundle that scores the distance to mid grey (or to another bank's mean)."""
     bank = bank or tiny_bank()
     golden = changes.pop("golden", ())
     with_trunk = changes.pop("with_trunk", True)
-    graphs = Graphs(trunk=tiny_trunk(), head=TINY.head(tiny_grid(), bank, TinyParameters()))
+    graphs = changes.pop("graphs", tiny_graphs())
     return bundle_files(tiny_facts(**changes), graphs, bank, golden, backbone="tiny", with_trunk=with_trunk)
