@@ -24,12 +24,13 @@ from edge.commands import Commands
 from edge.config import Config, PluginTable
 from edge.core.contact import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
-from edge.core.events import Event, StartedTouched
+from edge.core.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
 from edge.core.frames import CameraFrame
 from edge.core.gel import GelState
 from edge.core.ports import Clock, Device, DeviceIdentity, Sink
 from edge.core.station import Station, topic_root
 from edge.core.tracker import ContactTracker
+from edge.core.wear import wear
 from edge.inspection import Inspection, Inspector
 from edge.ledger import GelRecord
 from edge.messages import (
@@ -48,6 +49,7 @@ from edge.messages import (
 from edge.outbox import Bounds
 from edge.presses import PressReport, PressTaker, Recorder
 from edge.publisher import Publisher
+from edge.references import ReferenceFolder
 from edge.scorer import Scorer
 from edge.store import Store
 
@@ -146,6 +148,7 @@ class Gateway:
         scorer.check_golden()
         self._inspector = Inspector(scorer, self._clock)
         self._store = self._parts.enter_context(_open_store(config))
+        self._references = ReferenceFolder(config.store.path.with_suffix(".references"))
         self._announcements = Announcements()
         self._publisher = Publisher(
             config.store.path, self._open_sinks(), self._announcements, self._clock, random.Random()
@@ -219,9 +222,11 @@ class Gateway:
             )
         settings = ContactSettings(is_external=self._config.inspection.trigger == "command")
         self._identity = identity
-        self._taker = PressTaker(ContactTracker(settings), self._inspector, self._clock, self._contact_said)
-        self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
         gel = self._store.gel(identity.serial, self._clock.time_ns())
+        stored = self._references.load(identity.serial, gel.gel_id, "last")
+        tracker = ContactTracker(settings, stored)
+        self._taker = PressTaker(tracker, self._inspector, self._clock, self._contact_said)
+        self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
         self._publisher.announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
         self._publisher.announce(info_message(self._info(identity)))
         self._check_gel(gel)
@@ -272,8 +277,23 @@ class Gateway:
 
     def _contact_said(self, event: Event) -> None:
         log.debug("%s", event)
-        if isinstance(event, StartedTouched):
-            log.warning("something presses the gel at the start; nothing is inspected until it is free")
+        match event:
+            case StartedTouched():
+                log.warning("something presses the gel at the start; nothing is inspected until it is free")
+            case ReferenceReady() | ReferenceRefreshed():
+                self._see_wear()
+
+    def _see_wear(self) -> None:
+        """The free gel was seen: keep its picture, and compare it with the first of this gel."""
+        reference = self._taker.tracker.reference if self._taker else None
+        if reference is None or self._identity is None or self._recorder is None:
+            return
+        serial = self._identity.serial
+        gel_id = self._store.gel(serial, self._clock.time_ns()).gel_id
+        self._references.save(serial, gel_id, reference)
+        first = self._references.load(serial, gel_id, "first")
+        if first is not None and first.view.shape == reference.view.shape:
+            self._recorder.wear_index = wear(first.view, reference.view).index
 
     def _check_gel(self, gel: GelRecord) -> None:
         if gel.state is GelState.GOOD:

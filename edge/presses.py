@@ -31,7 +31,12 @@ class PressReport:
 
 
 class Recorder:
-    """Writes presses of one sensor, judged with one bundle, into the store."""
+    """Writes presses of one sensor, judged with one bundle, into the store.
+
+    wear_index: the gel's optical wear when it was last seen free, noted with every press; None until measured.
+    """
+
+    wear_index: float | None = None
 
     def __init__(self, store: Store, inspector: Inspector, serial: str, clock: Clock) -> None:
         self._store = store
@@ -55,6 +60,7 @@ class Recorder:
             verdict="error" if verdict is None else verdict.kind.value,
             score=verdict.score if verdict else None,
             threshold=manifest.threshold.value,
+            wear_index=self.wear_index,
         )
         rejection = verdict.rejection if verdict else None
 
