@@ -5,6 +5,7 @@ Planes are float32 (3, h, w) in grey levels, channel order red, green, blue; noi
 
 import math
 from functools import lru_cache
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -128,14 +129,25 @@ _NOISE_SD = (2.2, 1.5, 2.7)
 _NOISE_LEVEL = 100.0
 
 
+@lru_cache(maxsize=1)
+def _normal_quantiles() -> F32:
+    """The normal distribution at the middle of each of 65536 equal shares, float32 (65536,): within 4.3 sd."""
+    one = NormalDist()
+    upper = np.array([one.inv_cdf(0.5 + (k + 0.5) / 65536) for k in range(32768)], dtype=np.float32)
+    return np.concatenate([-upper[::-1], upper])
+
+
 def noise(planes: F32, rng: np.random.Generator) -> F32:
-    """The planes with the sensor's noise: a fixed part and a part that grows with the root of the light."""
-    draws = rng.standard_normal(planes.shape, dtype=np.float32)
-    for plane, sd, draw in zip(planes, _NOISE_SD, draws, strict=True):
-        spread = cv2.sqrt(
-            np.maximum(plane, 0) * np.float32(0.5 * sd * sd / _NOISE_LEVEL) + np.float32(0.5 * sd * sd)
-        )
-        spread *= draw
+    """The planes with the sensor's noise: a fixed part and a part that grows with the root of the light.
+
+    Each value takes 16 random bits and looks its quantile up, three times as fast as drawing it exactly.
+    """
+    bits = np.frombuffer(rng.bytes(2 * planes.size), dtype="<u2").reshape(planes.shape)
+    quantiles = _normal_quantiles()
+    for plane, sd, which in zip(planes, _NOISE_SD, bits, strict=True):
+        half = 0.5 * sd * sd
+        spread = cv2.sqrt(np.maximum(plane, 0) * np.float32(half / _NOISE_LEVEL) + np.float32(half))
+        spread *= quantiles[which]
         plane += spread
     return planes
 
@@ -146,16 +158,19 @@ def quantise(planes: F32) -> U8:
     return np.asarray(np.clip(np.rint(merged), 0, 255).astype(np.uint8))
 
 
-def encode_jpeg(rgb: U8, quality: int) -> bytes:
-    """The picture as JPEG bytes. Errors: ValueError when the encoder refuses."""
+def encode_jpeg(rgb: U8, quality: int, size: tuple[int, int] | None = None) -> bytes:
+    """The picture as JPEG bytes, scaled to (width, height) first. Errors: ValueError when the encoder refuses."""
     bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    if size is not None:
+        bgr = cv2.resize(bgr, size, interpolation=cv2.INTER_LINEAR)
     done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise ValueError(f"a picture of shape {rgb.shape} cannot be encoded as JPEG")
-    return bytes(data)
+    return data.tobytes()
 
 
 def jpeg(rgb: U8) -> U8:
-    """The picture as it comes back from the camera's own compression at this size."""
-    data = np.frombuffer(encode_jpeg(rgb, CAMERA_QUALITY), dtype=np.uint8)
-    return np.asarray(cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    """The picture as it comes back from the camera's own compression at this size (quality 85, colour halved)."""
+    bgr = cv2.imdecode(np.frombuffer(encode_jpeg(rgb, CAMERA_QUALITY), dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert bgr is not None
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)

@@ -20,6 +20,7 @@ __all__ = [
     "grain",
     "grain_texture",
     "markers",
+    "marks_at",
     "new_dust",
     "new_wear",
     "wear",
@@ -58,6 +59,11 @@ def new_dust(rng: np.random.Generator) -> Dust:
         ]
     )
     return Dust(grains)
+
+
+def marks_at(marks: NDArray[np.float64], presses: int) -> int:
+    """How many of the marks are there after so many presses; the last column says when each came."""
+    return int(np.searchsorted(marks[:, -1], presses, side="right"))
 
 
 def dust_relief(of: Dust, presses: int, field: Field) -> F32:

@@ -9,13 +9,12 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from calibration.scene import Run, Scene
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
-from calibration.simulator.field import F32, HR, LR, NATIVE_SIZE, Field, native_field
+from calibration.simulator.field import F32, HR, LR, NATIVE_SIZE, native_field
 from calibration.simulator.look import LOOKS
 from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
@@ -230,11 +229,5 @@ _FINE_QUALITY = 98
 
 def _payload(scene: Scene, rgb: U8) -> bytes:
     """The camera's bytes: scaled up to the camera's size where the scene renders its native mode."""
-    if "native" in scene.camera.modes:
-        rgb = np.asarray(cv2.resize(rgb, NATIVE_SIZE, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
-    return encode_jpeg(rgb, CAMERA_QUALITY if "jpeg" in scene.effects else _FINE_QUALITY)
-
-
-def field_of(scene: Scene) -> Field:
-    """The pixels that a recording of this scene is rendered on."""
-    return _renderer(scene, 0).field
+    size = NATIVE_SIZE if "native" in scene.camera.modes else None
+    return encode_jpeg(rgb, CAMERA_QUALITY if "jpeg" in scene.effects else _FINE_QUALITY, size)

@@ -231,18 +231,22 @@ class Renderer:
         return coat.new_wear(self.streams("wear", self.gel_id))
 
     def _dust_relief(self, presses: int) -> F32:
-        return self._kept("dust", presses, lambda: coat.dust_relief(self._dust, presses, self.field))
+        number = coat.marks_at(self._dust.grains, presses)
+        return self._kept("dust", number, lambda: coat.dust_relief(self._dust, presses, self.field))
 
     def _wear_relief(self, presses: int) -> F32:
-        return self._kept("relief", presses, lambda: coat.wear_relief(self._wear, presses, self.field))
+        number = coat.marks_at(self._wear.scratches, presses)
+        return self._kept("relief", number, lambda: coat.wear_relief(self._wear, presses, self.field))
 
     def _wear_stains(self, presses: int) -> F32:
-        return self._kept("stains", presses, lambda: coat.wear_stains(self._wear, presses, self.field))
+        # Stains darken slowly: every 20 presses is often enough.
+        step = presses // 20
+        return self._kept("stains", step, lambda: coat.wear_stains(self._wear, 20 * step, self.field))
 
-    def _kept(self, what: str, presses: int, make: Callable[[], F32]) -> F32:
-        """A picture of the coat, made again only when the number of presses has changed."""
+    def _kept(self, what: str, state: int, make: Callable[[], F32]) -> F32:
+        """A picture of the coat, made again only when its state has changed."""
         kept = self._coat.get(what)
-        if kept is None or kept[0] != presses:
-            kept = (presses, make())
+        if kept is None or kept[0] != state:
+            kept = (state, make())
             self._coat[what] = kept
         return kept[1]
