@@ -4,6 +4,7 @@ Ref: UVC 1.5 tables A-12 and A-13 (selectors), 4-x (sizes); names as v4l2-ctl pr
 some controls; both names are understood here and in the V4L2 path.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,9 @@ import usb.core
 
 from edge.usb.uvc import CLASS_VIDEO, GET_CUR, REQUEST_GET, REQUEST_SET, SET_CUR, SUBCLASS_CONTROL
 
-__all__ = ["NEW_NAMES", "UvcControl", "in_setting_order", "pin", "pin_uvc_controls", "uvc_control"]
+__all__ = ["NEW_NAMES", "UvcControl", "in_setting_order", "pin", "pin_uvc_controls", "report_unset", "uvc_control"]
+
+_log = logging.getLogger(__name__)
 
 # Old control names (before Linux 5.18) to the present ones.
 NEW_NAMES: Mapping[str, str] = {
@@ -94,6 +97,12 @@ def _read_back(name: str, get_value: Callable[[str], int]) -> int | None:
         return get_value(name)
     except (OSError, KeyError):
         return None
+
+
+def report_unset(serial: str, unset: Mapping[str, str]) -> None:
+    """Say once, at opening, which controls are not pinned: the picture may drift, but it can be inspected."""
+    for name, reason in unset.items():
+        _log.warning("camera control %s of sensor %s is not pinned: %s", name, serial, reason)
 
 
 def pin_uvc_controls(device: Any, controls: Mapping[str, int]) -> dict[str, str]:

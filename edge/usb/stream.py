@@ -18,7 +18,7 @@ from edge.core.encoded import Freshness, picture_size
 from edge.core.errors import DeviceError, DeviceLost, DeviceStalled, FrameCorrupt
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
-from edge.usb.controls import pin_uvc_controls
+from edge.usb.controls import pin_uvc_controls, report_unset
 from edge.usb.faults import guarded
 from edge.usb.identity import SensorOnBus, largest_mode, streaming_formats
 from edge.usb.lock import SensorLock
@@ -114,6 +114,7 @@ class UvcSensor:
                 stream, limit = _start_stream(backend, found.device, undo)
             sensor = cls(identity, stream, limit, clock, undo.pop_all())
             sensor.unset_controls = unset
+            report_unset(identity.serial, unset)
             return sensor
         raise AssertionError("unreachable")
 
@@ -133,7 +134,7 @@ class UvcSensor:
 
     def _next_received(self, deadline_ns: int) -> ReceivedFrame:
         while not self._received:
-            remaining_ms = (deadline_ns - self._clock.monotonic_ns()) // 1_000_000
+            remaining_ms = -((self._clock.monotonic_ns() - deadline_ns) // 1_000_000)  # rounded up
             if remaining_ms <= 0:
                 raise DeviceStalled(
                     f"{self.identity.product} gave no new frame in time ({self.stale} frames came twice so far)"

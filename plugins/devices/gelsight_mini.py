@@ -5,7 +5,6 @@ program: a sensor on a bus; the v4l2 path was tried on a virtual camera under a 
 virtual bus of `usb_mock`.
 """
 
-import logging
 from contextlib import ExitStack
 from typing import Literal
 
@@ -14,6 +13,7 @@ import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.usb.controls import report_unset
 from edge.usb.faults import guarded
 from edge.usb.identity import SensorOnBus, choose, survey
 from edge.usb.libusb import LibusbBackend, get_backend
@@ -24,8 +24,6 @@ from plugins.devices.v4l2.nodes import capture_node
 from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
 
 __all__ = ["GelsightMini", "GelsightMiniOptions", "plugin"]
-
-_log = logging.getLogger(__name__)
 
 
 class GelsightMiniOptions(BaseModel):
@@ -59,12 +57,8 @@ class GelsightMini:
         backend = get_backend()
         found = choose(survey(backend), options.serial)
         if options.stream == "uvc":
-            sensor: UvcSensor | V4l2Sensor = UvcSensor.open(backend, found, clock, controls=options.controls)
-        else:
-            sensor = _open_v4l2(backend, found, options, clock)
-        for name, reason in sensor.unset_controls.items():
-            _log.warning("camera control %s of %s is not pinned: %s", name, sensor.identity.serial, reason)
-        return sensor
+            return UvcSensor.open(backend, found, clock, controls=options.controls)
+        return _open_v4l2(backend, found, options, clock)
 
     def reset(self, options: GelsightMiniOptions) -> str:
         """Reset the sensor as a re-plug would, and say which. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
@@ -101,6 +95,7 @@ def _open_v4l2(
             on_close=lock.close,
         )
         sensor.unset_controls = unset
+        report_unset(identity.serial, unset)
         undo.pop_all()
         return sensor
     raise AssertionError("unreachable")

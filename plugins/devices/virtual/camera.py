@@ -236,7 +236,7 @@ class VirtualCamera:
             self.unplug(fault.seconds)
             raise usb_error(errno.ENODEV)
         self._silent_until_ns = (
-            self._clock.monotonic_ns() + round(fault.seconds * 1e9) if fault.seconds else 0
+            self._clock.monotonic_ns() + fault.seconds * 1e9 if fault.seconds else math.inf
         )
         return []
 
