@@ -15,7 +15,7 @@ from typing import Protocol
 
 from edge.core.errors import BundleCorrupt
 
-__all__ = ["MANIFEST", "Archive", "open_archive", "write_archive"]
+__all__ = ["MANIFEST", "Archive", "open_archive", "write_archive", "write_file"]
 
 MANIFEST = "manifest.json"
 
@@ -169,6 +169,20 @@ def write_archive(path: Path, files: Mapping[str, bytes], *, overwrite: bool = F
         else:
             _write_folder(partial, files)
         _put_in_place(partial, path)
+    finally:
+        _remove(partial)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write one file that appears at once or not at all, replacing an older one. Errors: OSError."""
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with partial.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
+        partial.replace(path)
     finally:
         _remove(partial)
 

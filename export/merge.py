@@ -1,0 +1,135 @@
+"""One ONNX graph from frames to score map, with the bank inside: for runtimes and tools that are not gelgate.
+
+It answers the same outer contract as a bundle's pair of graphs, so the gateway accepts it as `detector.onnx` too.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.archive import write_file
+from edge.bundle import Bundle, Graphs, bundle_files, write_bundle
+from edge.core.errors import BundleCorrupt, BundleMismatch
+from edge.manifest import Facts, Manifest
+from edge.scorer import Scorer
+
+__all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]
+
+MERGED_RELATIVE = 1e-4
+"""How far the merged graph may differ from the pair, relative to the largest map value: with the bank constant the
+runtime folds and fuses otherwise. The two agreed to 1e-6 on every detector at the time of writing."""
+
+
+def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> float:
+    """Write the merged graph of a bundle and return the largest relative difference from the bundle's own maps.
+
+    as_bundle: write a bundle with `detector.onnx` instead of the bare file. Nothing is written when the graph scores
+    otherwise. Errors: BundleMismatch for a bundle that is a single graph already, BundleCorrupt when it differs,
+    OSError of the disk.
+    """
+    graph = merged_graph(bundle)
+    difference = _largest_difference(bundle, graph)
+    if not difference <= MERGED_RELATIVE:
+        raise BundleCorrupt(
+            f"the merged graph of {bundle.where} differs from the bundle by {difference:.2g} of the largest score, "
+            f"{MERGED_RELATIVE:g} is allowed; nothing was written, report this with the bundle"
+        )
+    if as_bundle:
+        write_bundle(output, single_graph_bundle(bundle, graph)[1], overwrite=True)
+    else:
+        write_file(output, graph)
+    return difference
+
+
+def merged_graph(bundle: Bundle) -> bytes:
+    """The serialised graph: uint8 `frames` (n, h, w, 3) to `score_map` and `score`. Imports onnx at use."""
+    import onnx
+    from onnx import compose, numpy_helper
+
+    if bundle.graphs.trunk is None or bundle.graphs.head is None:
+        raise BundleMismatch(f"bundle {bundle.where} is a single graph already; copy its detector.onnx")
+    trunk, head = onnx.load_from_string(bundle.graphs.trunk), onnx.load_from_string(bundle.graphs.head)
+    wanted = {i.name for i in head.graph.input}
+    taps = [o.name for o in trunk.graph.output if o.name in wanted]
+    for name in sorted(wanted - set(taps)):
+        head.graph.initializer.append(numpy_helper.from_array(np.ascontiguousarray(bundle.bank[name]), name))
+    kept = [i for i in head.graph.input if i.name in taps]
+    del head.graph.input[:]
+    head.graph.input.extend(kept)
+    trunk, head = _same_versions(trunk, head)
+    # Prefixes keep the two graphs' inner names apart; the outer names are put back below.
+    merged = compose.merge_models(
+        compose.add_prefix(trunk, "trunk/"),
+        compose.add_prefix(head, "head/"),
+        io_map=[(f"trunk/{tap}", f"head/{tap}") for tap in taps],
+        outputs=["head/score_map", "head/score"],
+    )
+    _rename(merged, {"trunk/frames": "frames", "head/score_map": "score_map", "head/score": "score"})
+    merged.graph.name = f"{bundle.manifest.method}_{bundle.manifest.part}_{bundle.manifest.position}"
+    del merged.metadata_props[:]
+    for key, value in _metadata(bundle).items():
+        merged.metadata_props.add(key=key, value=value)
+    onnx.checker.check_model(merged)
+    return bytes(merged.SerializeToString())
+
+
+def _metadata(bundle: Bundle) -> dict[str, str]:
+    """What another runtime needs to know beside the graph: the file says it of itself."""
+    manifest = bundle.manifest
+    return {
+        "gelgate_bundle": bundle.digest,
+        "part": manifest.part,
+        "position": manifest.position,
+        "method": manifest.method,
+        "threshold": repr(manifest.threshold.value),
+        "sensor_profile": manifest.profile.model_dump_json(),
+        "region": str(bundle.region),
+    }
+
+
+def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
+    """The manifest and files of a bundle with one graph in place of trunk, head and bank; all else is kept."""
+    facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
+    return bundle_files(facts, Graphs(detector=graph), golden=bundle.golden)
+
+
+def _largest_difference(bundle: Bundle, graph: bytes) -> float:
+    """The largest difference of any map pixel or score on the golden frames, relative to the largest value."""
+    single = Bundle.in_memory(*single_graph_bundle(bundle, graph), where=f"{bundle.where} merged")
+    pair, merged, worst = Scorer(bundle), Scorer(single), 0.0
+    grey = np.full((*bundle.manifest.frame, 3), 128, np.uint8)
+    for rgb in [grey, *(golden.rgb for golden in bundle.golden)]:
+        one, other = pair.score(rgb), merged.score(rgb)
+        scale = max(
+            float(np.abs(one.score_map).max()), abs(one.anomaly_score), float(np.finfo(np.float32).tiny)
+        )
+        apart = max(
+            float(np.abs(one.score_map - other.score_map).max()), abs(one.anomaly_score - other.anomaly_score)
+        )
+        worst = max(worst, apart / scale)
+    return worst
+
+
+def _same_versions(trunk: Any, head: Any) -> tuple[Any, Any]:
+    """Both at the higher opset and IR version of the two, as merging demands."""
+    from onnx import version_converter
+
+    opset = max(trunk.opset_import[0].version, head.opset_import[0].version)
+    models = [
+        m if m.opset_import[0].version == opset else version_converter.convert_version(m, opset)
+        for m in (trunk, head)
+    ]
+    ir_version = max(m.ir_version for m in models)
+    for m in models:
+        m.ir_version = ir_version
+    return models[0], models[1]
+
+
+def _rename(model: Any, names: dict[str, str]) -> None:
+    """Rename values wherever they stand: inputs, outputs, nodes."""
+    for value in [*model.graph.input, *model.graph.output]:
+        value.name = names.get(value.name, value.name)
+    for node in model.graph.node:
+        for side in (node.input, node.output):
+            side[:] = [names.get(name, name) for name in side]
