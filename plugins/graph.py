@@ -11,7 +11,7 @@
 Only the standard operator domain is used and nothing is stored outside the graph. onnx is imported at use.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -94,8 +94,11 @@ class Graph:
         """Axes in another order."""
         return self.op("Transpose", value, perm=list(order))
 
-    def serialise(self) -> bytes:
-        """The checked graph as bytes. Errors: onnx's own, for a graph that is not well formed (ours to repair)."""
+    def serialise(self, facts: Mapping[str, str] | None = None) -> bytes:
+        """The checked graph as bytes, with `facts` as its metadata.
+
+        Errors: onnx's own, for a graph that is not well formed (ours to repair).
+        """
         import onnx
 
         graph = onnx.helper.make_graph(
@@ -107,6 +110,7 @@ class Graph:
             ir_version=IR_VERSION,
             producer_name="gelgate",
         )
+        onnx.helper.set_model_props(model, dict(facts or {}))
         onnx.checker.check_model(model, full_check=True)
         return bytes(model.SerializeToString())
 

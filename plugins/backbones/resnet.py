@@ -5,7 +5,7 @@ folded into the first convolution it would be wrong along the border, where the 
 The graph ends at the last tap that is asked for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -34,12 +34,14 @@ def build_trunk(
     mean: Sequence[float] = IMAGENET_MEAN,
     std: Sequence[float] = IMAGENET_STD,
     weights: Literal["float32", "float16"] = "float32",
+    facts: Mapping[str, str] | None = None,
 ) -> bytes:
     """The trunk as serialised ONNX.
 
     Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named
     as the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. weights: how they are
-    stored; float16 halves the file and is widened once when the graph is loaded.
+    stored; float16 halves the file and is widened once when the graph is loaded. facts: further entries for the
+    graph's metadata, where topology, mean and std always stand.
 
     Errors: ConfigError for an unknown topology or tap, weights that are not this network's, or no tap at all.
     """
@@ -54,7 +56,8 @@ def build_trunk(
         value, channels = outputs[block]
         size: tuple[int | str, int | str] = (1, 1) if tap == "avgpool" else (f"{tap}_h", f"{tap}_w")
         drawing.graph.output(tap, value, ("n", channels, *size))
-    return drawing.graph.serialise()
+    colours = {"mean": ",".join(map(str, mean)), "std": ",".join(map(str, std))}
+    return drawing.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
 
 
 def folded(state: State, conv: Conv) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,0 +1,159 @@
+"""`gelgate export backbone`: a checkpoint becomes a trunk, anything else becomes one clear sentence."""
+
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from typer.testing import CliRunner
+
+from edge.cli import build
+from edge.core.errors import ConfigError
+from export.backbone import export_backbone, read_checkpoint, weights_sha256
+from plugins.backbones.random import random_state
+from plugins.backbones.reference import forward, normalise
+
+torch = pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: checkpoints are read with torch")
+
+STATE = random_state("resnet18", 1)
+TENSORS = {name: torch.from_numpy(np.array(value)) for name, value in STATE.items()}
+
+
+def saved(folder: Path, content: Any) -> Path:
+    path = folder / "weights.pth"
+    torch.save(content, path)
+    return path
+
+
+def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
+    """The trunk computes the network whose weights were saved, and names them in its metadata."""
+    classifier = {"fc.weight": torch.zeros(5, 512), "bn1.num_batches_tracked": torch.tensor(3)}
+    facts = export_backbone(saved(tmp_path, TENSORS | classifier), tmp_path / "trunk.onnx", "resnet18")
+    rgb = np.random.default_rng(0).integers(0, 256, (1, 40, 40, 3), dtype=np.uint8)
+    session = onnxruntime.InferenceSession(tmp_path / "trunk.onnx", providers=["CPUExecutionProvider"])
+    expected = forward(STATE, "resnet18", normalise(rgb), ("layer3",))["layer3"]
+    np.testing.assert_allclose(
+        session.run(["layer3"], {"frames": rgb})[0], expected, atol=1e-4 * expected.max()
+    )
+    metadata = session.get_modelmeta().custom_metadata_map
+    assert metadata["topology"] == "resnet18"
+    assert metadata["weights_sha256"] == facts["weights_sha256"] == weights_sha256(STATE, "resnet18")
+    assert metadata["mean"] == "0.485,0.456,0.406"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["trunk.onnx", "weights.pth"]
+
+
+@pytest.mark.parametrize("wrap", ["state_dict", "model", "module.", "_orig_mod.module.", "half"])
+def test_wrapped_checkpoints_are_unwrapped(tmp_path: Path, wrap: str) -> None:
+    """Weights inside a training checkpoint, behind a wrapper's prefix or in half precision are the same weights."""
+    if wrap.endswith("."):
+        content: Any = {wrap + name: value for name, value in TENSORS.items()}
+    elif wrap == "half":
+        content = {name: value.half() for name, value in TENSORS.items()}
+    else:
+        content = {wrap: TENSORS, "epoch": 3}
+    found = read_checkpoint(saved(tmp_path, content))
+    assert found.keys() == STATE.keys()
+    np.testing.assert_allclose(found["conv1.weight"], STATE["conv1.weight"], rtol=1e-3, atol=1e-4)
+    assert found["conv1.weight"].dtype == np.float32
+
+
+class Trap:
+    """Unpickling this writes a file."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return (Path.touch, (Path(self.path),))
+
+
+def test_a_pickle_is_never_run(tmp_path: Path) -> None:
+    """A checkpoint that would call a function when loaded is refused, and the function was not called."""
+    trap = tmp_path / "sprung"
+    with pytest.raises(ConfigError, match="holds more than weights"):
+        read_checkpoint(saved(tmp_path, {"weights": Trap(str(trap))}))
+    plain = tmp_path / "plain.pth"
+    plain.write_bytes(pickle.dumps(Trap(str(trap))))
+    with pytest.raises(ConfigError, match=r"plain\.pth"):
+        read_checkpoint(plain)
+    assert not trap.exists()
+
+
+def test_what_is_no_checkpoint_is_named(tmp_path: Path) -> None:
+    """Missing, empty, text, a picture, an ONNX graph, a whole model, a list: each one sentence with the path."""
+    onnx_file = tmp_path / "x.pth"
+    node = onnx.helper.make_node("Relu", ["a"], ["b"])
+    value = [onnx.helper.make_tensor_value_info(name, 1, [1]) for name in "ab"]
+    onnx.save(onnx.helper.make_model(onnx.helper.make_graph([node], "g", value[:1], value[1:])), onnx_file)
+    with pytest.raises(ConfigError, match="is an ONNX graph already"):
+        read_checkpoint(onnx_file)
+    with pytest.raises(ConfigError, match="no checkpoint at"):
+        read_checkpoint(tmp_path / "absent.pth")
+    for name, content in (
+        ("empty", b""),
+        ("text", b"hello\n"),
+        ("png", b"\x89PNG\r\n\x1a\n" + bytes(64)),
+        ("zip", b"PK\x03\x04" + bytes(40)),
+    ):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=rf"{name} is not a PyTorch checkpoint of weights"):
+            read_checkpoint(path)
+    with pytest.raises(ConfigError, match="no weights by name"):
+        read_checkpoint(saved(tmp_path, [1, 2, 3]))
+    with pytest.raises(ConfigError, match="a table of epoch"):
+        read_checkpoint(saved(tmp_path, {"epoch": 3}))
+    with pytest.raises(ConfigError, match="holds more than weights"):
+        read_checkpoint(saved(tmp_path, torch.nn.Linear(2, 2)))
+
+
+def test_the_wrong_topology_names_the_keys(tmp_path: Path) -> None:
+    """resnet18's weights as a resnet50: the sentence names the file and some of the keys; nothing is written."""
+    with pytest.raises(
+        ConfigError, match=r"weights\.pth are not a resnet50 .*missing \(.*conv3.*unexpected|missing"
+    ):
+        export_backbone(saved(tmp_path, TENSORS), tmp_path / "trunk.onnx", "resnet50")
+    assert not (tmp_path / "trunk.onnx").exists()
+
+
+def test_without_torch_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where PyTorch is not installed, the sentence says which extra brings it."""
+    path = saved(tmp_path, TENSORS)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ConfigError, match=r"gelgate\[train\]"):
+        read_checkpoint(path)
+
+
+def test_the_command_writes_and_reports(tmp_path: Path) -> None:
+    """The verb prints what it wrote with both hashes, and refuses to replace a file unasked."""
+    arguments = [
+        "export",
+        "backbone",
+        str(saved(tmp_path, TENSORS)),
+        "-o",
+        str(tmp_path / "t.onnx"),
+        "--topology",
+        "resnet18",
+    ]
+    runner = CliRunner()
+    done = runner.invoke(build(), [*arguments, "--taps", "layer1,layer2", "--half"], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "resnet18, layer1,layer2, 1.4 MB" in done.output
+    assert "weights sha256" in done.output
+    with pytest.raises(ConfigError, match="exists already"):
+        runner.invoke(build(), arguments, catch_exceptions=False)
+
+
+@pytest.mark.parametrize("bad", ["1,2", "a,b,c", "nan,1,1"])
+def test_colours_must_be_three_numbers(tmp_path: Path, bad: str) -> None:
+    """--mean with two numbers, words or NaN is refused."""
+    with pytest.raises(ConfigError, match="--mean"):
+        CliRunner().invoke(
+            build(),
+            ["export", "backbone", "x.pth", "-o", str(tmp_path / "t.onnx"), "--mean", bad],
+            catch_exceptions=False,
+        )
