@@ -181,7 +181,8 @@ class RecordingWriter:
 
 def _header_text(header: RecordingHeader) -> str:
     def quoted(text: str) -> str:
-        return json.dumps(text, ensure_ascii=True)
+        # A JSON string is a TOML basic string but for DEL, which TOML wants escaped.
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
     return (
         f"version = {VERSION}\n"

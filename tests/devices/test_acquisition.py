@@ -1,0 +1,245 @@
+"""The reader thread: what is counted, what is said, and that it comes back."""
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from small_recordings import SERIAL, FakeClock, jpeg, write_recording
+
+from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
+from edge.clock import SystemClock
+from edge.core.errors import DeviceLost, DeviceNotFound, RecordingEnded, RecordingError
+from edge.core.frames import CameraFrame
+from edge.core.ports import Device, DeviceIdentity
+from plugins.devices.usb_mock import UsbMockOptions, plugin
+
+QUICK = (0.001, 0.004)
+PATIENCE_S = 20.0
+
+
+def options_for(tmp_path: Path, *faults: str, frames: int = 8, **more: object) -> UsbMockOptions:
+    recording = write_recording(tmp_path / "recording", frames)
+    return UsbMockOptions.model_validate({"recording": recording, "pace": 0.0, "faults": faults, **more})
+
+
+def all_frames(acquisition: Acquisition) -> list[CameraFrame]:
+    frames = []
+    while True:
+        try:
+            frame = acquisition.next(PATIENCE_S)
+        except RecordingEnded:
+            return frames
+        assert frame is not None
+        frames.append(frame)
+
+
+def wait_for(fact: Callable[[], bool]) -> None:
+    """Until another thread has done its part; the limit only ends a broken test."""
+    end = time.monotonic() + PATIENCE_S
+    while not fact():
+        assert time.monotonic() < end, "the other thread never came there"
+        time.sleep(0.001)
+
+
+def take_until(state: AcquisitionState, acquisition: Acquisition, seen: list[bytes]) -> None:
+    """Take what waits, so that a reader at pace 0 gets on, until the state is reached."""
+
+    def reached() -> bool:
+        frame = acquisition.next(0)
+        if frame is not None:
+            seen.append(frame.payload)
+        return acquisition.status.state is state
+
+    wait_for(reached)
+
+
+class ScriptedDevice:
+    """Reads what a list says: a payload, or an error to raise."""
+
+    def __init__(self, script: list[bytes | Exception], clock: FakeClock) -> None:
+        self.identity = DeviceIdentity("GelSight Mini R0B 2BNN-4ZE7", SERIAL, (64, 48), 25.0)
+        self.closed = 0
+        self._script, self._clock = script, clock
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        step = self._script.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        self._clock.sleep(0.05)
+        return CameraFrame(step, self._clock.monotonic_ns(), 0)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_every_frame_of_a_recording_as_fast_as_read(tmp_path: Path) -> None:
+    """At pace 0 nothing is dropped, however slow the consumer: the reader waits for it."""
+    options = options_for(tmp_path, frames=40)
+    clock = FakeClock()
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=3) as acquisition:
+        frames = all_frames(acquisition)
+        status = acquisition.status
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in range(40)]
+    assert (status.frames, status.dropped, status.state) == (40, 0, AcquisitionState.ENDED)
+
+
+def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
+    """A live sensor is drained: the oldest frames go, they are counted, and the gap shows in the sequence."""
+    clock = FakeClock()
+    device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
+    with Acquisition(lambda: device, clock, depth=4) as acquisition:
+        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
+        frames = all_frames(acquisition)
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (6, 7, 8, 9)]
+    assert [frame.sequence for frame in frames] == [7, 8, 9, 10]
+    assert acquisition.status.dropped == 6
+
+
+def test_faults_are_counted(tmp_path: Path) -> None:
+    """Corrupt and stale frames are counted and never delivered; the rest arrives in order."""
+    options = options_for(tmp_path, "error_bit@1", "truncate@3", "stale@5")
+    clock = FakeClock()
+    with Acquisition(lambda: plugin.open(options, clock), clock) as acquisition:
+        frames = all_frames(acquisition)
+        status = acquisition.status
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (0, 2, 4, 6, 7)]
+    assert (status.frames, status.corrupt, status.stale, status.reconnects) == (5, 2, 1, 0)
+
+
+def test_pulled_twenty_times(tmp_path: Path) -> None:
+    """Twenty times unplugged and re-plugged: twenty reconnections, every frame once, none twice."""
+    options = options_for(tmp_path, frames=200, with_webcam=False)
+    clock = SystemClock()
+    bench = plugin.bench(options, clock)
+    seen: list[bytes] = []
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff_s=QUICK) as acquisition:
+        for pull in range(1, 21):
+            frame = acquisition.next(PATIENCE_S)
+            assert frame is not None
+            seen.append(frame.payload)
+            bench.unplug()
+            take_until(AcquisitionState.FAULT, acquisition, seen)
+            bench.plug_in(port=1 + pull % 4)
+            take_until(AcquisitionState.STREAMING, acquisition, seen)
+        seen += [frame.payload for frame in all_frames(acquisition)]
+        status = acquisition.status
+    assert status.reconnects == 20
+    assert len(seen) == len(set(seen))
+    assert status.frames == len(seen)
+    order = {jpeg(seed): seed for seed in range(200)}
+    assert [order[payload] for payload in seen] == sorted(order[payload] for payload in seen)
+
+
+def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
+    """A stream that stops is closed and opened anew, which is what ends this stall; no frame is lost."""
+    options = options_for(tmp_path, "stall@3")
+    clock = FakeClock()
+    with Acquisition(
+        lambda: plugin.open(options, clock), clock, stall_after_s=2, backoff_s=QUICK
+    ) as acquisition:
+        frames = all_frames(acquisition)
+        assert acquisition.status.reconnects == 1
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in range(8)]
+
+
+def test_changes_are_said_once() -> None:
+    """State and fault are published when they change, and only then."""
+    clock = FakeClock()
+    said: list[tuple[AcquisitionState, str | None]] = []
+    openings: list[Device | Exception] = [
+        DeviceNotFound("nothing"),
+        DeviceNotFound("nothing"),
+        ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
+        ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
+    ]
+
+    def open_next() -> Device:
+        step = openings.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+    def note(status: AcquisitionStatus) -> None:
+        said.append((status.state, status.fault))
+
+    with Acquisition(open_next, clock, note, backoff_s=QUICK) as acquisition:
+        assert len(all_frames(acquisition)) == 3
+        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
+    assert said == [
+        (AcquisitionState.FAULT, "nothing"),
+        (AcquisitionState.STREAMING, None),
+        (AcquisitionState.FAULT, "pulled"),
+        (AcquisitionState.STREAMING, None),
+        (AcquisitionState.ENDED, None),
+        (AcquisitionState.CLOSED, None),
+    ]
+
+
+def test_a_reconnection_leaves_a_gap() -> None:
+    """Frames before and after a loss are not consecutive, so that nobody takes them for one movement."""
+    clock = FakeClock()
+    devices = [
+        ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
+        ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
+    ]
+    with Acquisition(lambda: devices.pop(0), clock, backoff_s=QUICK) as acquisition:
+        assert [frame.sequence for frame in all_frames(acquisition)] == [1, 2, 4]
+
+
+def test_every_device_is_closed_once() -> None:
+    """Whatever ends an opening, its device is given back."""
+    clock = FakeClock()
+    devices = [
+        ScriptedDevice([DeviceLost("pulled")], clock),
+        ScriptedDevice([jpeg(0), RecordingEnded("over")], clock),
+    ]
+    waiting = list(devices)
+    with Acquisition(lambda: waiting.pop(0), clock, backoff_s=QUICK) as acquisition:
+        all_frames(acquisition)
+    assert [device.closed for device in devices] == [1, 1]
+
+
+def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
+    """A recording that does not exist is not retried for ever: `next` raises it."""
+    clock = FakeClock()
+    options = UsbMockOptions(recording=tmp_path / "nowhere")
+    with (
+        Acquisition(lambda: plugin.open(options, clock), clock) as acquisition,
+        pytest.raises(RecordingError),
+    ):
+        acquisition.next(PATIENCE_S)
+
+
+def test_rate_is_measured() -> None:
+    """Frames 50 ms apart are 20 fps."""
+    clock = FakeClock()
+    device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
+    with Acquisition(lambda: device, clock) as acquisition:
+        all_frames(acquisition)
+    assert acquisition.status.fps == pytest.approx(20.0)
+
+
+def test_nothing_yet_is_none(tmp_path: Path) -> None:
+    """No frame in time is None, not an error."""
+    clock = FakeClock()
+
+    def never() -> Device:
+        raise DeviceNotFound("nothing")
+
+    with Acquisition(never, clock, backoff_s=QUICK) as acquisition:
+        assert acquisition.next(0.001) is None
+
+
+def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -> None:
+    """Closing does not hang on a full queue, and closing twice is harmless."""
+    options = options_for(tmp_path, frames=20)
+    clock = FakeClock()
+    acquisition = Acquisition(lambda: plugin.open(options, clock), clock, depth=2)
+    acquisition.start()
+    wait_for(lambda: acquisition.status.frames == 2)
+    acquisition.close()
+    acquisition.close()
+    assert "acquisition" not in [thread.name for thread in threading.enumerate()]
+    assert acquisition.status.state is AcquisitionState.CLOSED

@@ -1,0 +1,191 @@
+"""Recordings: written frame by frame, read back byte by byte, refused in whole sentences."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_recordings import PRODUCT, SERIAL, jpeg, write_recording
+
+from edge.core.errors import RecordingError, StoreError
+from edge.recording import Recording, RecordingHeader, RecordingWriter
+
+HEADER = RecordingHeader(PRODUCT, SERIAL, (64, 48), 25.0, "mini_lr")
+
+
+def test_written_and_read_back(tmp_path: Path) -> None:
+    """Header, payloads, times and labels come back as they were given."""
+    with RecordingWriter(tmp_path / "r", HEADER) as writer:
+        writer.add(jpeg(0), 10, {"state": "press", "depth_mm": 0.4, "who": "Zoë"})
+        writer.add(jpeg(1, suffix=".png"), 20)
+    recording = Recording.open(tmp_path / "r")
+    first, second = list(recording)
+    assert recording.header == HEADER
+    assert (first.frame.payload, first.frame.timestamp_ns, first.frame.sequence) == (jpeg(0), 10, 0)
+    assert first.label == {"state": "press", "depth_mm": 0.4, "who": "Zoë"}
+    assert (second.frame.payload, second.label) == (jpeg(1, suffix=".png"), None)
+    assert not recording.is_cut
+
+
+def test_version_comes_first_in_the_header(tmp_path: Path) -> None:
+    """So that a later program may change everything after it."""
+    folder = write_recording(tmp_path / "r", 1)
+    assert (folder / "recording.toml").read_text().startswith("version = 1\n")
+
+
+@given(product=st.text(max_size=20), serial=st.text(max_size=12))
+def test_any_text_survives_the_header(
+    product: str, serial: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Quotes, control characters and foreign letters in a product string do not break the file."""
+    product, serial = (text.encode("utf-8", "ignore").decode() for text in (product, serial))
+    folder = tmp_path_factory.mktemp("header") / "r"
+    RecordingWriter(folder, RecordingHeader(product, serial, (64, 48), 25.0)).close()
+    header = Recording.open(folder).header
+    assert (header.product, header.serial) == (product, serial)
+
+
+def test_newer_version_is_refused_by_name(tmp_path: Path) -> None:
+    """The sentence says which version it has and which this program reads."""
+    folder = write_recording(tmp_path / "r", 1)
+    path = folder / "recording.toml"
+    path.write_text(path.read_text().replace("version = 1", "version = 7"))
+    with pytest.raises(RecordingError, match=r"version 7.*up to 1"):
+        Recording.open(folder)
+
+
+def test_all_missing_files_are_listed_at_once(tmp_path: Path) -> None:
+    """Three frames gone: one report with three names."""
+    folder = write_recording(tmp_path / "r", 6)
+    for position in (1, 3, 4):
+        (folder / f"frames/{position:06d}.jpg").unlink()
+    with pytest.raises(RecordingError, match=r"lacks 3 of its 6.*000001\.jpg.*000003\.jpg.*000004\.jpg"):
+        Recording.open(folder)
+
+
+def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
+    """Killed in the middle of an index line: everything before it plays, and the recording says that it was cut."""
+    folder = write_recording(tmp_path / "r", 5)
+    index = folder / "index.jsonl"
+    index.write_bytes(index.read_bytes()[:-7])
+    recording = Recording.open(folder)
+    assert (len(recording), recording.is_cut) == (4, True)
+
+
+def test_a_frame_without_its_line_is_left_out(tmp_path: Path) -> None:
+    """Killed between the frame and its line: the frame that nobody finished is not part of the recording."""
+    folder = write_recording(tmp_path / "r", 2)
+    (folder / "frames/000002.jpg").write_bytes(jpeg(2)[:100])
+    assert len(Recording.open(folder)) == 2
+
+
+def test_damage_in_the_middle_is_refused(tmp_path: Path) -> None:
+    """Only the last line may be cut; rubbish before it is named by its line."""
+    folder = write_recording(tmp_path / "r", 3)
+    lines = (folder / "index.jsonl").read_text().splitlines()
+    (folder / "index.jsonl").write_text("\n".join([lines[0], "{rubbish", lines[2], ""]))
+    with pytest.raises(RecordingError, match="line 2"):
+        Recording.open(folder)
+
+
+@pytest.mark.parametrize("file", ["../outside.jpg", "/etc/passwd", "frames/../../x.jpg"])
+def test_a_file_outside_the_folder_is_refused(tmp_path: Path, file: str) -> None:
+    """A recording from a stranger cannot make us read other files."""
+    folder = write_recording(tmp_path / "r", 1)
+    (folder / "index.jsonl").write_text(json.dumps({"sequence": 0, "time_ns": 0, "file": file}) + "\n")
+    with pytest.raises(RecordingError, match="leads out"):
+        Recording.open(folder)
+
+
+def test_time_that_goes_back_is_refused(tmp_path: Path) -> None:
+    """Frames are kept in order."""
+    folder = write_recording(tmp_path / "r", 3)
+    lines = (folder / "index.jsonl").read_text().splitlines(keepends=True)
+    (folder / "index.jsonl").write_text("".join([lines[0], lines[2], lines[1]]))
+    with pytest.raises(RecordingError, match="sequence 1"):
+        Recording.open(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("width = 64", "", "width = None"),
+        ("width = 64", "width = 0", "positive"),
+        ("nominal_fps = 25.0", "nominal_fps = 0.0", "nominal_fps"),
+        ("version = 1", "", "version None"),
+        ("version = 1", "version = [", "cannot be read"),
+    ],
+)
+def test_a_faulty_header_is_refused(tmp_path: Path, old: str, new: str, says: str) -> None:
+    """Each with what was found."""
+    folder = write_recording(tmp_path / "r", 1)
+    path = folder / "recording.toml"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(RecordingError, match=says):
+        Recording.open(folder)
+
+
+def test_another_folder_is_no_recording(tmp_path: Path) -> None:
+    """The sentence says how to make one."""
+    with pytest.raises(RecordingError, match="gelgate record"):
+        Recording.open(tmp_path)
+
+
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    """A folder with something in it is refused, and stays as it was."""
+    (tmp_path / "mine.txt").write_text("kept")
+    with pytest.raises(RecordingError, match="not an empty folder"):
+        RecordingWriter(tmp_path, HEADER)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+WRITE_UNTIL_FULL = """
+import pathlib, resource, signal, sys
+from edge.core.errors import StoreError
+from edge.recording import RecordingHeader, RecordingWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+writer = RecordingWriter(pathlib.Path(sys.argv[1]), RecordingHeader("p", "s", (64, 48), 25.0))
+writer.add(b"a" * 5000, 0)
+writer.add(b"b" * 5000, 1)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+try:
+    writer.add(b"c" * 5000, 2)
+except StoreError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("limit", [4000, 170])
+def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, limit: int) -> None:
+    """No room for a frame (4000 bytes), or for the end of its line (170): a whole sentence, and two frames play."""
+    folder = tmp_path / "r"
+    done = subprocess.run(
+        [sys.executable, "-c", WRITE_UNTIL_FULL, str(folder), str(limit)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "stops after 2 frames" in done.stdout
+    recording = Recording.open(folder)
+    assert [entry.frame.payload for entry in recording] == [b"a" * 5000, b"b" * 5000]
+    assert not recording.is_cut
+
+
+def test_where_nothing_can_be_written_is_said(tmp_path: Path) -> None:
+    """A folder below a file cannot be made."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be started"):
+        RecordingWriter(tmp_path / "file" / "r", HEADER)
+
+
+def test_a_frame_that_vanishes_while_playing_is_said(tmp_path: Path) -> None:
+    """Frames are read when asked for; one that is gone by then is named."""
+    folder = write_recording(tmp_path / "r", 2)
+    recording = Recording.open(folder)
+    (folder / "frames/000001.jpg").unlink()
+    assert recording[0].frame.payload == jpeg(0)
+    with pytest.raises(RecordingError, match=r"000001\.jpg"):
+        recording[1]
