@@ -5,12 +5,9 @@ from typing import Annotated
 
 import typer
 
-from export.backbone_command import backbone
-
 __all__ = ["export"]
 
 export = typer.Typer(help="Bring in trained backbones; hand out graphs.", no_args_is_help=True)
-app.command()(backbone)
 
 
 @export.callback()
