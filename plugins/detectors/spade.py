@@ -25,7 +25,6 @@ from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.layered import emit_layered_scores
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import (
-    SHORTLIST,
     Blocks,
     emit_group_nearest,
     emit_window_nearest,
@@ -277,9 +276,7 @@ def _fit_layer(
     """The arrays of one layer from its nominal features (n, c, h, w)."""
     arrays: dict[str, NDArray[Any]] = {}
     if p.is_normalised:
-        length = (
-            float(np.linalg.norm(layer.astype(np.float64), axis=1).mean()) if p.is_floor_relative else 1.0
-        )
+        length = _mean_length(layer) if p.is_floor_relative else 1.0
         # All-zero features have no length; any positive number then leaves them at zero.
         arrays[f"{tap}_floor"] = np.array([max(LENGTH_FLOOR * length, np.finfo(np.float32).tiny)], np.float32)
     floor = arrays.get(f"{tap}_floor")
@@ -297,12 +294,17 @@ def _fit_layer(
     return arrays
 
 
+def _mean_length(layer: NDArray[np.float32]) -> float:
+    """The mean Euclidean length of a cell's descriptor, of features (n, c, h, w)."""
+    return float(np.mean([np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]))
+
+
 def _unit(
     press: NDArray[np.float32], floor: NDArray[np.float32] | None, cells: NDArray[np.int64] | slice = EVERY
 ) -> NDArray[np.float64]:
     """The descriptors (cells, c) of one press (c, h, w), of unit length when there is a floor."""
-    rows = press.reshape(len(press), -1)[:, cells].T.astype(np.float64)
-    return rows if floor is None else rows / (np.linalg.norm(rows, axis=1, keepdims=True) + floor)
+    rows = press.reshape(len(press), -1)[:, cells].T.astype(np.float64, order="C")
+    return rows if floor is None else rows / (np.sqrt(np.einsum("pc,pc->p", rows, rows))[:, None] + floor)
 
 
 def _rows(
@@ -421,7 +423,6 @@ def _emit_whole_search(
             graph.op("Slice", rows, graph.ints(first), graph.ints(first + step), graph.ints(1)),
             bank,
             width,
-            shortlist=min(SHORTLIST, cells),
         )
         for first in range(0, cells, step)
     ]

@@ -35,8 +35,9 @@ class Rotation:
         if self.basis is None:
             return centred
         along = centred @ self.basis.T.astype(np.float64)
-        rest = np.linalg.norm(centred - along @ self.basis, axis=-1, keepdims=True)
-        return np.concatenate([along, rest], axis=-1)
+        rest = centred - along @ self.basis.astype(np.float64)
+        length = np.sqrt(np.einsum("...c,...c->...", rest, rest))
+        return np.concatenate([along, length[..., None]], axis=-1)
 
 
 def fit_rotation(rows: NDArray[np.floating], dims: int | None) -> Rotation:

@@ -31,11 +31,12 @@ def emit_group_nearest(
     shortlist: int = SHORTLIST,
     bias: Value | None = None,
 ) -> Value:
-    """Plain distances (g, q, k), rising, from queries (g, q, width) to the rows of their own bank (g, m, width).
+    """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank (g, m, width).
 
-    Both float32 and centred alike; m is at least `shortlist`. bias: broadcastable to (g, q, m), 0 where a row may be
-    used and `FORBIDDEN` where not; a query with fewer than k usable rows gets 1e15 for those that it lacks.
+    Both float32 and centred alike. bias: broadcastable to (g, q, m), 0 where a row may be used and `FORBIDDEN` where
+    not; a query with fewer than k usable rows gets 1e15 for those that it lacks.
     """
+    rows_there = graph.op("Shape", bank, start=1, end=2)
     # One more column on both sides, 1 and -|row|^2/2: the product then ranks by distance without a pass of its own.
     squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(2), keepdims=0)
     penalty = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(-0.5)), graph.ints(2))
@@ -44,7 +45,7 @@ def emit_group_nearest(
     closeness = graph.op("MatMul", one, graph.transpose(columns, 0, 2, 1))
     if bias is not None:
         closeness = graph.op("Sub", closeness, bias)
-    short, rows = graph.ops("TopK", 2, closeness, graph.ints(shortlist), axis=2)
+    short, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
     chosen = graph.op("GatherND", bank, graph.reshape(rows, 0, -1, 1), batch_dims=1)
     shape = graph.op("Concat", graph.op("Shape", rows), graph.ints(width), axis=0)
     difference = graph.op(
@@ -57,7 +58,9 @@ def emit_group_nearest(
     if k == 1:
         nearest = graph.op("ReduceMin", exact, graph.ints(2), keepdims=1)
     else:
-        nearest, _ = graph.ops("TopK", 2, exact, graph.ints(k), axis=2, largest=0)
+        nearest, _ = graph.ops(
+            "TopK", 2, exact, graph.op("Min", graph.ints(k), rows_there), axis=2, largest=0
+        )
     return graph.op("Sqrt", nearest)
 
 
@@ -142,7 +145,6 @@ def emit_window_nearest(
         asked,
         graph.op("Reshape", found, shape),
         width,
-        shortlist=min(SHORTLIST, reached.shape[1]),
         bias=bias,
     )
     flat = graph.reshape(distances, -1, queries.size, 1)

@@ -1,0 +1,226 @@
+"""FAPM: the graph against the oracle, each repair against the published behaviour, and hard nominal sets."""
+
+import numpy as np
+import pytest
+from heads import RESNET18, fit, grid, parity, presses_of, run_head, with_spot
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.core.detector import Grid
+from edge.core.errors import FitError, NotScorable
+from plugins.detectors.fapm import fapm
+from plugins.detectors.maths.coreset import greedy_from_distances, k_centre
+
+MODES = ("paper", "corrected")
+TAPS = {"layer2": (6, 8, 8), "layer3": (8, 4, 4)}
+
+
+def at(taps: dict[str, tuple[int, int, int]] = TAPS) -> Grid:
+    return Grid((32, 32), taps, 15.77)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("banks", ["cell", "location"])
+@pytest.mark.parametrize("n", [1, 2, 11, 25])
+def test_the_graph_is_the_oracle(mode: str, banks: str, n: int) -> None:
+    """Map and score agree to 1e-5, also with fewer prototypes than neighbours, for several presses at once."""
+    p = fapm.parameters(mode, banks=banks, weighting="largest")
+    _, map_error, score_error = parity(fapm, p, presses_of(n, 0, TAPS), presses_of(3, 1, TAPS), at())
+    assert map_error < 1e-5
+    assert score_error < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
+    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
+    nominal, asked = presses_of(12, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
+    _, map_error, score_error = parity(fapm, fapm.parameters(mode), nominal, asked, grid(RESNET18))
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+@pytest.mark.parametrize("banks", ["cell", "location"])
+def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
+    """Cells cut off by the border have prototypes and scores of their own (a 720 line frame has 22.5 cells)."""
+    taps = {"layer2": (4, 9, 6), "layer3": (5, 5, 3)}
+    p = fapm.parameters(banks=banks)
+    oracle, map_error, _ = parity(
+        fapm, p, presses_of(6, 0, taps), presses_of(2, 1, taps), Grid((72, 48), taps, 15.77)
+    )
+    assert map_error < 1e-5
+    assert (oracle.score_map > 0).all()
+
+
+@pytest.mark.parametrize("banks", ["cell", "location"])
+def test_a_press_of_the_bank_scores_nothing(banks: str) -> None:
+    """With every descriptor kept, a nominal press is at distance 0 from its own."""
+    nominal = presses_of(5, 0, TAPS)
+    p = fapm.parameters(banks=banks, near_fraction=1.0, is_calibrated=False, packing="none")
+    bank = fit(fapm, p, nominal, at())
+    own = run_head(fapm.head(at(), bank, p), nominal, bank)["score_map"]
+    foreign = run_head(fapm.head(at(), bank, p), presses_of(1, 9, TAPS), bank)["score_map"]
+    assert own.max() < 1e-4 * foreign.max()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
+    """A patch unlike anything nominal is found at its place."""
+    p = fapm.parameters(mode)
+    bank = fit(fapm, p, presses_of(20, 0, TAPS), at())
+    spotted = fapm.reference_score(with_spot(presses_of(1, 3, TAPS), 0.75), at(), bank, p).score_map[0]
+    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
+    assert 16 <= row < 32
+    assert 16 <= column < 32
+
+
+def test_a_shared_cell_forgives_a_small_shift() -> None:
+    """Repair: prototypes shared within a cell find content that moved by one sub-patch; per place they do not."""
+    taps = {"layer2": (6, 4, 4), "layer3": (8, 2, 2)}
+    place = Grid((32, 32), taps, 15.77)
+    nominal = presses_of(10, 0, taps, spread=0.01)
+    moved = {tap: maps[:1].copy() for tap, maps in nominal.items()}
+    moved["layer2"] = np.roll(moved["layer2"], 1, axis=3)
+    score = {}
+    for banks in ("cell", "location"):
+        p = fapm.parameters(banks=banks, near_fraction=1.0, is_calibrated=False)
+        bank = fit(fapm, p, nominal, place)
+        usual = fapm.reference_score(presses_of(1, 5, taps, spread=0.01), place, bank, p).score_map
+        score[banks] = fapm.reference_score(moved, place, bank, p).score_map.mean() / usual.mean()
+    assert score["cell"] < 0.7 * score["location"]
+
+
+def test_calibration_levels_the_cells() -> None:
+    """Repair: where nominal presses vary ten times more, the calibrated map of a nominal press is level."""
+    nominal, asked = (_restless(presses_of(n, seed, TAPS)) for n, seed in ((30, 0), (10, 1)))
+    ratio = {}
+    for is_calibrated in (True, False):
+        p = fapm.parameters(is_calibrated=is_calibrated, sigma=0.0)
+        bank = fit(fapm, p, nominal, at())
+        maps = fapm.reference_score(asked, at(), bank, p).score_map
+        ratio[is_calibrated] = maps[:, :, 20:].mean() / maps[:, :, :12].mean()
+    assert ratio[True] < 1.4 < 2 < ratio[False]
+
+
+def _restless(features: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Presses that vary ten times more in the right half."""
+    rng = np.random.default_rng(len(features["layer2"]))
+    found = {}
+    for tap, maps in features.items():
+        noise = rng.normal(0, 0.1, maps.shape)
+        noise[..., maps.shape[3] // 2 :] *= 10
+        found[tap] = (features[tap][:1] * 0 + 3 + noise).astype(np.float32)
+    return found
+
+
+def test_restless_cells_get_the_far_bank() -> None:
+    """The upper tenth of the cells by what their near bank leaves keeps twice as many prototypes; the rest near."""
+    nominal = presses_of(20, 0, TAPS, spread=0.01)
+    for maps in nominal.values():
+        half = maps.shape[2] // 2
+        maps[:, :, :half, :half] *= np.random.default_rng(0).uniform(0, 4, (20, 1, 1, 1)).astype(np.float32)
+    bank = fit(fapm, fapm.parameters(), nominal, at())
+    assert bank.arrays["layer2_far_groups"].tolist() == [0]
+    assert bank.arrays["layer2_near_groups"].tolist() == [1, 2, 3]
+    near, far = bank.arrays["layer2_near"].shape[1], bank.arrays["layer2_far"].shape[1]
+    assert (near, far) == (int(0.1 * 20 * 16), 2 * int(0.1 * 20 * 16))
+
+
+def test_one_prototype_is_the_least() -> None:
+    """A tenth of nine presses is still one prototype per place."""
+    bank = fit(fapm, fapm.parameters(banks="location"), presses_of(9, 0, TAPS), at())
+    assert bank.arrays["layer2_near"].shape[1] == 1
+
+
+def test_the_prototypes_fit_into_the_bank() -> None:
+    """`auto` stores float16, int8 where that is too large, and says when even that is."""
+    nominal = presses_of(20, 0, TAPS)
+    size = sum(
+        a.size
+        for n, a in fit(fapm, fapm.parameters(), nominal, at()).arrays.items()
+        if n.endswith(("near", "far"))
+    )
+    for bank_mb, packing, warns in (
+        (3e-6 * size, "float16", 0),
+        (1.5e-6 * size, "int8", 0),
+        (5e-7 * size, "int8", 1),
+    ):
+        bank = fit(fapm, fapm.parameters(bank_mb=bank_mb), nominal, at())
+        assert bank.packing["layer2_near"] == packing
+        assert len(bank.facts["warnings"]) == warns
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
+    st.sampled_from(MODES), st.integers(0, 10_000),
+)  # fmt: skip
+def test_hard_nominal_sets_keep_the_error_bound(
+    n: int, scale: float, kind: str, mode: str, seed: int
+) -> None:
+    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    nominal = presses_of(n, seed, TAPS, scale=scale)
+    for tap, maps in nominal.items():
+        if kind == "same":
+            nominal[tap] = np.repeat(maps[:1], n, axis=0)
+        elif kind == "constant":
+            nominal[tap] = np.full_like(maps, scale)
+        elif kind == "dead":
+            maps[:, ::2] = 0
+    asked = with_spot(presses_of(1, seed + 1, TAPS, scale=scale))
+    p = fapm.parameters(mode, weighting="none")
+    oracle, map_error, score_error = parity(fapm, p, nominal, asked, at())
+    assert np.isfinite(oracle.score_map).all()
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+def test_features_that_are_not_finite_are_refused() -> None:
+    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
+    broken = presses_of(3, 0, TAPS)
+    broken["layer3"][1, 0, 0, 0] = np.nan
+    p = fapm.parameters()
+    with pytest.raises(FitError, match="not finite"):
+        fit(fapm, p, broken, at())
+    bank = fit(fapm, p, presses_of(3, 0, TAPS), at())
+    with pytest.raises(NotScorable, match="no score"):
+        fapm.reference_score(broken, at(), bank, p)
+    found = run_head(fapm.head(at(), bank, p), broken, bank)
+    assert not np.isfinite(found["score_map"][1]).all()
+    assert np.isfinite(found["score_map"][[0, 2]]).all()
+
+
+def test_layers_that_do_not_follow_each_other_are_refused() -> None:
+    """The coarse layer must be half of the fine one."""
+    with pytest.raises(FitError, match="follow each other"):
+        fit(fapm, fapm.parameters(layers=("layer1", "layer3")), presses_of(3), grid())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("near_fraction", 0), ("banks", "both"), ("neighbours", 0), ("layers", ["layer2"]), ("far", 2)],
+)
+def test_nonsense_is_refused(name: str, value: object) -> None:
+    """Unknown names and values out of range are refused by name."""
+    with pytest.raises(FitError, match="fapm"):
+        fapm.parameters(**{name: value})
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 5), st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_the_lazy_coreset_is_the_full_one(n: int, c: int, count: int, seed: int) -> None:
+    """Whole numbers with many ties: the same rows in the same order as measuring everything, the lowest first."""
+    rng = np.random.default_rng(seed)
+    points = rng.integers(0, 4, (n, c)).astype(np.float32)
+    start = int(rng.integers(n))
+    found = k_centre(points, count, start)
+    picks = [start]
+    distance = np.square(points - points[start]).sum(axis=1)
+    while len(picks) < min(count, n) and distance.max() > 0:
+        picks.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
+    assert found.rows.tolist() == picks
+    assert found.radius == pytest.approx(np.sqrt(distance.max()))
+    squared = np.square(points[:, None] - points[None]).sum(axis=2)
+    small = greedy_from_distances(squared[None], count, start)[0]
+    assert small[: len(picks)].tolist() == picks
+    assert len(set(small.tolist())) == len(small)
