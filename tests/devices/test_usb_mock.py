@@ -8,7 +8,7 @@ import usb.core
 import usb.util
 from small_recordings import SERIAL, FakeClock, jpeg, write_recording
 
-from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
+from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.ports import Device
 from edge.usb.identity import survey
 from edge.usb.uvc import mjpeg_formats
@@ -288,6 +288,13 @@ class TestPace:
         """With loop the recording starts over."""
         device = plugin.open(options_for(tmp_path, frames=2, loop=True), clock)
         assert [read(device, clock) for _ in range(4)] == [jpeg(0), jpeg(1), jpeg(0), jpeg(1)]
+
+
+def test_an_empty_recording_is_over_at_once(tmp_path: Path, clock: FakeClock) -> None:
+    """No frames, even with loop, is an end."""
+    device = plugin.open(options_for(tmp_path, frames=0, loop=True), clock)
+    with pytest.raises(RecordingEnded):
+        read(device, clock)
 
 
 def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: FakeClock) -> None:

@@ -226,7 +226,7 @@ class VirtualCamera:
             return self._packets(payload, fault.kind if fault else None, packet_bytes)
 
     def _rewind(self) -> None:
-        if not self._loop:
+        if not self._loop or not len(self._frames):
             raise RecordingEnded(f"{self.board.product}: the recording of {len(self._frames)} frames is over")
         self._position = 0
 

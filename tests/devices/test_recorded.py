@@ -1,0 +1,50 @@
+"""The recorded device: recorded intervals, and what it says of its folder."""
+
+from pathlib import Path
+
+import pytest
+from small_recordings import PERIOD_NS, SERIAL, FakeClock, jpeg, write_recording
+
+from edge.core.errors import RecordingEnded, RecordingError
+from plugins.devices.recorded import RecordedOptions, plugin
+
+
+@pytest.mark.parametrize(("pace", "expected_ns"), [(1.0, 3 * PERIOD_NS), (2.0, 3 * PERIOD_NS / 2), (0.0, 0)])
+def test_pace(tmp_path: Path, pace: float, expected_ns: float) -> None:
+    """Four frames are three intervals; twice as fast halves them; 0 waits for nothing."""
+    clock = FakeClock()
+    device = plugin.open(RecordedOptions(recording=write_recording(tmp_path / "r", 4), pace=pace), clock)
+    start = clock.monotonic_ns()
+    for _ in range(4):
+        device.read(clock.monotonic_ns() + 10**9)
+    assert clock.monotonic_ns() - start == pytest.approx(expected_ns, abs=10)
+
+
+def test_loop(tmp_path: Path) -> None:
+    """With loop it starts over, at the recorded pace."""
+    clock = FakeClock()
+    device = plugin.open(RecordedOptions(recording=write_recording(tmp_path / "r", 2), loop=True), clock)
+    frames = [device.read(clock.monotonic_ns() + 10**9) for _ in range(5)]
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (0, 1, 0, 1, 0)]
+
+
+def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
+    """No frames, with loop or without, is an end and not an endless loop."""
+    clock = FakeClock()
+    for loop in (False, True):
+        folder = write_recording(tmp_path / f"r{loop}", 0)
+        with pytest.raises(RecordingEnded):
+            plugin.open(RecordedOptions(recording=folder, loop=loop), clock).read(
+                clock.monotonic_ns() + 10**9
+            )
+
+
+def test_find_and_survey(tmp_path: Path) -> None:
+    """A good folder is a sensor; a bad one is a refusal with the reason."""
+    good = RecordedOptions(recording=write_recording(tmp_path / "r", 1))
+    assert [one.serial for one in plugin.find(good)] == [SERIAL]
+    bad = RecordedOptions(recording=tmp_path)
+    assert plugin.find(bad) == []
+    assert "not a recording" in (plugin.survey(bad)[0].refusal or "")
+    with pytest.raises(RecordingError):
+        plugin.open(bad, FakeClock())
