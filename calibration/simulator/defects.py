@@ -5,10 +5,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calibration.simulator.field import F32, Field, grids
 from calibration.simulator.pose import HeightField, Pose, sample
-from calibration.simulator.shapes import ramp, rotate
+from calibration.simulator.shapes import f32, ramp, rotate
 
 __all__ = ["DEFECTS", "Damaged", "Defect", "place_defect"]
 
@@ -72,9 +73,9 @@ Change = Callable[[Damaged, F32, F32, F32], F32]
 """(the damaged part, its sound height, coordinates along and across the defect in mm) to the changed height."""
 
 
-def _bell(distance: F32) -> F32:
+def _bell(distance: ArrayLike) -> F32:
     """1 at 0, 0 from 1 on, smooth."""
-    return ramp(1 - distance)
+    return ramp(1 - f32(distance))
 
 
 def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -82,7 +83,7 @@ def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     d = piece.defect
     r = np.sqrt(along * along + across * across) / np.float32(0.8 * d.width)
     rim = np.exp(-(((r - 1.05) / 0.22) ** 2))
-    return height - np.float32(0.4 * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim
+    return f32(height - np.float32(0.4 * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim)
 
 
 def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -93,7 +94,7 @@ def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     ragged = 0.7 + 0.3 * np.sin(along * np.float32(rng.uniform(6, 11)) + np.float32(rng.uniform(0, 6)))
     ridge = _bell(np.abs(along) / np.float32(length)) * _bell(np.abs(across) / np.float32(width))
     near_top = ramp((height - np.float32(piece.top(1.0) - 0.6)) / np.float32(0.3))
-    return np.asarray(height + np.float32(0.22 * d.severity) * ridge * ragged * near_top, dtype=np.float32)
+    return f32(height + np.float32(0.22 * d.severity) * ridge * ragged * near_top)
 
 
 def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -104,7 +105,9 @@ def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     along_it = ramp((np.float32(1.8 * d.size) - np.abs(along)) / np.float32(0.5))
     lips = np.exp(-(((u - 1.5) / 0.45) ** 2))
     furrow = np.maximum(1 - u, 0)
-    return height + along_it * np.float32(d.severity) * (np.float32(0.025) * lips - np.float32(0.16) * furrow)
+    return f32(
+        height + along_it * np.float32(d.severity) * (np.float32(0.025) * lips - np.float32(0.16) * furrow)
+    )
 
 
 def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -114,7 +117,7 @@ def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F3
     inside = ramp((1.25 - np.abs(along) / np.float32(1.1 * d.width)) * 3)
     inside = inside * ramp((1.25 - np.abs(across) / np.float32(0.65 * d.width)) * 3)
     plane = top - np.float32(0.4 * d.severity)
-    return np.asarray(height - inside * np.maximum(height - plane, 0), dtype=np.float32)
+    return f32(height - inside * np.maximum(height - plane, 0))
 
 
 def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -128,7 +131,7 @@ def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     )
     exposed = ramp((height - np.float32(piece.top(1.2) - 0.5)) / np.float32(0.4))
     taken = np.float32(0.12) + np.float32(0.02) * marks
-    return np.asarray(height - np.float32(d.severity) * patch * exposed * taken, dtype=np.float32)
+    return f32(height - np.float32(d.severity) * patch * exposed * taken)
 
 
 def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -147,7 +150,7 @@ def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
         * ramp((1 - r) * 2)
         * (np.float32(0.75) + np.float32(0.25) * np.tanh(along))
     )
-    return np.asarray(height - face, dtype=np.float32)
+    return f32(height - face)
 
 
 def _thread_discontinuity(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -159,8 +162,8 @@ def _thread_discontinuity(piece: Damaged, height: F32, along: F32, across: F32) 
     mean = sum(piece.part(back_x + x0, back_y + y0 + np.float32(s)) for s in stencil) / np.float32(7)
     inside = ramp((1.2 - np.abs(along) / np.float32(1.3 * d.width)) * 3)
     inside = inside * ramp((1.2 - np.abs(across) / np.float32(0.9 * d.width)) * 3)
-    level = np.minimum(np.asarray(mean, dtype=np.float32), np.float32(piece.top(1.0)))
-    return np.asarray(height + np.float32(d.severity) * inside * (level - height), dtype=np.float32)
+    level = np.minimum(f32(mean), np.float32(piece.top(1.0)))
+    return f32(height + np.float32(d.severity) * inside * (level - height))
 
 
 def _impact_mark(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -171,7 +174,7 @@ def _impact_mark(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     notch = np.maximum(1 - np.where(u > 0, 0.8 * u, -2.2 * u), 0)
     lip = np.exp(-(((u + 0.75) / 0.3) ** 2))
     change = np.float32(0.08) * lip - np.float32(0.35) * notch
-    return np.asarray(height + np.float32(d.severity) * length * change, dtype=np.float32)
+    return f32(height + np.float32(d.severity) * length * change)
 
 
 DEFECTS: Mapping[str, Change] = {
@@ -209,7 +212,7 @@ def place_defect(
     pick = rng.integers(int(touched.sum()))
     row, column = np.argwhere(touched)[pick]
     at = (float(x[row, column]), float(y[row, column]))
-    slope_y, slope_x = np.gradient(height)
+    slope_y, slope_x = np.gradient(height, axis=0), np.gradient(height, axis=1)
     along_edge = math.atan2(float(slope_x[row, column]), -float(slope_y[row, column]))
     free = rng.uniform(0, math.pi)
     turn = along_edge if kind in ("burr", "flattened_crest", "abrasion", "thread_discontinuity") else free

@@ -51,8 +51,12 @@ def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: floa
     surface = None
     for level in range(levels, -1, -1):
         size = (max(2, field.size[0] >> level), max(2, field.size[1] >> level))
-        target = obstacle if level == 0 else np.asarray(cv2.resize(obstacle, size, interpolation=cv2.INTER_AREA))
-        surface = target.copy() if surface is None else cv2.resize(surface, size, interpolation=cv2.INTER_LINEAR)
+        target = (
+            obstacle if level == 0 else np.asarray(cv2.resize(obstacle, size, interpolation=cv2.INTER_AREA))
+        )
+        surface = (
+            target.copy() if surface is None else cv2.resize(surface, size, interpolation=cv2.INTER_LINEAR)
+        )
         spacing = (field.extent_mm[0] / size[0], field.extent_mm[1] / size[1])
         if max(spacing) < finest_mm:
             continue
@@ -68,7 +72,9 @@ def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: floa
 def _blur(image: F32, sigma_mm: float, spacing: tuple[float, float]) -> F32:
     sx, sy = sigma_mm / spacing[0], sigma_mm / spacing[1]
     size = (2 * math.ceil(2.5 * sx) + 1, 2 * math.ceil(2.5 * sy) + 1)
-    return np.asarray(cv2.GaussianBlur(image, size, sx, sigmaY=sy, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+    return np.asarray(
+        cv2.GaussianBlur(image, size, sx, sigmaY=sy, borderType=cv2.BORDER_REPLICATE), dtype=np.float32
+    )
 
 
 def residual_imprint(surface_mm: F32, previous_mm: F32, since_release_s: float) -> F32:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.simulator.field import F32
 from calibration.simulator.pose import HeightField, Jitter
-from calibration.simulator.shapes import FLOOR_MM, box, disc, plateau, ramp, rotate
+from calibration.simulator.shapes import FLOOR_MM, box, disc, f32, plateau, ramp, rotate
 
 __all__ = ["PARTS", "Part", "Specimen", "specimen"]
 
@@ -50,7 +50,7 @@ def _thread(turn: float) -> HeightField:
         # The point of the bolt is chamfered at 45 degrees, so the first crest is cut short.
         radius = np.minimum(radius, np.float32(_THREAD_RADIUS_MM - _THREAD_START_MM) + y_mm)
         top = radius * np.sqrt(1 - side * side) - np.float32(_THREAD_RADIUS_MM)
-        return np.asarray(np.maximum(np.where(np.abs(side) < 1, top, FLOOR_MM), FLOOR_MM), dtype=np.float32)
+        return f32(np.maximum(np.where(np.abs(side) < 1, top, FLOOR_MM), FLOOR_MM))
 
     return height
 
@@ -70,7 +70,7 @@ def _connector(x_mm: F32, y_mm: F32) -> F32:
         px, py = x_mm - np.float32(1.75 * math.cos(angle)), y_mm - np.float32(1.75 * math.sin(angle))
         dome = np.sqrt(np.maximum(0.55**2 - px * px - py * py, 0)) - np.float32(0.62)
         height = np.maximum(height, np.where(disc(px, py, 0.54) < 0, dome, FLOOR_MM))
-    return np.asarray(height, dtype=np.float32)
+    return f32(height)
 
 
 def _grooves(offset: tuple[float, float], half_turn: bool) -> HeightField:
@@ -88,7 +88,7 @@ def _grooves(offset: tuple[float, float], half_turn: bool) -> HeightField:
         tooth = box(x - np.float32(6.3), y, 0.9, 1.1, 0.1)
         pocket = box(x - np.float32(6.6), y, 1.5, 2.4, 0.3)
         solid = np.minimum(solid, -np.float32(0.9) * ramp(-pocket / np.float32(0.15)))
-        return np.asarray(np.maximum(solid, plateau(tooth, -0.02, FLOOR_MM, 0.3)), dtype=np.float32)
+        return f32(np.maximum(solid, plateau(tooth, -0.02, FLOOR_MM, 0.3)))
 
     return height
 
@@ -107,7 +107,7 @@ def _bracket(x_mm: F32, y_mm: F32) -> F32:
     for side in (-1.0, 1.0):
         notch = box(x_mm - np.float32(1.3), y_mm - np.float32(side * 2.1), 0.4, 0.5, 0.15)
         height = np.minimum(height, np.where(notch < 0, np.float32(-1.2), np.float32(0)))
-    return np.asarray(height, dtype=np.float32)
+    return f32(height)
 
 
 def _pinion(x_mm: F32, y_mm: F32) -> F32:
@@ -116,11 +116,11 @@ def _pinion(x_mm: F32, y_mm: F32) -> F32:
     angle = np.arctan2(y_mm, x_mm)
     wave = np.clip(np.cos(12 * angle) * 2.2, -1, 1)
     outline = radius - np.float32(3.1) - np.float32(0.42) * wave
-    height = plateau(np.asarray(outline, dtype=np.float32), 0.0, FLOOR_MM, 0.12)
+    height = plateau(f32(outline), 0.0, FLOOR_MM, 0.12)
     web = np.abs(radius - np.float32(1.95)) - np.float32(0.45)
     height = np.minimum(height, -np.float32(0.35) * ramp(-web / np.float32(0.12)))
     bore = np.maximum(disc(x_mm, y_mm, 0.75), x_mm - np.float32(0.5))
-    return np.asarray(np.where(bore < 0, np.minimum(height, -np.float32(1.5)), height), dtype=np.float32)
+    return f32(np.where(bore < 0, np.minimum(height, -np.float32(1.5)), height))
 
 
 # Parts on a fixture come back within about a tenth of a millimetre; parts placed by hand within a few tenths.
@@ -166,8 +166,8 @@ class Specimen:
         height = self.nominal(x_mm * np.float32(self.scale), y_mm * np.float32(self.scale))
         for kx, ky, phase, amplitude in self.marks:
             wave = np.sin(np.float32(kx) * x_mm + np.float32(ky) * y_mm + np.float32(phase))
-            height = height + np.float32(amplitude) * wave
-        return np.asarray(height, dtype=np.float32)
+            height = f32(height + np.float32(amplitude) * wave)
+        return height
 
 
 def specimen(nominal: HeightField, rng: np.random.Generator) -> Specimen:

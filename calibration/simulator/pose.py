@@ -14,7 +14,7 @@ __all__ = ["HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_
 class HeightField(Protocol):
     """A part: its height in mm at points of its own plane, 0 at its highest nominal point, negative below."""
 
-    def __call__(self, x_mm: F32, y_mm: F32) -> F32: ...
+    def __call__(self, x_mm: F32, y_mm: F32, /) -> F32: ...
 
 
 @dataclass(frozen=True)

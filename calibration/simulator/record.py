@@ -183,7 +183,7 @@ def press_frames(
         yield (
             round(time_s * 1e9),
             _payload(scene, rgb),
-            _label(index, moment, plan, defect and asdict(defect)),
+            _label(index, moment, plan, None if defect is None else asdict(defect)),
         )
 
 

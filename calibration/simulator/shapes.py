@@ -1,13 +1,19 @@
 """The small solids that parts are made of: signed distances and edges, all in mm and pure."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calibration.simulator.field import F32
 
-__all__ = ["FLOOR_MM", "box", "disc", "plateau", "ramp", "rotate"]
+__all__ = ["FLOOR_MM", "box", "disc", "f32", "plateau", "ramp", "rotate"]
 
 # What lies beside and below a part: far under any press.
 FLOOR_MM = np.float32(-4.0)
+
+
+def f32(values: ArrayLike) -> F32:
+    """The values as float32: where NumPy's types lose sight of the precision."""
+    return f32(values)
 
 
 def rotate(x: F32, y: F32, angle_rad: float) -> tuple[F32, F32]:
@@ -21,24 +27,24 @@ def box(x: F32, y: F32, half_x: float, half_y: float, corner: float = 0.0) -> F3
     dx = np.abs(x) - np.float32(half_x - corner)
     dy = np.abs(y) - np.float32(half_y - corner)
     outside = np.sqrt(np.maximum(dx, 0) ** 2 + np.maximum(dy, 0) ** 2)
-    return np.asarray(outside + np.minimum(np.maximum(dx, dy), 0) - np.float32(corner), dtype=np.float32)
+    return f32(outside + np.minimum(np.maximum(dx, dy), 0) - np.float32(corner))
 
 
 def disc(x: F32, y: F32, radius: float) -> F32:
     """Signed distance to a circle about the origin, negative inside."""
-    return np.asarray(np.sqrt(x * x + y * y) - np.float32(radius), dtype=np.float32)
+    return f32(np.sqrt(x * x + y * y) - np.float32(radius))
 
 
-def ramp(t: F32) -> F32:
+def ramp(t: ArrayLike) -> F32:
     """0 below 0, 1 above 1, and a smooth rise between: the section of a broken edge."""
-    t = np.clip(t, 0, 1)
-    return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
+    within = np.clip(f32(t), 0, 1)
+    return f32(within * within * (3 - 2 * within))
 
 
-def plateau(distance: F32, top: float, below: F32 | float, chamfer: float = 0.12) -> F32:
+def plateau(distance: F32, top: float, below: ArrayLike, chamfer: float = 0.12) -> F32:
     """Height `top` inside a shape, `below` outside it, and a broken edge of the chamfer's width inside the outline."""
     edge = ramp(-distance / np.float32(chamfer))
-    low = np.asarray(below, dtype=np.float32)
+    low = f32(below)
     # The wall drops at once below the chamfer: a gel sees a chamfer, then nothing.
     inside = np.float32(top) - np.float32(min(chamfer, 0.25)) * (1 - edge)
-    return np.asarray(np.where(distance < 0, np.maximum(inside, low), low), dtype=np.float32)
+    return f32(np.where(distance < 0, np.maximum(inside, low), low))

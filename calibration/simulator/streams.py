@@ -17,6 +17,7 @@ class Streams(Protocol):
     """Gives the generator that belongs to these words; equal words give equal draws."""
 
     def __call__(self, *words: str | int) -> np.random.Generator: ...
+    def __hash__(self) -> int: ...
 
 
 @dataclass(frozen=True)
