@@ -13,7 +13,7 @@ FLOOR_MM = np.float32(-4.0)
 
 def f32(values: ArrayLike) -> F32:
     """The values as float32: where NumPy's types lose sight of the precision."""
-    return f32(values)
+    return np.asarray(values, dtype=np.float32)
 
 
 def rotate(x: F32, y: F32, angle_rad: float) -> tuple[F32, F32]:
