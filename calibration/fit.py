@@ -6,7 +6,7 @@ A detector's mathematics is its own; the procedure (which presses, which folds, 
 import importlib.metadata
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -90,9 +90,9 @@ class Fitted:
     manifest: Manifest
     files: dict[str, bytes]
 
-    def bundle(self) -> Bundle:
-        """The same, loaded through the same checks as from disk."""
-        return Bundle.in_memory(self.manifest, self.files)
+    def bundle(self, loaded: Container[str] = ()) -> Bundle:
+        """The same, loaded through the same checks as from disk. loaded: see `Bundle.load`."""
+        return Bundle.in_memory(self.manifest, self.files, loaded=loaded)
 
 
 def fit_bundle(
@@ -213,7 +213,7 @@ class _Fit:
         threshold = self._threshold(scores, tolerance)
         facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
         fitted = Fitted(*self._files(bank, facts, golden))
-        Scorer(fitted.bundle(), self.recipe.threads, self.trunks).check_golden()
+        Scorer(fitted.bundle(self.trunks), self.recipe.threads, self.trunks).check_golden()
         self.report("golden", 1.0)
         return fitted
 

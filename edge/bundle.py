@@ -90,10 +90,16 @@ class Bundle:
         return cls._checked(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
 
     @classmethod
-    def in_memory(cls, manifest: Manifest, files: Mapping[str, bytes], where: str = "unwritten") -> "Bundle":
+    def in_memory(
+        cls,
+        manifest: Manifest,
+        files: Mapping[str, bytes],
+        where: str = "unwritten",
+        loaded: Container[str] = (),
+    ) -> "Bundle":
         """The bundle that `files` would be, through the same checks; what is scored at fit is what will be loaded."""
         return cls._checked(
-            manifest, hashlib.sha256(files[MANIFEST]).hexdigest(), _Memory(files, where), (), ()
+            manifest, hashlib.sha256(files[MANIFEST]).hexdigest(), _Memory(files, where), (), loaded
         )
 
     @classmethod

@@ -32,6 +32,7 @@ __all__ = [
     "PROFILE",
     "REGION",
     "TINY",
+    "TINY_BACKBONE",
     "TinyBackbone",
     "TinyDetector",
     "TinyParameters",
@@ -75,7 +76,10 @@ def tiny_grid(region: Region = REGION) -> Grid:
 class TinyBackbone:
     name = "tiny"
 
-    def trunk(self) -> bytes:
+    def facts(self) -> dict[str, object]:
+        return {"weights": "none: pooled colours"}
+
+    def trunk(self, taps: tuple[str, ...] = ("layer1", "layer2")) -> bytes:
         return tiny_trunk()
 
 
@@ -140,6 +144,7 @@ class TinyDetector:
 
 
 TINY = TinyDetector()
+TINY_BACKBONE = TinyBackbone()
 
 
 def presses(n: int, seed: int = 0, region: Region = REGION) -> NDArray[np.uint8]:

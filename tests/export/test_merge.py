@@ -1,0 +1,78 @@
+"""The merged graph: one file that scores as the bundle does, or none."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+import tiny
+from typer.testing import CliRunner
+
+from edge import cli
+from edge.bundle import Bundle, GoldenFrame, write_bundle
+from edge.core.errors import BundleMismatch
+from edge.scorer import Scorer
+from export.merge import merge_bundle, merged_graph
+
+
+@pytest.fixture
+def bundle() -> Bundle:
+    golden = GoldenFrame(tiny.presses(1)[0], "a press", 0.0, ((0.0,),))
+    return Bundle.in_memory(*tiny.tiny_files(tiny.tiny_bank(0.47, "int8"), golden=[golden]))
+
+
+def test_any_runtime_gets_the_bundles_scores(bundle: Bundle) -> None:
+    """Plain onnxruntime with one input: equal maps and scores, for any batch size."""
+    frames = tiny.presses(3)
+    session = ort.InferenceSession(merged_graph(bundle), providers=["CPUExecutionProvider"])
+    score_map, score = session.run(["score_map", "score"], {"frames": frames})
+    expected = Scorer(bundle).score_batch(frames)
+    np.testing.assert_allclose(score, [s.anomaly_score for s in expected], rtol=1e-6)
+    np.testing.assert_allclose(score_map, [s.score_map for s in expected], rtol=1e-5, atol=1e-7)
+
+
+def test_the_file_says_what_it_is(bundle: Bundle) -> None:
+    """Part, threshold and region travel inside the graph."""
+    props = {p.key: p.value for p in onnx.load_from_string(merged_graph(bundle)).metadata_props}
+    assert props["gelgate_bundle"] == bundle.digest
+    assert (props["part"], props["threshold"], props["region"]) == ("bolt", "0.05", "8,4,32x32")
+
+
+def test_trunk_and_head_of_different_opsets_are_merged(bundle: Bundle) -> None:
+    """The older of the two is converted."""
+    trunk = onnx.load_from_string(bundle.graphs.trunk)
+    trunk.opset_import[0].version, trunk.ir_version = 18, 10
+    newer = dataclasses.replace(
+        bundle, graphs=dataclasses.replace(bundle.graphs, trunk=trunk.SerializeToString())
+    )
+    assert onnx.load_from_string(merged_graph(newer)).opset_import[0].version == 18
+
+
+def test_merge_writes_the_file_and_a_bundle_around_it(bundle: Bundle, tmp_path: Path) -> None:
+    """The command line: a bare file, or a bundle that gelgate itself scores and verifies."""
+    good = dataclasses.replace(bundle, golden=())
+    manifest, files = tiny.tiny_files()
+    folder = write_bundle(tmp_path / "bolt", files)
+    runner = CliRunner()
+    done = runner.invoke(cli.build(), ["export", "merge", str(folder), "-o", str(tmp_path / "detector.onnx")])
+    assert done.exit_code == 0, done.output
+    onnx.checker.check_model(str(tmp_path / "detector.onnx"))
+    around = tmp_path / "single"
+    done = runner.invoke(cli.build(), ["export", "merge", str(folder), "-o", str(around), "--as-bundle"])
+    assert done.exit_code == 0, done.output
+    single = Bundle.load(around)
+    assert single.manifest.threshold == manifest.threshold
+    frame = tiny.presses(1)[0]
+    assert Scorer(single).score(frame).anomaly_score == pytest.approx(
+        Scorer(Bundle.load(folder)).score(frame).anomaly_score, rel=1e-6
+    )
+    assert merge_bundle(good, tmp_path / "again.onnx") < 1e-6
+
+
+def test_a_single_graph_has_nothing_to_merge(bundle: Bundle, tmp_path: Path) -> None:
+    """The sentence says what to copy instead."""
+    merge_bundle(bundle, tmp_path / "single", as_bundle=True)
+    with pytest.raises(BundleMismatch, match=r"copy its detector\.onnx"):
+        merged_graph(Bundle.load(tmp_path / "single"))

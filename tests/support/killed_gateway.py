@@ -1,0 +1,56 @@
+"""A gateway process that dies without a word at its n-th write after the first press settled.
+
+Run as a program: `killed_gateway.py CONFIG N`; N = 0 lives. Prints how many writes there were.
+"""
+
+import logging
+import os
+import sqlite3
+import sys
+import threading
+from pathlib import Path
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway import Gateway
+
+WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
+KILLED = 9
+
+
+class Deadline(logging.Handler):
+    """Armed by the log line of the settled press; then every SQL write counts."""
+
+    def __init__(self, deadly: int) -> None:
+        super().__init__()
+        self.deadly, self.writes, self.is_armed = deadly, 0, False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.is_armed = self.is_armed or "PressSettled" in record.getMessage()
+
+    def statement(self, sql: str) -> None:
+        if self.is_armed and sql.lstrip().upper().startswith(WRITES):
+            self.writes += 1
+            if self.writes == self.deadly:
+                os._exit(KILLED)
+
+
+def main(config: Path, deadly: int) -> None:
+    deadline = Deadline(deadly)
+    logging.getLogger("edge.gateway").setLevel(logging.DEBUG)
+    logging.getLogger("edge.gateway").addHandler(deadline)
+    connect = sqlite3.connect
+
+    def traced(*arguments: object, **options: object) -> sqlite3.Connection:
+        connection: sqlite3.Connection = connect(*arguments, **options)  # type: ignore[call-overload]
+        connection.set_trace_callback(deadline.statement)
+        return connection
+
+    sqlite3.connect = traced  # type: ignore[assignment]
+    with Gateway.open(load_config(config), SystemClock()) as gateway:
+        gateway.run(threading.Event())
+    print(deadline.writes)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

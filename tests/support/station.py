@@ -1,0 +1,113 @@
+"""A whole station in a folder: recorded presses, a bundle fitted on them, and a configuration for the gateway."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.backbones import open_trunk
+from calibration.fit import Recipe, fit_bundle
+from calibration.presses import read_presses
+from edge import registry
+from edge.core.profiles import profile
+from edge.core.region import Region
+from edge.recording import RecordingHeader, RecordingWriter
+
+FPS = 18.75
+SERIAL = "TEST0001"
+SIZE = (320, 240)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Frames of each phase of one press, and of the untouched gel before the first one."""
+
+    free: int = 28
+    idle: int = 6
+    hold: int = 10
+
+
+def gel(rng: np.random.Generator, depth: float = 0.0, dent: bool = False) -> NDArray[np.uint8]:
+    """A BGR frame: a smooth gel, a ribbed part pressed into it by `depth` (0 to 1), sensor noise of sd 2."""
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]].astype(np.float32)
+    frame = np.stack([120 + 0.1 * y, 130 - 0.05 * x, 110 - 0.1 * y], axis=2)
+    inside = ((x - 160) / 70) ** 2 + ((y - 120) / 80) ** 2 < 1
+    ribs = 60 * depth * np.sin(y / 3.0) * inside
+    if dent:
+        ribs = np.where((x - 150) ** 2 + (y - 100) ** 2 < 14**2, -40 * depth, ribs)
+    frame += ribs[..., None] * np.array([1.0, 0.4, -1.0])
+    frame += rng.normal(0, 2, frame.shape)
+    return np.clip(frame, 0, 255).astype(np.uint8)
+
+
+def jpeg(frame: NDArray[np.uint8]) -> bytes:
+    return cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
+
+
+def press_recording(
+    folder: Path, presses: int, *, dented: Sequence[int] = (), motion: Motion | None = None, seed: int = 0
+) -> Path:
+    """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged."""
+    motion = motion or Motion()
+    rng = np.random.default_rng(seed)
+    phases: list[tuple[float, bool]] = [(0.0, False)] * motion.free
+    for press in range(presses):
+        dent = press in dented
+        phases += [(0.5, dent)] + [(1.0, dent)] * motion.hold + [(0.3, dent)] + [(0.0, False)] * motion.idle
+    header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
+    with RecordingWriter(folder, header) as writer:
+        for number, (depth, dent) in enumerate(phases):
+            writer.add(jpeg(gel(rng, depth, dent)), round(number * 1e9 / FPS))
+    return folder
+
+
+def small_bundle(folder: Path, nominal: Path) -> Path:
+    """A PaDiM bundle fitted on a recording, with the smallest feature grid."""
+    detector, sensor = registry.load("detectors", "padim"), profile("cropped_lr")
+    trunk = open_trunk("random_resnet18", detector.taps(detector.parameters()))
+    recipe = Recipe("PZ0", "pos1", sensor, Region.centre(sensor.size), detector, trunk, alpha=0.1)
+    presses = read_presses([nominal], sensor, recipe.region)
+    return fit_bundle(folder, presses, recipe, created="2026-01-01")
+
+
+CONFIG = """
+version = 1
+[device]
+plugin = "usb_mock"
+options = {{ recording = "{recording}", pace = {pace}, faults = {faults}, loop = {loop} }}
+[inspection]
+bundle = "{bundle}"
+[store]
+path = "gelgate.db"
+{sinks}
+"""
+JSONL = '[[sinks]]\nplugin = "jsonl"\noptions = { folder = "%s" }\n'
+MQTT = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "127.0.0.1", port = %d }\n'
+
+
+def station_config(
+    folder: Path,
+    recording: Path,
+    bundle: Path,
+    *,
+    pace: float = 1.0,
+    faults: Sequence[str] = (),
+    loop: bool = False,
+    sinks: str = "",
+) -> Path:
+    """Write `gelgate.toml` into the folder; messages go to `out/` beside it unless `sinks` says otherwise."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "gelgate.toml"
+    text = CONFIG.format(
+        recording=recording,
+        bundle=bundle,
+        pace=pace,
+        faults=list(faults),
+        loop=str(loop).lower(),
+        sinks=sinks or JSONL % (folder / "out"),
+    )
+    path.write_text(text.replace("'", '"'), encoding="utf-8")
+    return path
