@@ -37,12 +37,17 @@ class Touch:
 
 
 def touched_mask(difference: View) -> NDArray[np.bool_]:
-    """True where the gel is touched: bool (h, w). difference: signed float32 (h, w, 3), levels."""
+    """True where the gel is touched: bool (h, w). difference: signed float32 (h, w, 3), levels.
+
+    Holes are filled: what lies flat on the gel, like a ball's pole, bends no light and shows only by its surroundings.
+    """
     distance = np.einsum("hwc,hwc->hw", difference, difference)
     far = (distance > TOUCH_LEVELS**2).astype(np.uint8)
     kernel = np.ones((MORPHOLOGY_SIDE, MORPHOLOGY_SIDE), np.uint8)
     closed = cv2.morphologyEx(far, cv2.MORPH_CLOSE, kernel)
-    return np.asarray(cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel), dtype=np.bool_)
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel)
+    outlines, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.asarray(cv2.drawContours(opened, outlines, -1, 1, cv2.FILLED), dtype=np.bool_)
 
 
 def touched(mask: NDArray[np.bool_]) -> Touch:
