@@ -8,7 +8,14 @@ import usb.core
 import usb.util
 from small_recordings import SERIAL, FakeClock, jpeg, write_recording
 
-from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
+from edge.core.errors import (
+    DeviceBusy,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceStalled,
+    FrameCorrupt,
+    RecordingEnded,
+)
 from edge.core.ports import Device
 from edge.usb.identity import survey
 from edge.usb.uvc import mjpeg_formats

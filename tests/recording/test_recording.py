@@ -147,30 +147,27 @@ import pathlib, resource, signal, sys
 from edge.core.errors import StoreError
 from edge.recording import RecordingHeader, RecordingWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-writer = RecordingWriter(pathlib.Path(sys.argv[1]), RecordingHeader("p", "s", (64, 48), 25.0))
-writer.add(b"a" * 5000, 0)
-writer.add(b"b" * 5000, 1)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+folder, size, beyond_index = pathlib.Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+writer = RecordingWriter(folder, RecordingHeader("p", "s", (64, 48), 25.0))
+writer.add(b"a" * size, 0)
+writer.add(b"b" * size, 1)
+resource.setrlimit(resource.RLIMIT_FSIZE, ((folder / "index.jsonl").stat().st_size + beyond_index,) * 2)
 try:
-    writer.add(b"c" * 5000, 2)
+    writer.add(b"c" * size, 2)
 except StoreError as error:
     print(error)
 """
 
 
-@pytest.mark.parametrize("limit", [4000, 170])
-def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, limit: int) -> None:
-    """No room for a frame (4000 bytes), or for the end of its line (170): a whole sentence, and two frames play."""
+@pytest.mark.parametrize(("size", "beyond_index"), [(5000, 500), (10, 20), (10, 0)])
+def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, size: int, beyond_index: int) -> None:
+    """No room for the frame, for the end of its line, or for its line at all: a sentence, and two frames play."""
     folder = tmp_path / "r"
-    done = subprocess.run(
-        [sys.executable, "-c", WRITE_UNTIL_FULL, str(folder), str(limit)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    command = [sys.executable, "-c", WRITE_UNTIL_FULL, str(folder), str(size), str(beyond_index)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "stops after 2 frames" in done.stdout
     recording = Recording.open(folder)
-    assert [entry.frame.payload for entry in recording] == [b"a" * 5000, b"b" * 5000]
+    assert [entry.frame.payload for entry in recording] == [b"a" * size, b"b" * size]
     assert not recording.is_cut
 
 
