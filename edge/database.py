@@ -117,7 +117,7 @@ class Database:
 
     def __init__(self, path: Path, *, is_durable: bool = True) -> None:
         self.path = path
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a nested transaction is then an error, not a deadlock
         with self._faults("opening"):
             self._connection = sqlite3.connect(
                 path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False

@@ -1,0 +1,111 @@
+"""The gel ledger: who is mounted, how often it was pressed, and what was before."""
+
+from collections.abc import Callable
+
+import pytest
+
+from edge.core.errors import StoreError
+from edge.core.gel import GelState
+from edge.store import MakeMessages, Press, Store
+
+SERIAL = "2BNN4ZE7"
+
+
+def record(store: Store, *presses: Press) -> None:
+    for press in presses:
+        store.record_press(press, lambda gel: [])
+
+
+def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
+    """It is numbered after the sensor and new."""
+    gel = store.gel(SERIAL, time_ns=7)
+
+    assert (gel.gel_id, gel.presses, gel.installed_ns, gel.first_use_ns) == ("2BNN4ZE7-1", 0, 7, None)
+    assert store.gel(SERIAL, time_ns=9) == gel
+
+
+def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., Press]) -> None:
+    """Two sensors on one gateway do not wear each other's gel."""
+    record(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
+
+    assert {gel.gel_id: gel.presses for gel in store.gels()} == {"2BNN4ZE7-1": 2, "OTHER-1": 1}
+
+
+def test_replacing_a_gel_starts_at_zero_and_keeps_the_old_one(
+    store: Store, make_press: Callable[..., Press]
+) -> None:
+    """The act is recorded with its time, limit and note."""
+    record(store, make_press(1), make_press(2))
+
+    store.replace_gel(SERIAL, time_ns=50, limit_presses=300, note="torn by a thread")
+    record(store, make_press(3))
+
+    old, new = store.gels(SERIAL)
+    assert (old.gel_id, old.presses, old.removed_ns) == ("2BNN4ZE7-1", 2, 50)
+    assert (new.gel_id, new.presses, new.limit_presses, new.note, new.removed_ns) == (
+        "2BNN4ZE7-2",
+        1,
+        300,
+        "torn by a thread",
+        None,
+    )
+
+
+def test_a_used_gel_id_is_refused(store: Store) -> None:
+    """A count belongs to one gel; the refused act leaves the mounted gel on."""
+    store.replace_gel(SERIAL, 1, gel_id="blue")
+
+    with pytest.raises(StoreError, match="'blue' was already used"):
+        store.replace_gel(SERIAL, 2, gel_id="blue")
+    assert store.gel(SERIAL, 3).gel_id == "blue"
+
+
+def test_numbering_steps_over_ids_that_people_chose(store: Store) -> None:
+    """An id that happens to be the next number is not used twice."""
+    store.replace_gel(SERIAL, 1, gel_id="2BNN4ZE7-2")
+    store.replace_gel(SERIAL, 2)
+    store.replace_gel(SERIAL, 3)
+
+    assert [gel.gel_id for gel in store.gels()] == ["2BNN4ZE7-2", "2BNN4ZE7-1", "2BNN4ZE7-3"]
+
+
+def test_the_state_follows_the_limit(path: object, make_press: Callable[..., Press]) -> None:
+    """With a limit of 5 and a warning at 80 %: good up to 3, due at 4, replace from 5 on."""
+    with Store(path, limit_presses=5, warn_fraction=0.8) as store:  # type: ignore[arg-type]
+        states = [store.record_press(make_press(n), lambda gel: []).state for n in range(6)]
+
+    assert states == ["good", "good", "good", "due", "replace", "replace"]
+
+
+def test_an_optically_worn_gel_is_to_be_replaced_whatever_its_count(
+    store: Store, make_press: Callable[..., Press]
+) -> None:
+    """Wear index 1 is the end; a later press without a measurement keeps the last known wear."""
+    record(store, make_press(1, wear_index=0.4))
+    assert store.gel(SERIAL, 0).state is GelState.GOOD
+
+    record(store, make_press(2, wear_index=1.0), make_press(3))
+
+    gel = store.gel(SERIAL, 0)
+    assert (gel.wear_index, gel.state) == (1.0, GelState.REPLACE)
+
+
+def test_a_clock_set_back_does_not_make_the_last_use_earlier(
+    store: Store, make_press: Callable[..., Press]
+) -> None:
+    """First use stays the first, last use the latest."""
+    record(store, make_press(10), make_press(20), make_press(5))
+
+    gel = store.gel(SERIAL, 0)
+    assert (gel.first_use_ns, gel.last_use_ns) == (make_press(10).time_ns, make_press(20).time_ns)
+
+
+def test_a_gel_change_can_be_published_with_the_act(
+    store: Store, make_press: Callable[..., Press], messages_of: Callable[..., MakeMessages]
+) -> None:
+    """The new record is handed to the messages, inside the same transaction."""
+    seen = []
+
+    store.replace_gel(SERIAL, 1, make_messages=lambda gel: seen.append(gel.gel_id) or [])  # type: ignore[func-returns-value]
+
+    assert seen == ["2BNN4ZE7-1"]

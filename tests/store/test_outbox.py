@@ -1,0 +1,240 @@
+"""The outbox: in order, until every sink has it, within bounds."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from edge.core.ports import Message
+from edge.outbox import ROW_OVERHEAD_BYTES, Bounds, Outbox, Worth, worth_of
+from edge.store import MakeMessages, Press, Store
+
+DAY_S = 86400.0
+MakePress = Callable[..., Press]
+MessagesOf = Callable[..., MakeMessages]
+
+
+@pytest.fixture
+def outbox(path: Path) -> Iterator[Outbox]:
+    with Outbox(path) as opened:
+        yield opened
+
+
+def record(store: Store, press: Press, *messages: Message) -> None:
+    store.record_press(press, lambda gel: messages)
+
+
+def topics(outbox: Outbox, sink: str = "mqtt") -> list[str]:
+    return [row.message.topic for row in outbox.pending(sink, 1000)]
+
+
+def test_a_message_comes_back_as_it_was_put_in(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+    """Every field of the message survives."""
+    message = Message("x/y", b"\x00\xff", qos=0, content_type="image/png", expiry_s=9)
+
+    record(store, make_press(1), message)
+
+    (row,) = outbox.pending("mqtt")
+    assert (row.message, row.created_ns) == (message, make_press(1).time_ns)
+
+
+def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+    """One sink's acknowledgement moves that sink on, and the row stays for the other."""
+    outbox.register(["mqtt", "jsonl"])
+    record(store, make_press(1), Message("result", b"1"))
+
+    outbox.acknowledge(1, "mqtt")
+    assert (topics(outbox, "mqtt"), topics(outbox, "jsonl")) == ([], ["result"])
+
+    outbox.acknowledge(1, "jsonl")
+    assert outbox.status().rows == 0
+
+
+def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(
+    store: Store, outbox: Outbox, make_press: MakePress
+) -> None:
+    """Rows that only the removed sink had not acknowledged leave when the others are registered."""
+    outbox.register(["mqtt", "jsonl"])
+    record(store, make_press(1), Message("result", b"1"))
+    record(store, make_press(2), Message("result", b"2"))
+    outbox.acknowledge(1, "mqtt")
+
+    outbox.register(["mqtt"])
+
+    assert [row.row_id for row in outbox.pending("mqtt")] == [2]
+    assert outbox.status().rows == 1
+
+
+def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+    """A row that is gone leaves no trace in the settled table."""
+    outbox.register(["mqtt"])
+    record(store, make_press(1), Message("result", b"1"))
+
+    for _ in range(2):
+        outbox.acknowledge(1, "mqtt")
+    outbox.acknowledge(77, "mqtt")
+
+    with outbox._database.reading("test") as connection:
+        assert connection.execute("SELECT count(*) FROM settled").fetchone() == (0,)
+
+
+def test_a_refused_row_is_out_of_the_way_but_kept(
+    store: Store, outbox: Outbox, make_press: MakePress
+) -> None:
+    """The queue goes on behind it, and it can be offered again."""
+    outbox.register(["mqtt"])
+    for n in (1, 2):
+        record(store, make_press(n), Message("result", b"%d" % n))
+
+    outbox.refuse(1, "mqtt", "too large")
+    assert [row.row_id for row in outbox.pending("mqtt")] == [2]
+    assert outbox.status().refused == 1
+
+    assert outbox.offer_refused("mqtt") == 1
+    assert [row.row_id for row in outbox.pending("mqtt")] == [1, 2]
+
+
+def test_a_retained_topic_keeps_its_newest_message_alone(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """After an outage `last` and `gel` are sent once, behind every result: they cannot go back in time."""
+    for n in (1, 2, 3):
+        store.record_press(make_press(n), messages_of(make_press(n)))
+
+    rows = outbox.pending("mqtt", 100)
+
+    assert [row.message.topic for row in rows if row.message.retain] == ["last", "gel"]
+    assert b'"presses":3' in rows[-1].message.payload
+    assert rows[-2].row_id > max(row.row_id for row in rows if row.message.topic == "result")
+
+
+def test_a_refused_retained_message_never_overtakes_a_newer_one(
+    store: Store, outbox: Outbox, make_press: MakePress
+) -> None:
+    """What was refused is replaced by the next message of its topic, so offering it again cannot go back."""
+    outbox.register(["mqtt"])
+    record(store, make_press(1), Message("last", b"1", retain=True))
+    outbox.refuse(1, "mqtt", "not authorized")
+    record(store, make_press(2), Message("last", b"2", retain=True))
+    outbox.acknowledge(2, "mqtt")
+
+    outbox.offer_refused("mqtt")
+
+    assert topics(outbox) == []
+
+
+def test_row_ids_are_never_used_again(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+    """An empty outbox goes on counting, so `after` and the late mark keep their meaning."""
+    outbox.register(["mqtt"])
+    record(store, make_press(1), Message("result", b"1"))
+    outbox.acknowledge(1, "mqtt")
+    record(store, make_press(2), Message("result", b"2"))
+
+    assert [row.row_id for row in outbox.pending("mqtt", after=1)] == [2]
+    assert outbox.newest() == 2
+
+
+@pytest.mark.parametrize(
+    ("message", "verdict", "worth"),
+    [
+        (Message("heatmap/x", b"", content_type="image/png"), "fail", Worth.HEATMAP),
+        (Message("result", b""), "pass", Worth.PASS),
+        (Message("result", b""), "fail", Worth.FAIL),
+        (Message("result", b""), "unsure", Worth.FAIL),
+        (Message("result", b""), "error", Worth.FAIL),
+        (Message("last", b"", retain=True), "pass", Worth.RETAINED),
+    ],
+)
+def test_what_a_message_is_worth(message: Message, verdict: str, worth: Worth) -> None:
+    """Pictures least, passes next, everything a person must see most, and one retained row per topic always."""
+    assert worth_of(message, verdict) is worth
+
+
+def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
+    path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """As room shrinks, first all heatmaps go, oldest first, then passes, then fails; each drop is counted."""
+    verdicts = ["fail", "pass", "pass", "fail", "pass", "fail"]
+    with Store(path) as store, Outbox(path) as outbox:
+        for n, verdict in enumerate(verdicts):
+            store.record_press(make_press(n, verdict), messages_of(make_press(n, verdict), 2000))
+        outbox_bytes = outbox.status().bytes
+        row_bytes = {
+            row.row_id: len(row.message.payload) + ROW_OVERHEAD_BYTES for row in outbox.pending("mqtt", 99)
+        }
+    assert outbox_bytes == sum(row_bytes.values())
+
+    dropped = []
+    for share in (0.9, 0.6, 0.3, 0.15, 0.05):
+        with Store(path, Bounds(max_bytes=int(outbox_bytes * share))) as store, Outbox(path) as outbox:
+            n = 100 + int(share * 100)
+            record(store, make_press(n))  # any press enforces the bounds
+            status = outbox.status()
+            dropped.append(tuple(status.dropped.values()))
+            assert status.bytes <= outbox_bytes * share or not [
+                t for t in topics(outbox) if t != "last" and t != "gel"
+            ]
+
+    assert dropped[0] == (1, 0, 0)
+    assert all(a <= b for a, b in itertools.pairwise(dropped))
+    assert all(passes == 0 or heatmaps == 6 for heatmaps, passes, _ in dropped)
+    assert all(fails == 0 or passes == 3 for _, passes, fails in dropped)
+    assert dropped[-1] == (6, 3, 3)
+
+
+def test_of_equal_worth_the_oldest_goes_first(path: Path, make_press: MakePress) -> None:
+    """The newest results are the ones kept."""
+    size = 1000 + ROW_OVERHEAD_BYTES
+    with Store(path, Bounds(max_bytes=3 * size)) as store, Outbox(path) as outbox:
+        for n in range(5):
+            record(store, make_press(n), Message(f"result{n}", bytes(1000)))
+
+        assert topics(outbox) == ["result2", "result3", "result4"]
+        assert outbox.status().dropped == {"heatmap": 0, "pass": 2, "fail": 0}
+
+
+def test_old_rows_go_by_age(path: Path, make_press: MakePress) -> None:
+    """A row older than the limit is dropped and counted when the next press is recorded."""
+    with Store(path, Bounds(max_age_s=DAY_S)) as store, Outbox(path) as outbox:
+        record(store, make_press(0), Message("old", b""), Message("last", b"", retain=True))
+        record(store, make_press(86401), Message("new", b""))
+
+        assert topics(outbox) == ["last", "new"]
+        assert outbox.status().dropped_total == 1
+
+
+def test_a_clock_that_jumps_from_1970_drops_nothing(path: Path, make_press: MakePress) -> None:
+    """A gateway without a clock battery records in 1970 until the network tells the time; those rows have no age."""
+    early = make_press(1)
+    early = Press(early.press_id, 5 * 10**9, early.serial, early.part, "fail", score=2.0, threshold=1.0)
+    with Store(path, Bounds(max_age_s=DAY_S)) as store, Outbox(path) as outbox:
+        record(store, early, Message("early", b""))
+        record(store, make_press(2), Message("now", b""))
+
+        assert topics(outbox) == ["early", "now"]
+
+
+def test_the_counted_size_is_that_of_the_rows(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The running total, kept by triggers, equals the sum after puts, replacements, acknowledgements and drops."""
+    outbox.register(["mqtt"])
+    for n in range(20):
+        store.record_press(make_press(n), messages_of(make_press(n), 500 + n))
+    for row in outbox.pending("mqtt", 7):
+        outbox.acknowledge(row.row_id, "mqtt")
+
+    with outbox._database.reading("test") as connection:
+        expected = connection.execute(
+            "SELECT count(*), sum(length(payload) + ?) FROM outbox", (ROW_OVERHEAD_BYTES,)
+        )
+        assert (outbox.status().rows, outbox.status().bytes) == expected.fetchone()
+
+
+def test_bounds_refuse_nonsense() -> None:
+    """No room and no time are not bounds."""
+    with pytest.raises(ValueError, match="positive"):
+        Bounds(max_bytes=0)
+    with pytest.raises(ValueError, match="positive"):
+        Bounds(max_age_s=float("nan"))

@@ -1,0 +1,343 @@
+"""A press is one transaction, recorded once, whatever happens in between."""
+
+import os
+import sqlite3
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.core.errors import StoreError
+from edge.core.gel import GelState
+from edge.database import Database
+from edge.outbox import Outbox
+from edge.store import MakeMessages, Press, Store
+
+MakePress = Callable[..., Press]
+MessagesOf = Callable[..., MakeMessages]
+
+
+def contents(path: Path) -> tuple[int, int, int]:
+    """(presses recorded, presses counted on gels, results waiting) as an outsider reads the file."""
+    with sqlite3.connect(path) as connection:
+        recorded = connection.execute("SELECT count(*) FROM presses").fetchone()[0]
+        counted = connection.execute("SELECT coalesce(sum(presses), 0) FROM gels").fetchone()[0]
+        waiting = connection.execute("SELECT count(*) FROM outbox WHERE topic = 'result'").fetchone()[0]
+    connection.close()
+    return recorded, counted, waiting
+
+
+def test_a_press_is_counted_and_its_messages_wait(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """One press: one row, one count, and result, heatmap, last and gel in this order."""
+    press = make_press(1)
+
+    gel = store.record_press(press, messages_of(press))
+
+    assert (gel.presses, gel.gel_id, gel.state) == (1, "2BNN4ZE7-1", GelState.GOOD)
+    with Outbox(path) as outbox:
+        assert [row.message.topic for row in outbox.pending("mqtt")] == [
+            "result",
+            f"heatmap/{press.press_id}",
+            "last",
+            "gel",
+        ]
+
+
+def test_the_messages_carry_the_count_of_their_own_press(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The gel's record given to `make_messages` includes the press."""
+    for n in (1, 2, 3):
+        store.record_press(make_press(n), messages_of(make_press(n)))
+
+    with Outbox(path) as outbox:
+        results = [row.message for row in outbox.pending("mqtt") if row.message.topic == "result"]
+    assert [b'"gel_presses":%d,' % n in message.payload for n, message in enumerate(results, 1)] == [True] * 3
+
+
+def test_recording_a_press_again_changes_nothing(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """A caller who saw an error may repeat: same id, same press, no second count and no second message."""
+    press = make_press(1)
+    first = store.record_press(press, messages_of(press))
+
+    again = store.record_press(press, messages_of(press))
+
+    assert again == first
+    assert contents(path) == (1, 1, 1)
+
+
+def test_an_id_is_never_given_to_another_press(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The same id with another score is a fault in the caller, not a repetition."""
+    store.record_press(make_press(1), messages_of(make_press(1)))
+
+    with pytest.raises(StoreError, match="already given to another press"):
+        store.record_press(make_press(1, score=0.75), messages_of(make_press(1)))
+    assert contents(path) == (1, 1, 1)
+
+
+def test_nothing_is_recorded_when_the_messages_cannot_be_made(
+    store: Store, path: Path, make_press: MakePress
+) -> None:
+    """Both or neither, also for a fault of our own."""
+
+    def broken(gel: object) -> Any:
+        raise RuntimeError("no messages")
+
+    with pytest.raises(RuntimeError, match="no messages"):
+        store.record_press(make_press(1), broken)
+    assert contents(path) == (0, 0, 0)
+    assert store.gels() == []
+
+
+def killed_at(path: Path, press: Press, messages: MakeMessages, statement: int) -> bool:
+    """Record in a process that dies as its n-th statement begins; gives whether it lived to the end."""
+    child = os.fork()
+    if child == 0:
+        seen = 0
+
+        def count(sql: str) -> None:
+            nonlocal seen
+            seen += 1
+            if seen == statement:
+                os._exit(1)
+
+        try:
+            store = Store(path)
+            store._database._connection.set_trace_callback(count)
+            store.record_press(press, messages)
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_dying_between_any_two_statements_leaves_all_or_nothing(
+    path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Killed at every single statement of a press, then recorded again after the restart: one press, one count.
+
+    Checked by taking BEGIN IMMEDIATE out of `Database.writing`: the count then differs from the presses.
+    """
+    Store(path).close()
+    press = make_press(1)
+    statement, deaths = 1, 0
+    while not killed_at(path, press, messages_of(press, 50_000), statement):
+        assert contents(path) == (0, 0, 0)
+        statement, deaths = statement + 1, deaths + 1
+
+    assert deaths >= 12, "the press has fewer statements than were ever seen: is it traced?"
+    assert contents(path) == (1, 1, 1)
+    with Store(path) as store:
+        store.record_press(press, messages_of(press))
+    assert contents(path) == (1, 1, 1)
+
+
+def test_a_full_database_refuses_the_press_and_keeps_what_it_has(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """No room: a sentence that says so, nothing half recorded, and recording goes on when there is room again."""
+    store.record_press(make_press(1), messages_of(make_press(1)))
+    connection = store._database._connection
+    pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    connection.execute(f"PRAGMA max_page_count = {pages + 2}")
+
+    with pytest.raises(StoreError, match="free space on its disk"):
+        store.record_press(make_press(2), messages_of(make_press(2), 100_000))
+    assert contents(path) == (1, 1, 1)
+
+    connection.execute("PRAGMA max_page_count = 1000000")
+    assert store.record_press(make_press(2), messages_of(make_press(2), 100_000)).presses == 2
+    assert contents(path) == (2, 2, 2)
+
+
+def test_a_disk_that_refuses_the_write_is_a_store_error(
+    path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """With a file size limit set by the system, the press is refused and the earlier ones can still be read."""
+    with Store(path) as store:
+        store.record_press(make_press(1), messages_of(make_press(1)))
+    child = os.fork()
+    if child == 0:
+        import resource
+        import signal
+
+        code = 1
+        try:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+            store = Store(path)
+            store.record_press(make_press(2), messages_of(make_press(2), 1_000_000))
+        except StoreError as error:
+            code = 42 if "recording press" in str(error) else 2
+        finally:
+            os._exit(code)
+
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 42
+    assert contents(path) == (1, 1, 1)
+    with Store(path) as store:
+        assert store.record_press(make_press(2), messages_of(make_press(2))).presses == 2
+
+
+def test_a_database_held_by_another_program_is_a_store_error(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """A writer that never ends is waited for, then named; afterwards the press is recorded."""
+    other = sqlite3.connect(path, isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    store._database._connection.execute("PRAGMA busy_timeout = 20")
+
+    with pytest.raises(StoreError, match="another program holds it"):
+        store.record_press(make_press(1), messages_of(make_press(1)))
+
+    other.execute("ROLLBACK")
+    other.close()
+    assert store.record_press(make_press(1), messages_of(make_press(1))).presses == 1
+
+
+def test_two_threads_share_a_store(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The gateway's and the commands' threads take turns; no count is lost."""
+
+    def record(first: int) -> None:
+        for n in range(first, first + 20):
+            store.record_press(make_press(n), messages_of(make_press(n)))
+
+    threads = [threading.Thread(target=record, args=(first,)) for first in (0, 100)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    assert contents(path) == (40, 40, 40)
+
+
+def test_a_writer_and_a_publisher_work_at_the_same_time(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Rows are read and acknowledged while presses are recorded: each row is seen once, in order, none is lost."""
+    seen: list[int] = []
+    done = threading.Event()
+
+    def publish() -> None:
+        with Outbox(path) as outbox:
+            outbox.register(["mqtt"])
+            while not done.is_set():
+                for row in outbox.pending("mqtt"):
+                    seen.append(row.row_id)
+                    outbox.acknowledge(row.row_id, "mqtt")
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    for n in range(50):
+        press = make_press(n)
+        store.record_press(press, lambda gel, p=press: [m for m in messages_of(p)(gel) if not m.retain])
+    done.set()
+    publisher.join()
+    with Outbox(path) as outbox:
+        rest = [row.row_id for row in outbox.pending("mqtt", 1000)]
+
+    assert seen + rest == list(range(1, 101))
+
+
+@pytest.mark.parametrize(
+    ("content", "advice"),
+    [
+        (b"not a database, but long enough to have a header" * 9, "not a database"),
+        (b"SQLite format 3\0" + b"\xff" * 4080, ""),
+    ],
+)
+def test_a_file_that_is_no_database_is_refused(path: Path, content: bytes, advice: str) -> None:
+    """A sentence names the file; the file is left as it is."""
+    path.write_bytes(content)
+
+    with pytest.raises(StoreError, match=f"gelgate.db.*{advice}"):
+        Store(path)
+    assert path.read_bytes() == content
+
+
+def test_a_damaged_page_is_found_by_check_and_named(
+    path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Garbage inside the file: `check` says damaged, and recording is an error, not a guess."""
+    with Store(path) as store:
+        for n in range(40):
+            store.record_press(make_press(n), messages_of(make_press(n), 5000))
+    damaged = bytearray(path.read_bytes())
+    damaged[4096 : 4096 * 30] = os.urandom(4096 * 29)
+    path.write_bytes(damaged)
+
+    with pytest.raises(StoreError, match=r"damaged|malformed"), Store(path) as store:
+        store.check()
+
+
+def test_a_database_of_another_program_is_refused(path: Path) -> None:
+    """A foreign SQLite file is never written into."""
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE recipes (name TEXT)")
+    connection.close()
+
+    with pytest.raises(StoreError, match="belongs to another program"):
+        Store(path)
+
+
+def test_a_newer_database_is_refused_by_its_version(path: Path) -> None:
+    """A newer program's file is not touched by an older one."""
+    Store(path).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    connection.close()
+
+    with pytest.raises(StoreError, match="schema version 99, this program knows up to 1"):
+        Store(path)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    """The advice is to create it."""
+    with pytest.raises(StoreError, match=r"nowhere.*create its folder"):
+        Store(tmp_path / "nowhere" / "gelgate.db")
+
+
+def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -> None:
+    """WAL with synchronous FULL (2) for presses, NORMAL (1) for the publisher."""
+    durable, quick = Database(path), Database(path, is_durable=False)
+
+    modes = [
+        (c.execute("PRAGMA journal_mode").fetchone()[0], c.execute("PRAGMA synchronous").fetchone()[0])
+        for c in (durable._connection, quick._connection)
+    ]
+    durable.close()
+    quick.close()
+
+    assert modes == [("wal", 2), ("wal", 1)]
+
+
+def test_the_press_history_is_read_newest_first(
+    store: Store, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Each press comes back as it was recorded, with its gel."""
+    presses = [make_press(1), make_press(2, "fail", position="top"), make_press(3, "error")]
+    for press in presses:
+        store.record_press(press, messages_of(press))
+
+    assert store.presses() == [(press, "2BNN4ZE7-1") for press in reversed(presses)]
+
+
+@pytest.mark.parametrize(
+    "field",
+    [{"press_id": "7"}, {"verdict": "perhaps"}, {"serial": ""}, {"part": ""}],
+    ids=lambda f: next(iter(f)),
+)
+def test_a_press_refuses_nonsense(make_press: MakePress, field: dict[str, str]) -> None:
+    """Every field is checked at birth."""
+    good = vars(make_press(1))
+
+    with pytest.raises(ValueError, match=r"found"):
+        Press(**{**good, **field})
