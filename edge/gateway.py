@@ -129,6 +129,11 @@ class Gateway:
         self._announce_stats()
         return self.summary
 
+    @property
+    def status(self) -> AcquisitionStatus:
+        """How the sensor is doing."""
+        return self._acquisition.status
+
     def close(self) -> None:
         """Take the parts down in reverse; unsent messages stay in the outbox. Harmless when repeated."""
         self._parts.close()

@@ -1,0 +1,119 @@
+"""A gateway that is killed between any two writes of a press, and started again."""
+
+import json
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+
+import killed_gateway
+import paho.mqtt.client as paho
+import pytest
+from paho.mqtt.enums import CallbackAPIVersion
+from station import MQTT, Motion, press_recording, station_config
+
+from edge.local_broker import LocalBroker
+from edge.store import Store
+
+PROGRAM = Path(killed_gateway.__file__)
+
+
+@pytest.fixture(scope="module")
+def broker() -> Iterator[LocalBroker]:
+    with LocalBroker() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def one_press(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return press_recording(
+        tmp_path_factory.mktemp("one") / "presses", 1, motion=Motion(free=36, hold=14, idle=3)
+    )
+
+
+class Results:
+    """Every result that a subscriber sees, by station: press id to the contents it came with."""
+
+    def __init__(self, port: int) -> None:
+        self.seen: dict[str, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client.on_connect = lambda client, *_: client.subscribe("gelgate/site/#", 1)
+        self._client.on_message = self._arrived
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+
+    def _arrived(self, client: object, data: object, message: paho.MQTTMessage) -> None:
+        _, _, _, station, *rest = message.topic.split("/")
+        if rest[-1] == "result":
+            content = json.loads(message.payload)
+            content.pop("is_replayed")
+            self.seen[station][content["press_id"]].add(json.dumps(content, sort_keys=True))
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+def run(config: Path, deadly: int) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, str(PROGRAM), str(config), str(deadly)], capture_output=True, text=True, timeout=120
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def killed_again_and_again(config: Path, deadly: Sequence[int]) -> list[int]:
+    """One station, killed at each of these writes in turn, then left to finish; presses on record after each run."""
+    recorded = []
+    for write in deadly:
+        code, said = run(config, write)
+        assert code == killed_gateway.KILLED, (write, said)
+        recorded.append(len(press_rows(config.parent)[0]))
+    code, said = run(config, 0)
+    assert code == 0, said
+    return [*recorded, len(press_rows(config.parent)[0])]
+
+
+def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
+    tmp_path: Path, bundle: Path, one_press: Path, broker: LocalBroker
+) -> None:
+    """Whichever write is the last one, no press is lost, doubled or counted twice."""
+
+    def config(station: str) -> Path:
+        path = station_config(tmp_path / station, one_press, bundle, pace=2.0, sinks=MQTT % broker.port)
+        path.write_text(path.read_text() + f'[station]\nstation = "{station}"\n')
+        return path
+
+    results = Results(broker.port)
+    code, said = run(config("whole"), 0)
+    assert code == 0, said
+    # The last writes are the publisher's acknowledgements: a killed process may have left fewer of them to do.
+    writes = range(1, int(said.split()[-1]) - 1)
+    assert len(writes) >= 10
+    with ThreadPoolExecutor(2) as pool:
+        odd = pool.submit(killed_again_and_again, config("odd"), writes[::2])
+        even = pool.submit(killed_again_and_again, config("even"), writes[1::2])
+    stations = {name: press_rows(tmp_path / name) for name in ("odd", "even")}
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline and any(
+        set(results.seen[s]) != ids for s, (ids, _) in stations.items()
+    ):
+        time.sleep(0.05)
+    results.close()
+
+    for station, (ids, count) in stations.items():
+        assert set(results.seen[station]) == ids, station
+        assert count == len(ids), station
+        assert all(len(contents) == 1 for contents in results.seen[station].values()), station
+    for recorded in (odd.result(), even.result()):
+        grown = {later - earlier for earlier, later in pairwise([0, *recorded])}
+        assert grown == {0, 1}  # killed before its press was recorded, and after
+
+
+def press_rows(folder: Path) -> tuple[set[str], int]:
+    """The ids of the recorded presses, and the ledger's count."""
+    with Store(folder / "gelgate.db") as store:
+        return {press.press_id for press, _ in store.presses()}, sum(gel.presses for gel in store.gels())
