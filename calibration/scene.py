@@ -127,7 +127,7 @@ class Scene(_Table):
     camera: Camera = Camera()
     motion: Motion = Motion()
     depth_mm: Annotated[float, Field(gt=0, le=2)] | None = None
-    mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.01
+    mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
     jitter: JitterTable | None = None
     nominal: Nominal | None = None
     defects: Defects = Defects()

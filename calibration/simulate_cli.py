@@ -17,10 +17,13 @@ def simulate(
         str,
         typer.Argument(help="A scene's name or .toml file, or 'paper': the published dataset's counts."),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Where to: a new folder, or one to go on with.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Where to: a new folder, or one to go on with.")
+    ],
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal bytes.")] = 0,
     presses: Annotated[
-        int | None, typer.Option(min=1, help="Presses of each sound piece, or of each run, in place of the scene's.")
+        int | None,
+        typer.Option(min=1, help="Presses of each sound piece, or of each run, in place of the scene's."),
     ] = None,
     run: Annotated[
         str, typer.Option(help="Only this run, straight into the output folder; default: all, a folder each.")
@@ -58,7 +61,9 @@ def _dataset(scenes: "list[Scene]", output: Path, seed: int, presses: int | None
     typer.echo(f"dataset: {output}")
 
 
-def _recordings(scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int) -> None:
+def _recordings(
+    scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
+) -> None:
     from calibration.progress import progress
     from calibration.simulate import simulate_recording
 

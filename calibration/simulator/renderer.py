@@ -29,8 +29,8 @@ U8 = NDArray[np.uint8]
 Key = tuple[str | int, ...]
 """What names a press, such as ("PZ1", "pos2", 17, 3): it selects the press's own random numbers."""
 
-# An imprint that differs by less cannot be told from grain and noise: at a slope change over 0.1 mm it is 9 levels.
-MASK_DEPTH_MM = 0.01
+# An imprint that differs by less over 0.2 mm changes the light by less than about 10 levels: grain and noise hide it.
+MASK_DEPTH_MM = 0.02
 
 # Sideways speed of a press that was caught before it settled: half normal with this sd (assumed).
 _UNSETTLED_MM_S = 1.2
