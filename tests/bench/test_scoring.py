@@ -1,0 +1,123 @@
+"""What a score costs against its bare trunk, per method, backbone and resolution; a row of ROWS is a measurement.
+
+Run with `make bench` or `pytest tests/bench/test_scoring.py -m bench -s`. Frames are smooth random pictures: the time
+does not depend on what they show. Trunk and full path are timed in turn, so that both see the same machine.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calibration.backbones import Trunk, open_trunk
+from calibration.fit import Recipe, fit_files
+from calibration.presses import NominalPresses
+from edge import registry
+from edge.core.profile import SensorProfile
+from edge.core.profiles import LR_PIXELS_PER_MM
+from edge.core.region import Region
+from edge.runtime import TrunkSessions
+from edge.scorer import Scorer
+
+ROUNDS = 60
+THREADS = 2
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement: a method with its settings on a backbone, for a frame of (h, w), from n nominal presses."""
+
+    method: str
+    backbone: str = "random_resnet18"
+    frame: tuple[int, int] = (224, 224)
+    presses: int = 20
+    mode: str = "corrected"
+    overrides: dict[str, object] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        h, w = self.frame
+        extra = "".join(f" {k}={v}" for k, v in self.overrides.items())
+        return f"{self.method} {self.mode}{extra}, {self.backbone}, {w}x{h}, {self.presses} presses"
+
+
+METHODS = ("padim", "subspace", "spade", "fapm", "inreach", "patchcore")
+
+ROWS = [Row(method) for method in METHODS if method in registry.names("detectors")]
+
+
+def pictures(n: int, frame: tuple[int, int]) -> NDArray[np.uint8]:
+    """Smooth random pictures, uint8 (n, h, w, 3): nominal presses that differ a little."""
+    rng = np.random.default_rng(0)
+    common = rng.integers(60, 200, (12, 16, 3)).astype(np.float32)
+    each = common + rng.normal(0, 6, (n, 12, 16, 3)).astype(np.float32)
+    h, w = frame
+    large = [cv2.resize(picture, (w, h), interpolation=cv2.INTER_CUBIC) for picture in each]
+    noisy = np.stack(large) + rng.normal(0, 1.5, (n, h, w, 3))
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def trunks() -> dict[str, Trunk]:
+    return {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def heading() -> None:
+    print(
+        f"\n{'':64}{'trunk':>8}{'full':>8}{'ratio':>7}{'stored':>9}{'in use':>9}{'features':>9}{'fit':>7}{'folds':>7}"
+    )
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_score_against_bare_trunk(row: Row, trunks: dict[str, Trunk]) -> None:
+    """Frame to score map takes its trunk's time and a little more: medians in ms, bank in MB, fit in s."""
+    detector = registry.load("detectors", row.method)
+    parameters = detector.parameters(row.mode, **row.overrides)
+    trunk = trunks.setdefault(row.backbone, open_trunk(row.backbone, detector.taps(parameters)))
+    h, w = row.frame
+    recipe = Recipe(
+        part="bench",
+        position="any",
+        profile=SensorProfile("bench", (w, h), (0.0, 0.0), (w, h), 1, LR_PIXELS_PER_MM * max(1.0, w / 320)),
+        region=Region.full((w, h)),
+        detector=detector,
+        trunk=trunk,
+        mode=row.mode,  # type: ignore[arg-type]
+        overrides=row.overrides,
+        threads=THREADS,
+    )
+    frames = pictures(row.presses, row.frame)
+    fitted = fit_files(NominalPresses(frames, ("",) * row.presses), recipe, created="bench")
+    sessions = TrunkSessions(THREADS)
+    scorer = Scorer(fitted.bundle(), THREADS, sessions)
+    bare, full = interleaved(scorer, sessions, trunk, frames)
+    cost = fitted.manifest.cost
+    assert cost is not None
+    print(
+        f"{row!s:64}{bare:8.2f}{full:8.2f}{full / bare:7.2f}{cost.bank_bytes_stored / 1e6:9.2f}"
+        f"{cost.bank_bytes_unpacked / 1e6:9.2f}{cost.features_s:9.2f}{cost.fit_s:7.2f}{cost.threshold_s:7.2f}"
+    )
+
+
+def interleaved(
+    scorer: Scorer, sessions: TrunkSessions, trunk: Trunk, frames: NDArray[np.uint8]
+) -> tuple[float, float]:
+    """Median milliseconds of the bare trunk, its outputs bound, and of frame to score map, in turn."""
+    session = sessions.get(trunk.sha256, None, "bench")
+    binding = session.io_binding()
+    binding.bind_cpu_input("frames", frames[:1])
+    for output in session.get_outputs():
+        binding.bind_output(output.name, "cpu")
+    times = np.empty((ROUNDS, 2))
+    for k in range(ROUNDS):
+        start = time.perf_counter()
+        session.run_with_iobinding(binding)
+        middle = time.perf_counter()
+        scorer.score(frames[k % len(frames)])
+        times[k] = middle - start, time.perf_counter() - middle
+    bare, full = np.median(times[5:], axis=0) * 1e3
+    return float(bare), float(full)
