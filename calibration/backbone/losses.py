@@ -1,0 +1,102 @@
+"""What the backbone is taught, at each of its three stages.
+
+geometry: a 1x1 head must read slopes, depth and gradient energy from the features of a cell.
+pair: unit-normalised features of two presses of one part lie together where the imprint is the same, and at least a
+margin apart where damage changed it.
+rank: a changed cell must lie farther apart than the hundredth most distant unchanged one: what a detector at one per
+cent false alarms needs.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from calibration.backbone.presses import Pairs
+from calibration.backbone.recipe import STAGES, Recipe
+from calibration.backbone.render import slopes
+
+__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation"]
+
+# Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
+_SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
+# Softness of the rank loss, in feature distance.
+_RANK_SOFTNESS = 0.1
+_FALSE_ALARMS = 0.01
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Each is a scalar, the mean over stages."""
+
+    geometry: Tensor
+    pull: Tensor
+    push: Tensor
+    rank: Tensor
+
+    def total(self, recipe: Recipe) -> Tensor:
+        return (
+            recipe.geometry_weight * self.geometry
+            + recipe.pair_weight * (self.pull + self.push)
+            + recipe.rank_weight * self.rank
+        )
+
+
+def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Recipe) -> Losses:
+    """The losses of one batch. maps: the trunk's output for `batch.frames`."""
+    geometry = _geometry(batch)
+    parts: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    for stage, features in zip(STAGES, maps, strict=True):
+        stride = batch.change_mm.shape[-1] // features.shape[-1]
+        target = F.avg_pool2d(geometry, stride)
+        wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
+        distance = cell_distances(features)
+        changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
+        parts.append(
+            (wrong, *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged))
+        )
+    return Losses(*(torch.stack(column).mean() for column in zip(*parts, strict=True)))
+
+
+def _geometry(batch: Pairs) -> Tensor:
+    """Targets (2n, 4, h, w) of order 1."""
+    sx, sy = slopes(batch.surface_mm, batch.spacing)
+    energy = sx * sx + sy * sy
+    return torch.stack([sx / _SLOPE, sy / _SLOPE, batch.surface_mm / _DEPTH, energy / _ENERGY], dim=1)
+
+
+def cell_distances(features: Tensor) -> Tensor:
+    """Distance of unit-normalised features between the two presses of each pair, (n, rows, columns), 0 to 2."""
+    first, second = F.normalize(features.float(), dim=1).chunk(2)
+    return torch.sqrt(((first - second) ** 2).sum(dim=1) + 1e-6)
+
+
+def changed_cells(change_mm: Tensor, stride: int, recipe: Recipe) -> tuple[Tensor, Tensor]:
+    """Float masks (n, rows, columns): cells that damage changed, and cells that it left alone, neighbours included."""
+    most = F.max_pool2d(change_mm[:, None], stride)
+    around = F.max_pool2d(most, 3, stride=1, padding=1)
+    return (most[:, 0] > recipe.changed_mm).float(), (around[:, 0] < recipe.unchanged_mm).float()
+
+
+def _pair(distance: Tensor, changed: Tensor, unchanged: Tensor, margin: float) -> tuple[Tensor, Tensor]:
+    pull = (distance**2 * unchanged).sum() / unchanged.sum().clamp(min=1)
+    push = ((margin - distance).clamp(min=0) ** 2 * changed).sum() / changed.sum().clamp(min=1)
+    return pull, push
+
+
+def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:
+    """Softly, by how much changed cells fall below the mean of the most distant hundredth of unchanged ones."""
+    count = max(1, int(_FALSE_ALARMS * distance.numel()))
+    bar = (distance * unchanged).flatten().topk(count).values.mean()
+    short = F.softplus((bar + _RANK_SOFTNESS - distance) / _RANK_SOFTNESS) * _RANK_SOFTNESS
+    return (short * changed).sum() / changed.sum().clamp(min=1)
+
+
+def separation(distance: Tensor, changed: Tensor, unchanged: Tensor) -> float:
+    """The share of changed cells above all but one per cent of the unchanged ones."""
+    sound, broken = distance[unchanged > 0], distance[changed > 0]
+    if not len(sound) or not len(broken):
+        return float("nan")
+    bar = sound.kthvalue(max(1, int((1 - _FALSE_ALARMS) * len(sound)))).values
+    return float((broken > bar).float().mean())
