@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_recordings import PRODUCT, SERIAL, jpeg, write_recording
 
@@ -36,6 +36,7 @@ def test_version_comes_first_in_the_header(tmp_path: Path) -> None:
     assert (folder / "recording.toml").read_text().startswith("version = 1\n")
 
 
+@settings(max_examples=30)
 @given(product=st.text(max_size=20), serial=st.text(max_size=12))
 def test_any_text_survives_the_header(
     product: str, serial: str, tmp_path_factory: pytest.TempPathFactory
