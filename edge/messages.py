@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 
 from edge.core.gel import GelState
 from edge.core.ports import Message
+from edge.core.verdict import Kind
 from edge.ledger import GelRecord
 
 __all__ = [
@@ -28,7 +29,6 @@ __all__ = [
     "ResultPayload",
     "StatePayload",
     "StatsPayload",
-    "Verdict",
     "alarm_cleared",
     "alarm_message",
     "as_replayed",
@@ -40,8 +40,6 @@ __all__ = [
     "state_message",
     "stats_message",
 ]
-
-Verdict = Literal["pass", "fail", "unsure", "rejected"]
 
 PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
 
@@ -127,11 +125,14 @@ class ResultPayload(Payload):
     )
     part: str
     position: str | None = None
-    verdict: Verdict | None = None
+    verdict: Kind | None = None
     reason: str | None = Field(default=None, description="why it is rejected or unsure")
     error: str | None = Field(default=None, description="why there is no verdict")
     score: float | None = Field(default=None, description="raw anomaly score, higher is more anomalous")
     threshold: float | None = Field(default=None, description="scores above it fail")
+    tolerance: float | None = Field(
+        default=None, ge=0, description="scores this near the threshold are unsure"
+    )
     method: str | None = None
     bundle_id: str | None = None
     sensor_serial: str
@@ -149,7 +150,9 @@ class ResultPayload(Payload):
     def _verdict_or_error(self) -> Self:
         if (self.verdict is None) == (self.error is None):
             raise ValueError("a result has a verdict or an error, exactly one of them")
-        if self.verdict in ("pass", "fail") and (self.score is None or self.threshold is None):
+        if self.verdict in (Kind.PASS, Kind.FAIL, Kind.UNSURE) and (
+            self.score is None or self.threshold is None
+        ):
             raise ValueError(f"the verdict '{self.verdict}' needs a score and a threshold")
         return self
 
@@ -216,7 +219,7 @@ class CommandRequest(BaseModel):
     transaction: str = Field(
         min_length=1, max_length=128, description="chosen by the asker, returned in the response"
     )
-    arguments: dict[str, Any] = Field(default_factory=dict)
+    arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
 
 
 class CommandResponse(Payload):

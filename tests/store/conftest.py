@@ -38,7 +38,7 @@ def messages_of() -> Callable[..., MakeMessages]:
                 time_ns=press.time_ns,
                 press_id=press.press_id,
                 part=press.part,
-                verdict=None if is_error else Kind(press.verdict).value,  # type: ignore[arg-type]
+                verdict=None if is_error else Kind(press.verdict),
                 error="broken" if is_error else None,
                 score=press.score,
                 threshold=press.threshold,

@@ -1,0 +1,125 @@
+"""`gelgate gel`: the ledger of gels, and the recorded act of replacing one."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from edge.store import GelRecord, Store
+
+__all__ = ["gel"]
+
+gel = typer.Typer(help="Show the wear of each gel, or record that one was replaced.", no_args_is_help=True)
+
+Database = Annotated[Path | None, typer.Option(help="The gateway's database file.")]
+Config = Annotated[Path | None, typer.Option(help="The gateway's configuration, which names the database.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@gel.command()
+def show(
+    database: Database = None,
+    config: Config = None,
+    serial: Annotated[str | None, typer.Option(help="This sensor alone.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print every gel with its presses, limit and state; mounted ones are marked with *."""
+    import json
+
+    with _open(database, config) as store:
+        gels = store.gels(serial)
+    if as_json:
+        print(json.dumps([_plain(record) for record in gels], indent=2))
+    elif not gels:
+        print("no gel is known yet: the first press of a sensor makes its first entry")
+    else:
+        print("\n".join(_line(record) for record in gels))
+
+
+@gel.command()
+def replace(
+    serial: Annotated[str | None, typer.Option(help="The sensor; needed if there are several.")] = None,
+    gel_id: Annotated[str | None, typer.Option(help="The new gel's id; numbered if left out.")] = None,
+    limit: Annotated[
+        int | None, typer.Option(help="Presses it may take; the configured limit if left out.", min=1)
+    ] = None,
+    note: Annotated[str, typer.Option(help="Why, or which batch.")] = "",
+    database: Database = None,
+    config: Config = None,
+    as_json: AsJson = False,
+) -> None:
+    """Record that a new gel is mounted. Its count starts at 0; the old gel's stays as history."""
+    import json
+    import time
+
+    from edge.messages import GelPayload, gel_message
+
+    now_ns = time.time_ns()
+    with _open(database, config) as store:
+        known = sorted({record.serial for record in store.gels()})
+        record = store.replace_gel(
+            serial or _only(known),
+            now_ns,
+            gel_id,
+            limit,
+            note,
+            lambda gel: [gel_message(GelPayload.of(gel, now_ns))],
+        )
+    print(json.dumps(_plain(record), indent=2) if as_json else _line(record))
+
+
+def _only(serials: list[str]) -> str:
+    from edge.core.errors import ConfigError
+
+    if len(serials) != 1:
+        found = ", ".join(serials) or "none"
+        raise ConfigError(f"which sensor's gel is replaced? known: {found}; name it with --serial")
+    return serials[0]
+
+
+def _open(database: Path | None, config: Path | None) -> "Store":
+    from edge.config import load_config
+    from edge.core.errors import ConfigError
+    from edge.store import Store
+
+    if (database is None) == (config is None):
+        raise ConfigError(
+            "give either --database or --config, so that it is clear which gateway's gels are meant"
+        )
+    if database is None and config is not None:
+        loaded = load_config(config)
+        database, limit, warn = loaded.store.path, loaded.gel.limit_presses, loaded.gel.warn_fraction
+        return Store(_existing(database), limit_presses=limit, warn_fraction=warn)
+    return Store(_existing(database))
+
+
+def _existing(database: Path | None) -> Path:
+    from edge.core.errors import ConfigError
+
+    if database is None or not database.is_file():
+        raise ConfigError(f"database {database} does not exist; the gateway makes it when it first runs")
+    return database
+
+
+def _line(record: "GelRecord") -> str:
+    mark = "*" if record.removed_ns is None else " "
+    wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
+    last = "never used" if record.last_use_ns is None else f"last used {_date(record.last_use_ns)}"
+    note = f"  ({record.note})" if record.note else ""
+    return (
+        f"{mark} {record.gel_id}  sensor {record.serial}  {record.presses}/{record.limit_presses} presses"
+        f"  {record.state}{wear}  mounted {_date(record.installed_ns)}, {last}{note}"
+    )
+
+
+def _plain(record: "GelRecord") -> dict[str, object]:
+    import dataclasses
+
+    return {**dataclasses.asdict(record), "state": str(record.state)}
+
+
+def _date(time_ns: int) -> str:
+    from edge.messages import iso_time
+
+    return iso_time(time_ns)[:16].replace("T", " ")

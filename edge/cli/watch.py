@@ -1,0 +1,64 @@
+"""`gelgate watch`: a subscriber that prints one line a verdict and saves the heatmaps."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["watch"]
+
+
+def watch(
+    host: Annotated[str, typer.Option(help="The broker's name or address.")] = "localhost",
+    port: Annotated[int, typer.Option(help="Its port.", min=1, max=65535)] = 1883,
+    prefix: Annotated[str, typer.Option(help="First level of the topics.")] = "gelgate",
+    site: Annotated[str, typer.Option(help="This site alone; + for all.")] = "+",
+    line: Annotated[str, typer.Option(help="This line alone; + for all.")] = "+",
+    station: Annotated[str, typer.Option(help="This station alone; + for all.")] = "+",
+    save: Annotated[Path | None, typer.Option(help="Save heatmaps in this folder.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print each result as it came, one JSON object a line.")
+    ] = False,
+    count: Annotated[int | None, typer.Option(help="End after so many verdicts.", min=1)] = None,
+    timeout: Annotated[float | None, typer.Option(help="End after so many seconds.", min=0)] = None,
+    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
+    password_file: Annotated[Path | None, typer.Option(help="File that holds the password.")] = None,
+    ca: Annotated[Path | None, typer.Option(help="Use TLS and trust this authority (PEM).")] = None,
+) -> None:
+    """Print verdicts as they arrive, each press once. Ends with 1 if --count was not reached in --timeout seconds."""
+    import json
+    import os
+    import sys
+
+    from edge.core.errors import ConfigError
+    from edge.mqtt import Broker, Tls
+    from edge.watching import describe, station_filter
+    from edge.watching import watch as listen
+
+    def tell(sentence: str) -> None:
+        print(f"gelgate: {sentence}", file=sys.stderr)
+
+    try:
+        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
+    except OSError as error:
+        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
+    tls = None if ca is None else Tls(ca).context()
+    broker = Broker(host, port, f"gelgate-watch-{os.getpid()}", username, password, tls)
+    results = heatmaps = 0
+    for seen in listen(broker, station_filter(prefix, site, line, station), save, count, timeout, tell):
+        if seen.kind == "result":
+            results += 1
+            print(json.dumps(seen.content) if as_json else describe(seen.content, seen.station), flush=True)
+        elif seen.kind == "heatmap":
+            heatmaps += 1
+        elif seen.kind == "state":
+            tell(
+                f"{seen.station} is {seen.content.get('state', '?')} {seen.content.get('reason') or ''}".rstrip()
+            )
+        else:
+            tell(f"{seen.station} alarm {seen.content.get('alarm', '?')}: {seen.content.get('text', '')}")
+    if heatmaps:
+        tell(f"{heatmaps} heatmap(s) saved in {save}")
+    if count is not None and results < count:
+        tell(f"{results} verdict(s) came in {timeout:g} s, {count} were wanted; is the gateway running?")
+        raise typer.Exit(1)
