@@ -12,7 +12,7 @@ from enum import Enum
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
-from edge.core.errors import DeviceError, DeviceStalled, FrameCorrupt, RecordingEnded
+from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock, Device, DeviceIdentity
 
@@ -73,6 +73,7 @@ class Acquisition:
     or fault; it must return soon. depth: frames kept for a consumer that lags. stall_after_s: no new frame for so
     long, and the sensor is opened again. backoff_s: first and longest pause between attempts.
 
+    A reconnection is to the same sensor: one with another serial is refused as a fault.
     `CameraFrame.sequence` rises over reconnections; a gap means that frames were lost, refused or dropped there.
     """
 
@@ -212,6 +213,12 @@ class Acquisition:
             last_ns = self._clock.monotonic_ns()
 
     def _welcome(self, device: Device) -> None:
+        known = self._status.identity
+        if known is not None and device.identity.serial != known.serial:
+            raise DeviceNotFound(
+                f"sensor {known.serial} is gone and {device.identity.serial} is plugged in instead; put the first one "
+                "back, or restart to go on with the other: wear is counted for each sensor's own gel"
+            )
         self._openings += 1
         self._counting = device if isinstance(device, OnDemand) else None
         self._times_ns.clear()

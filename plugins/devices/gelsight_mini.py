@@ -83,7 +83,7 @@ def _open_v4l2(
         lock = SensorLock(identity.serial)
         undo.callback(lock.close)
         node = capture_node(identity.serial)
-        capture = open_capture(node.path)
+        capture = open_capture(node.path, identity.mode)
         undo.callback(capture.release)
         with guarded(identity.product):
             unset = pin_v4l2_controls(node.path, options.controls)

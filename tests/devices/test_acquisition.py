@@ -188,6 +188,24 @@ def test_a_reconnection_leaves_a_gap() -> None:
         assert [frame.sequence for frame in all_frames(acquisition)] == [1, 2, 4]
 
 
+def test_another_sensor_is_not_taken_for_the_first() -> None:
+    """Swapped while running: refused with both serials and given back, so that wear is not counted on its gel."""
+    clock = FakeClock()
+    other = ScriptedDevice([jpeg(1)], clock)
+    other.identity = DeviceIdentity("GelSight Mini R0B 28D8-PXEC", "28D8PXEC", (64, 48), 25.0)
+    first = ScriptedDevice([jpeg(0), DeviceLost("pulled")], clock)
+    again = ScriptedDevice([jpeg(2), RecordingEnded("over")], clock)
+    devices: list[Device] = [first, other, again]
+    said: list[str | None] = []
+    with Acquisition(
+        lambda: devices.pop(0), clock, lambda now: said.append(now.fault), backoff_s=QUICK
+    ) as acquisition:
+        assert [frame.payload for frame in all_frames(acquisition)] == [jpeg(0), jpeg(2)]
+        assert acquisition.status.reconnects == 1
+    assert other.closed == 1
+    assert any(fault and SERIAL in fault and "28D8PXEC" in fault for fault in said)
+
+
 def test_every_device_is_closed_once() -> None:
     """Whatever ends an opening, its device is given back."""
     clock = FakeClock()

@@ -236,4 +236,4 @@ class TestSensor:
         monkeypatch.setitem(os.environ, "OPENCV_LOG_LEVEL", "SILENT")
         (tmp_path / "video0").touch()
         with pytest.raises(DeviceBusy, match="group video"):
-            open_capture(tmp_path / "video0")
+            open_capture(tmp_path / "video0", (64, 48))

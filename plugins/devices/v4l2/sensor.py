@@ -21,8 +21,11 @@ __all__ = ["V4l2Sensor", "open_capture"]
 _SELECT_TIMEOUT = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "3")
 
 
-def open_capture(node: Path) -> Any:
-    """OpenCV's capture on a node: MJPG, bytes as they come, one buffer. Errors: DeviceBusy when it does not open."""
+def open_capture(node: Path, mode: tuple[int, int]) -> Any:
+    """OpenCV's capture on a node: MJPG of (width, height), bytes as they come, one buffer.
+
+    Errors: DeviceBusy when it does not open.
+    """
     os.environ.setdefault(*_SELECT_TIMEOUT)
     import cv2
 
@@ -32,6 +35,8 @@ def open_capture(node: Path) -> Any:
             f"{node} cannot be opened; is another program streaming, or is the user not in group video?"
         )
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, mode[0])
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, mode[1])
     capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
     capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
     return capture
