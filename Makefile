@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench test-hardware clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -19,6 +19,10 @@ lint: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s
+
+# Needs a GelSight Mini on this machine; without one every test is skipped and says so.
+test-hardware: $(VENV)/.test
+	$(BIN)/pytest tests/hardware -m hardware -s
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
