@@ -169,7 +169,7 @@ def press_frames(
     height = sample(whole if defect is None else Damaged(whole, defect), placed, renderer.field)
     depth = scene.press_depth_mm * placed.depth_factor
     angle = (
-        float(streams("slide", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
+        float(streams("motion_blur", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
     )
     left = _left_by(previous, scene, seed)
     light, shown = None, None

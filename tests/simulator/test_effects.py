@@ -1,0 +1,151 @@
+"""Effects are paid for only when a scene names them, and each one changes the picture in its own way."""
+
+import sys
+from collections.abc import Callable
+from types import CodeType, FrameType, FunctionType
+
+import numpy as np
+import pytest
+
+from calibration.simulator import DEFAULT_EFFECTS, EFFECTS, LR, PARTS, Exposure, Field, Jitter, Pose, Renderer
+from calibration.simulator.effects import chosen
+from calibration.simulator.pose import sample
+from calibration.simulator.streams import named_streams
+
+SMALL = Field((160, 120), (0.12, 0.12))
+THREAD = PARTS["PZ1"].positions["pos1"]
+KEY = ("PZ1", "pos1", 1, 1)
+
+
+class Listening:
+    """Streams that remember which words were asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str | int, ...]] = []
+        self._inner = named_streams(7)
+
+    def __call__(self, *words: str | int) -> np.random.Generator:
+        self.asked.append(words)
+        return self._inner(*words)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+
+def picture(names: tuple[str, ...], streams: Callable[..., np.random.Generator] | None = None) -> np.ndarray:
+    """A press that gives every effect something to do: worn gel, a previous press, a warm lamp, a slide."""
+    renderer = Renderer(SMALL, names, streams=streams or named_streams(7))
+    placed = renderer.place(Pose(), KEY)
+    imprint = renderer.imprint(sample(THREAD, placed, SMALL), 0.5 * placed.depth_factor)
+    surface = renderer.surface(imprint, 500, (np.roll(imprint, 25, axis=1), 0.5))
+    return renderer.expose(renderer.light(surface, 500), KEY, Exposure(3, 5.0, (12.0, 6.0)))
+
+
+def called(names: tuple[str, ...]) -> set[CodeType]:
+    """The code of every Python function that rendering with these effects runs."""
+    seen: set[CodeType] = set()
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            seen.add(frame.f_code)
+
+    sys.setprofile(note)
+    try:
+        picture(names)
+    finally:
+        sys.setprofile(None)
+    return seen
+
+
+def without(name: str) -> tuple[str, ...]:
+    return tuple(other for other in EFFECTS if other != name)
+
+
+def code_of(name: str) -> CodeType:
+    function = EFFECTS[name].function
+    assert isinstance(function, FunctionType)
+    return function.__code__
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_that_is_not_named_is_not_called(name: str) -> None:
+    """Its function never runs when it is left out, and runs when it is named."""
+    assert code_of(name) not in called(without(name))
+    assert code_of(name) in called(tuple(EFFECTS))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_switching_an_effect_never_shifts_another_ones_random_numbers(name: str) -> None:
+    """Without it, exactly its own streams are not asked for; every other stream is named by the same words."""
+    everything, rest = Listening(), Listening()
+    picture(tuple(EFFECTS), everything)
+    picture(without(name), rest)
+    own = [words for words in everything.asked if words[0] in EFFECTS[name].draws]
+    assert EFFECTS[name].draws or not own
+    assert [words for words in everything.asked if words not in own] == rest.asked
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_that_is_named_changes_the_picture(name: str) -> None:
+    """With all others on, adding it changes bytes, so no name in the list is idle."""
+    assert not np.array_equal(picture(tuple(EFFECTS)), picture(without(name)))
+
+
+def test_a_picture_without_effects_draws_nothing() -> None:
+    """No effect, no random number: not one stream is asked for."""
+    streams = Listening()
+    picture((), streams)
+    assert streams.asked == []
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
+    """Equal streams, equal bytes; the order in which effects are named means nothing."""
+    again = picture(tuple(reversed(EFFECTS)))
+    assert np.array_equal(picture(tuple(EFFECTS)), again)
+    assert not np.array_equal(again, picture(tuple(EFFECTS), named_streams(8)))
+
+
+def test_every_effect_says_what_it_is() -> None:
+    """Each function has a docstring, which the manual quotes."""
+    assert all(effect.summary for effect in EFFECTS.values())
+
+
+def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:
+    """A slip of the pen is told what was meant."""
+    with pytest.raises(ValueError, match="did you mean 'shadows'"):
+        chosen(["shadow"])
+
+
+def test_neighbouring_frames_differ_by_noise_alone() -> None:
+    """Two exposures of the same light differ everywhere a little and nowhere much."""
+    renderer = Renderer(LR, DEFAULT_EFFECTS)
+    light = renderer.light(renderer.surface(np.zeros(LR.shape, np.float32)))
+    first, second = (
+        renderer.expose(light, KEY, Exposure(k, 100.0, (0.0, 0.0))).astype(np.int16) for k in (0, 1)
+    )
+    difference = np.abs(first - second)
+    assert 0.5 < difference.mean() < 4
+    assert difference.max() < 30
+
+
+def test_pose_jitter_is_as_large_as_it_is_told() -> None:
+    """Over many presses the shift's standard deviation is the stated one, cut at 2.5."""
+    renderer = Renderer(SMALL, ("pose_jitter",), jitter=Jitter(0.2, 1.0, 0.5, 0.05))
+    poses = [renderer.place(Pose(), (k,)) for k in range(400)]
+    shifts = np.array([placed.shift_mm for placed in poses])
+    assert 0.17 < shifts.std() < 0.23
+    assert np.abs(shifts).max() <= 0.5 + 1e-9
+    assert abs(np.mean([placed.depth_factor for placed in poses]) - 1) < 0.01
+
+
+def test_partial_contact_lifts_one_side_of_a_part() -> None:
+    """A flat plate that leans is touched on one side and free on the other; level, it is touched all over."""
+
+    def plate(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(np.maximum(np.abs(x), np.abs(y)) < 5, np.float32(0), np.float32(-3))
+
+    level, leaning = (
+        (renderer.imprint(sample(plate, renderer.place(Pose(), KEY), SMALL), 0.05) > 0).mean()
+        for renderer in (Renderer(SMALL, ()), Renderer(SMALL, ("partial_contact",)))
+    )
+    assert 0.3 * level < leaning < 0.95 * level

@@ -1,0 +1,230 @@
+"""Recordings and datasets: right counts, true labels, equal bytes, and going on after a cut."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calibration.dataset import open_dataset
+from calibration.scene import Scene, load_scene
+from calibration.simulate import simulate_dataset, simulate_recording
+from calibration.simulate_cli import simulate
+from calibration.simulator.dataset_writer import press_pictures
+from calibration.simulator.plan import dataset_plan
+from edge.core.decode import decode
+from edge.core.errors import ConfigError, DatasetError, RecordingError
+from edge.core.profiles import PROFILES
+from edge.recording import Recording
+
+TINY = """version = 1
+name = "tiny"
+part = "PZ5"
+effects = ["pose_jitter", "deformation", "dust", "illumination", "led_drift", "noise", "jpeg"]
+"""
+RUNS = """
+[camera]
+modes = ["lr"]
+[motion]
+idle_s = 0.3
+approach_s = 0.2
+hold_s = 0.2
+[defects]
+kinds = ["dent"]
+severity = [0.8, 1.0]
+[[runs]]
+name = "line"
+presses = 3
+faulty = 1
+"""
+SET = """
+[camera]
+modes = ["lr", "hr"]
+[nominal]
+specimens = 2
+presses = 1
+[defects]
+images = 1
+severity = [1.0, 1.0]
+kinds = ["dent"]
+"""
+
+
+def scene_of(folder: Path, text: str) -> Scene:
+    path = folder / "tiny.toml"
+    path.write_text(TINY + text)
+    return load_scene(path)
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_recording_is_labelled_with_the_truth(tmp_path: Path) -> None:
+    """Three presses with all phases in order, free gel before and after, one damaged and never the first."""
+    scene = scene_of(tmp_path, RUNS)
+    recording = Recording.open(simulate_recording(scene, tmp_path / "out", 1))
+    labels = [frame.label for frame in recording]
+    assert all(label is not None for label in labels)
+    presses = [label["press"] for label in labels if label]
+    assert presses[0] is None
+    assert presses[-1] is None
+    assert {p for p in presses if p is not None} == {0, 1, 2}
+    damaged = {label["press"]: label["defect"] for label in labels if label and label["defect"]}
+    assert len(damaged) == 1
+    assert 0 not in damaged
+    assert all(defect["kind"] == "dent" and defect["severity"] > 0 for defect in damaged.values())
+    holds = [frame for frame in recording if frame.label and frame.label["phase"] == "hold"]
+    assert len({frame.frame.payload for frame in holds}) == len(holds)
+
+
+def test_a_recordings_held_frames_show_the_press(tmp_path: Path) -> None:
+    """Held frames differ from the free gel far more than the free gel from itself."""
+    recording = Recording.open(simulate_recording(scene_of(tmp_path, RUNS), tmp_path / "out", 1))
+    pictures: dict[str, list[np.ndarray]] = {}
+    for frame in recording:
+        assert frame.label is not None
+        rgb = decode(frame.frame, PROFILES["cropped_lr"]).rgb.astype(np.float32)
+        pictures.setdefault(str(frame.label["phase"]), []).append(rgb)
+    free = pictures["idle"][0]
+    assert np.abs(pictures["idle"][1] - free).max() < 40
+    assert np.abs(pictures["hold"][0] - free).max() > 80
+
+
+def test_a_native_recording_decodes_to_the_low_resolution_picture(tmp_path: Path) -> None:
+    """A 3280x2464 frame, read through the profile mini_lr, is the frame that the mode lr renders."""
+    text = RUNS.replace("faulty = 1", "faulty = 0").replace("presses = 3", "presses = 1")
+    still = TINY.replace(', "noise"', "").replace('"dust", ', "")
+    (tmp_path / "lr.toml").write_text(still + text)
+    (tmp_path / "native.toml").write_text(still + text.replace('"lr"', '"native"'))
+    views = []
+    for name, profile in (("lr", "cropped_lr"), ("native", "mini_lr")):
+        recording = Recording.open(
+            simulate_recording(load_scene(tmp_path / f"{name}.toml"), tmp_path / name, 1)
+        )
+        held = next(f for f in recording if f.label and f.label["phase"] == "hold")
+        views.append(decode(held.frame, PROFILES[profile]).rgb.astype(np.float32))
+    assert Recording.open(tmp_path / "native").header.mode == (3280, 2464)
+    assert np.abs(views[0] - views[1]).mean() < 2.0
+
+
+def test_recordings_repeat_resume_and_are_never_overwritten(tmp_path: Path) -> None:
+    """Same seed, same bytes; a whole one is kept as it is, a cut one is made again, another one is refused."""
+    scene = scene_of(tmp_path, RUNS)
+    first = digests(simulate_recording(scene, tmp_path / "a", 1))
+    assert first == digests(simulate_recording(scene, tmp_path / "b", 1, workers=2))
+    assert first == digests(simulate_recording(scene, tmp_path / "a", 1))
+    cut = tmp_path / "c.part" / "frames"
+    cut.mkdir(parents=True)
+    (tmp_path / "c.part" / "recording.toml").write_text("version = 1\n")
+    assert first == digests(simulate_recording(scene, tmp_path / "c", 1))
+    with pytest.raises(RecordingError, match="choose another folder"):
+        simulate_recording(scene, tmp_path / "a", 2)
+
+
+def test_presses_can_be_asked_for_and_runs_by_name(tmp_path: Path) -> None:
+    """Fewer presses keep the share of damage; a run that is not there is named with those that are."""
+    scene = scene_of(tmp_path, RUNS)
+    recording = Recording.open(simulate_recording(scene, tmp_path / "one", 1, run="line", presses=1))
+    assert {f.label["press"] for f in recording if f.label} == {None, 0}
+    with pytest.raises(ConfigError, match="has no run 'night'; it has line"):
+        simulate_recording(scene, tmp_path / "x", 1, run="night")
+    with pytest.raises(ConfigError, match="no \\[nominal\\]"):
+        simulate_dataset(scene, tmp_path / "y")
+
+
+def test_a_dataset_is_read_back_with_its_counts(tmp_path: Path) -> None:
+    """Two sound and one damaged press, at both sizes, with masks that mark something, and its own summary."""
+    scene = scene_of(tmp_path, SET)
+    root = simulate_dataset(scene, tmp_path / "set", 4)
+    for resolution in ("lr", "hr"):
+        dataset = open_dataset(root, resolution)  # type: ignore[arg-type]
+        assert (len(dataset.good), len(dataset.defective)) == (2, 1)
+    summary = json.loads((root / "dataset.json").read_text())
+    assert summary["complete"] is True
+    assert summary["scenes"][0]["counts"] == {"pos1": {"nominal": 2, "faulty": 1}}
+    assert [fault["kind"] for fault in summary["faults"].values()] == ["dent"]
+
+
+def test_low_resolution_masks_are_pooled_blocks_of_the_high_resolution_ones(tmp_path: Path) -> None:
+    """A pixel of the small mask is set exactly where any of its 4 x 3 pixels is; the small picture is their mean."""
+    scene = scene_of(tmp_path, SET)
+    plan = next(plan for plan in dataset_plan(scene, 4) if plan.kind)
+    made = dict(press_pictures(scene, plan, 4))
+    assert {kind: picture.shape[:2] for kind, picture in made.items()} == {
+        "rgb": (720, 1280),
+        "mask": (720, 1280),
+        "rgb_320x240": (240, 320),
+        "mask_320x240": (240, 320),
+    }
+    blocks = made["mask"].reshape(240, 3, 320, 4).max(axis=(1, 3))
+    assert np.array_equal(made["mask_320x240"], blocks)
+    assert set(np.unique(made["mask"])) == {0, 255}
+    assert made["mask"].any()
+    mean = made["rgb"].reshape(240, 3, 320, 4, 3).mean(axis=(1, 3))
+    assert np.abs(mean - made["rgb_320x240"]).max() <= 0.51
+
+
+def test_a_dataset_goes_on_where_it_was_cut_with_the_same_bytes(tmp_path: Path) -> None:
+    """Files taken away are made again as they were, the others are not touched; another seed is refused."""
+    scene = load_scene("small")
+    scene = scene.model_copy(
+        update={"nominal": scene.nominal and scene.nominal.model_copy(update={"specimens": 2})}
+    )
+    whole = digests(simulate_dataset(scene, tmp_path / "a", 1, presses=1))
+    assert whole == digests(simulate_dataset(scene, tmp_path / "b", 1, presses=1, workers=2))
+    victims = sorted((tmp_path / "a").rglob("*.png"))[::2]
+    kept = sorted(set((tmp_path / "a").rglob("*.png")) - set(victims))
+    times = [path.stat().st_mtime_ns for path in kept]
+    for path in victims:
+        path.unlink()
+    assert whole == digests(simulate_dataset(scene, tmp_path / "a", 1, presses=1))
+    assert times == [path.stat().st_mtime_ns for path in kept]
+    with pytest.raises(DatasetError, match="another seed"):
+        simulate_dataset(scene, tmp_path / "a", 2, presses=1)
+
+
+def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
+    """A folder with something else in it is neither written to nor read."""
+    (tmp_path / "photos.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="choose another folder"):
+        simulate_dataset(load_scene("small"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["photos.txt"]
+
+
+def test_the_command_makes_a_preview(tmp_path: Path) -> None:
+    """`--preview` writes one sheet for the scene and nothing else."""
+    import typer
+
+    app = typer.Typer()
+    app.command()(simulate)
+    (tmp_path / "tiny.toml").write_text(TINY + SET)
+    done = CliRunner().invoke(app, [str(tmp_path / "tiny.toml"), "-o", str(tmp_path / "out"), "--preview"])
+    assert done.exit_code == 0, done.output
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["tiny_preview.png"]
+    sheet = cv2.imread(str(tmp_path / "out" / "tiny_preview.png"))
+    assert sheet is not None
+    assert sheet.shape[1] == 6 * 324
+
+
+def test_the_command_makes_recordings_a_folder_each(tmp_path: Path) -> None:
+    """Every run of a scene gets its folder; asked for one, it goes straight into the output."""
+    import typer
+
+    app = typer.Typer()
+    app.command()(simulate)
+    (tmp_path / "tiny.toml").write_text(TINY + RUNS)
+    arguments = [str(tmp_path / "tiny.toml"), "--workers", "1", "--presses", "1"]
+    done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "all")])
+    assert done.exit_code == 0, done.output
+    assert len(Recording.open(tmp_path / "all" / "line")) > 10
+    done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "one"), "--run", "line"])
+    assert done.exit_code == 0, done.output
+    assert len(Recording.open(tmp_path / "one")) > 10
