@@ -13,7 +13,15 @@ import usb.core
 
 from edge.usb.uvc import CLASS_VIDEO, GET_CUR, REQUEST_GET, REQUEST_SET, SET_CUR, SUBCLASS_CONTROL
 
-__all__ = ["NEW_NAMES", "UvcControl", "in_setting_order", "pin", "pin_uvc_controls", "report_unset", "uvc_control"]
+__all__ = [
+    "NEW_NAMES",
+    "UvcControl",
+    "in_setting_order",
+    "pin",
+    "pin_uvc_controls",
+    "report_unset",
+    "uvc_control",
+]
 
 _log = logging.getLogger(__name__)
 

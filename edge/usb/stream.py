@@ -104,19 +104,21 @@ class UvcSensor:
         identity = found.sighting.identity
         if identity is None:
             raise ValueError(f"{found.sighting.place} is not a sensor: {found.sighting.refusal}")
-        who = f"{identity.product} at {found.sighting.place}"
-        with ExitStack() as undo:
+        undo = ExitStack()
+        try:
             undo.callback(SensorLock(lock_name or identity.serial).close)
-            with guarded(who):
+            with guarded(f"{identity.product} at {found.sighting.place}"):
                 _quietly(undo, usb.util.dispose_resources, found.device)
                 _take_interfaces(found.device, undo)
                 unset = pin_uvc_controls(found.device, controls or {})
                 stream, limit = _start_stream(backend, found.device, undo)
-            sensor = cls(identity, stream, limit, clock, undo.pop_all())
-            sensor.unset_controls = unset
-            report_unset(identity.serial, unset)
-            return sensor
-        raise AssertionError("unreachable")
+        except BaseException:
+            undo.close()
+            raise
+        report_unset(identity.serial, unset)
+        sensor = cls(identity, stream, limit, clock, undo)
+        sensor.unset_controls = unset
+        return sensor
 
     @property
     def stale(self) -> int:

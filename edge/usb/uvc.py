@@ -9,11 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 __all__ = [
+    "BLOCK_SIZES",
     "CLASS_VIDEO",
     "COMMIT",
     "GET_CUR",
+    "GET_DEF",
     "GET_LEN",
     "GET_MAX",
+    "GET_MIN",
     "PROBE",
     "REQUEST_GET",
     "REQUEST_SET",

@@ -5,7 +5,6 @@ program: a sensor on a bus; the v4l2 path was tried on a virtual camera under a 
 virtual bus of `usb_mock`.
 """
 
-from contextlib import ExitStack
 from typing import Literal
 
 import usb.core
@@ -79,26 +78,21 @@ def _open_v4l2(
     identity = found.sighting.identity
     if identity is None:
         raise ValueError(f"{found.sighting.place} is not a sensor")
-    with ExitStack() as undo:
-        lock = SensorLock(identity.serial)
-        undo.callback(lock.close)
+    lock = SensorLock(identity.serial)
+    try:
         node = capture_node(identity.serial)
         capture = open_capture(node.path, identity.mode)
-        undo.callback(capture.release)
         with guarded(identity.product):
             unset = pin_v4l2_controls(node.path, options.controls)
-        sensor = V4l2Sensor(
-            identity,
-            capture,
-            clock,
-            is_present=lambda: _is_on_bus(backend, identity.serial),
-            on_close=lock.close,
-        )
-        sensor.unset_controls = unset
-        report_unset(identity.serial, unset)
-        undo.pop_all()
-        return sensor
-    raise AssertionError("unreachable")
+    except BaseException:
+        lock.close()
+        raise
+    report_unset(identity.serial, unset)
+    sensor = V4l2Sensor(
+        identity, capture, clock, is_present=lambda: _is_on_bus(backend, identity.serial), on_close=lock.close
+    )
+    sensor.unset_controls = unset
+    return sensor
 
 
 def _is_on_bus(backend: LibusbBackend, serial: str) -> bool:

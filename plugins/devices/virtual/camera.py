@@ -88,23 +88,28 @@ class VirtualCamera:
         self._last = b""
         self._fid = 0
         self._due_ns: int | None = None
-        self._silent_until_ns: float | None = None
         self._return_ns: int | None = None
         self._is_present = False
+        self._forget_host()
+
+    def _forget_host(self) -> None:
+        """As from the factory: uvcvideo bound to both interfaces, nothing claimed, negotiated or set."""
+        self.claims: dict[int, object] = {}
+        self.kernel_driver = {CONTROL_INTERFACE: True, STREAMING_INTERFACE: True}
+        self.alternate = 0
+        self.controls = ControlBank()
+        self._probe = self._committed = _NO_CONTROL
+        self._silent_until_ns: float | None = None
 
     # Plugging
 
     def plug_in(self, *, address: int, port: int | None = None) -> None:
-        """Connect: a new address, uvcvideo bound to both interfaces, nothing negotiated."""
+        """Connect at a new address."""
         with self._guard:
             self.address = address
             self.port = self.port if port is None else port
-            self.claims: dict[int, object] = {}
-            self.kernel_driver = {CONTROL_INTERFACE: True, STREAMING_INTERFACE: True}
-            self.alternate = 0
-            self.controls = ControlBank()
-            self._probe = self._committed = _NO_CONTROL
-            self._silent_until_ns = self._return_ns = None
+            self._forget_host()
+            self._return_ns = None
             self._is_present = True
 
     def unplug(self, seconds: float = 0.0) -> None:
