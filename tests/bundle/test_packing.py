@@ -48,6 +48,12 @@ def test_int8_error_is_half_a_step_of_its_row(array: np.ndarray) -> None:
     assert (np.abs(found.astype(np.float64) - array) <= bound).all()
 
 
+def test_int8_of_the_smallest_floats_does_not_wrap() -> None:
+    """2e-43 / 127 is no float32; rounded down it would make 143 steps, and 143 wraps to a negative number."""
+    found = unpack(pack(np.array([[2e-43, -2e-43]], np.float32), "int8"), "int8")
+    np.testing.assert_allclose(found, [[2e-43, -2e-43]], atol=2e-45)
+
+
 def test_none_keeps_every_bit() -> None:
     """`none` stores integers, flags and floats as they are."""
     for array in (np.arange(3), np.array([True, False]), np.array([1e-45, 3.4e38], np.float32)):

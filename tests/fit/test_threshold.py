@@ -18,7 +18,7 @@ def test_nineteen_scores_promise_one_in_twenty() -> None:
 
 
 @pytest.mark.parametrize(
-    ("n", "alpha", "rank"), [(39, 0.05, 38), (99, 0.05, 95), (99, 0.01, 99), (4, 0.4, 3)]
+    ("n", "alpha", "rank"), [(39, 0.05, 38), (99, 0.05, 95), (99, 0.01, 99), (4, 0.4, 3), (24, 0.44, 14)]
 )
 def test_the_rank_is_the_conformal_one(n: int, alpha: float, rank: int) -> None:
     """ceil((n + 1)(1 - alpha)), worked by hand; scores 1 to n in any order."""
