@@ -22,6 +22,7 @@ class Announcements:
         self._lock = threading.Lock()
         self._latest: dict[str, tuple[int, Message]] = {}
         self._version = 0
+        self._rows: dict[str, int] = {}
         for alarm in ALARMS:
             self.announce(alarm_cleared(alarm))
 
@@ -35,9 +36,21 @@ class Announcements:
             self._latest[message.topic] = (self._version, message)
             return True
 
+    def remember(self, message: Message, row_id: int) -> None:
+        """A retained message from the outbox was delivered: from now on it is said again on every connection.
+
+        A broker that restarts without its retained messages, or one that only knows an older one, is thus put right.
+        Sinks are at different rows; an older row never takes the place of a newer one.
+        """
+        with self._lock:
+            if row_id > self._rows.get(message.topic, 0):
+                self._rows[message.topic] = row_id
+                version = self._latest.get(message.topic, (0, message))[0]
+                self._latest[message.topic] = (version, message)
+
     def all(self) -> Sequence[Message]:
         """What a new connection says first: the retained ones, oldest change first."""
-        return [message for _, message in self.since(0) if message.retain]
+        return [message for _, message in self.since(-1) if message.retain]
 
     def since(self, version: int) -> list[tuple[int, Message]]:
         """What changed after that version, oldest change first, each with its own version."""

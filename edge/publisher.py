@@ -124,12 +124,15 @@ class Lane:
 
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to
+        message = as_replayed(row.message) if is_late else row.message
         try:
-            self._deliver(as_replayed(row.message) if is_late else row.message)
+            self._deliver(message)
         except SinkRejected as error:
             self._outbox.refuse(row.row_id, self.name, str(error))
             self._refused(row.message.topic, error)
             return
+        if message.retain:
+            self._announcements.remember(message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)
         self.counters = replace(
             self.counters,

@@ -136,7 +136,8 @@ class MqttSink:
         except SinkUnavailable as error:
             self._strike(message, connection, error)
             raise
-        self._struck = (None, 0)
+        if self._struck[0] == message:
+            self._struck = (None, 0)
 
     def close(self) -> None:
         """Say goodbye to the broker, so that it does not publish the will; harmless when repeated."""
