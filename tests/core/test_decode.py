@@ -117,6 +117,14 @@ def test_a_truncated_frame_is_refused(extension: str, share: float) -> None:
         decode(CameraFrame(whole[: int(len(whole) * share)], 0, 3), SMALL)
 
 
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+def test_a_missing_end_marker_alone_is_enough(extension: str) -> None:
+    """Every row may be there; what is cut in transit is not trusted."""
+    whole = encoded(gradient(656, 496), extension).payload
+    with pytest.raises(FrameCorrupt, match="lost USB packets"):
+        decode(CameraFrame(whole[:-2], 0, 3), SMALL)
+
+
 def test_a_truncated_frame_that_got_an_end_marker_is_refused() -> None:
     """Lost packets before an intact end: the last rows are flat although the first are not."""
     noisy = np.random.default_rng(1).integers(0, 256, (496, 656, 3), dtype=np.uint8)

@@ -164,6 +164,16 @@ def test_the_reference_is_not_learnt_from_a_press_or_its_imprint() -> None:
     assert refreshed.change < 0.5
 
 
+def test_no_refresh_before_the_imprint_has_faded() -> None:
+    """Even where a refresh takes half a second only, the first one waits for the three seconds after the release."""
+    camera = ready(settings=ContactSettings(refresh_s=0.5))
+    camera.wait(1, depth=1.0)
+    camera.wait(2.9)
+    assert camera.names() == ["PressBegan", "PressSettled", "PressEnded"]
+    camera.wait(1)
+    assert camera.names()[3] == "ReferenceRefreshed"
+
+
 def test_a_stored_reference_shows_that_the_start_was_touched() -> None:
     """A part that rests on the gel at the start is told, not learnt; after its lift presses count as ever."""
     camera = Camera(ContactTracker(stored=Reference(free_gel(), 10, 0)), free_gel())
