@@ -70,7 +70,7 @@ class Recorder:
                 time_ns=time_ns,
                 part=press.part,
                 position=press.position,
-                verdict=None if verdict is None else verdict.kind.value,
+                verdict=None if verdict is None else verdict.kind,
                 reason=f"{rejection.reason.value}: {rejection.text}" if rejection else None,
                 error=inspection.error if verdict is None else None,
                 score=press.score,
