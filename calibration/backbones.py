@@ -9,7 +9,9 @@ from typing import Any
 from edge import registry
 from edge.core.errors import ConfigError, FitError
 
-__all__ = ["Trunk", "open_trunk"]
+__all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
+
+DEFAULT_BACKBONE = "random_resnet18"
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calibration.backbones import DEFAULT_BACKBONE
+
 if TYPE_CHECKING:
-    from calibration.fit import Fitted, Report
+    from calibration.fit import Fitted
     from edge.core.profile import SensorProfile
 
 __all__ = ["fit"]
@@ -25,7 +27,7 @@ def fit(
     mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
     backbone: Annotated[
         str, typer.Option(help="An installed backbone, or a trunk .onnx file.")
-    ] = "random_resnet18",
+    ] = DEFAULT_BACKBONE,
     profile: Annotated[
         str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
     ] = "",
@@ -52,6 +54,7 @@ def fit(
     from calibration.backbones import open_trunk
     from calibration.fit import Recipe, fit_files
     from calibration.presses import read_presses
+    from calibration.progress import Stages
     from edge import registry
     from edge.bundle import write_bundle
     from edge.core.errors import ConfigError, StoreError
@@ -84,7 +87,7 @@ def fit(
     typer.echo(
         f"{len(presses)} nominal presses, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}"
     )
-    with _Stages() as report:
+    with Stages() as report:
         fitted = fit_files(presses, recipe, created=datetime.date.today().isoformat(), report=report)
     try:
         write_bundle(output, fitted.files, overwrite=overwrite)
@@ -146,36 +149,3 @@ def _summary(fitted: "Fitted", output: Path) -> None:
             f"the bank {cost.bank_bytes_stored / 1e6:.2f} MB stored, {cost.bank_bytes_unpacked / 1e6:.2f} MB in use"
         )
     typer.echo(f"bundle {manifest.part}/{manifest.position} written to {output}")
-
-
-class _Stages:
-    """Progress of named stages: bars on a terminal, one line per finished stage elsewhere."""
-
-    def __init__(self) -> None:
-        import sys
-
-        self._bars: Any = None
-        self._tasks: dict[str, Any] = {}
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bars = Progress(console=Console(stderr=True), transient=True)
-
-    def __enter__(self) -> "Report":
-        if self._bars:
-            self._bars.start()
-        return self._show
-
-    def __exit__(self, *unused: object) -> None:
-        if self._bars:
-            self._bars.stop()
-
-    def _show(self, stage: str, fraction: float) -> None:
-        if self._bars:
-            if stage not in self._tasks:
-                self._tasks[stage] = self._bars.add_task(stage, total=1.0)
-            self._bars.update(self._tasks[stage], completed=fraction)
-        elif fraction >= 1.0 and stage not in self._tasks:
-            self._tasks[stage] = True
-            typer.echo(f"{stage}: done", err=True)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calibration.backbones import Trunk
 from calibration.features import extract, trunk_grid
 from calibration.presses import NominalPresses
+from calibration.progress import Report
 from calibration.threshold import conformal_threshold, folds
 from edge.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
@@ -42,10 +43,7 @@ from edge.scorer import Scored, Scorer, map_peaks
 
 T = TypeVar("T")
 
-__all__ = ["Fitted", "Recipe", "Report", "fit_bundle", "fit_files"]
-
-Report = Callable[[str, float], None]
-"""Called with the stage's name and its fraction done, 0 to 1."""
+__all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
 
 FOLDS = 5
 

@@ -3,11 +3,15 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
-__all__ = ["Advance", "progress"]
+__all__ = ["Advance", "Report", "Stages", "progress"]
 
 Advance = Callable[[int], None]
 """Called with how many steps are done in all."""
+
+Report = Callable[[str, float], None]
+"""Called with a stage's name and the fraction of it that is done."""
 
 
 @contextmanager
@@ -40,3 +44,34 @@ def _lines(what: str, total: int) -> Advance:
             print(f"{what}: {done} of {total}", file=sys.stderr, flush=True)
 
     return report
+
+
+class Stages:
+    """Progress of named stages: bars on a terminal, one line per finished stage elsewhere."""
+
+    def __init__(self) -> None:
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bars = Progress(console=Console(stderr=True), transient=True)
+
+    def __enter__(self) -> Report:
+        if self._bars:
+            self._bars.start()
+        return self._show
+
+    def __exit__(self, *unused: object) -> None:
+        if self._bars:
+            self._bars.stop()
+
+    def _show(self, stage: str, fraction: float) -> None:
+        if self._bars:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._bars.add_task(stage, total=1.0)
+            self._bars.update(self._tasks[stage], completed=fraction)
+        elif fraction >= 1.0 and stage not in self._tasks:
+            self._tasks[stage] = True
+            print(f"{stage}: done", file=sys.stderr, flush=True)

@@ -107,6 +107,10 @@ class Recording:
     def __iter__(self) -> Iterator[RecordedFrame]:
         return (self[position] for position in range(len(self)))
 
+    def labels(self) -> list[Mapping[str, object] | None]:
+        """What was known of every frame, without reading any frame."""
+        return [entry.label for entry in self._entries]
+
     def times_ns(self) -> list[int]:
         """The time of every frame, without reading any frame."""
         return [entry.time_ns for entry in self._entries]

@@ -1,0 +1,234 @@
+"""`gelgate demo`: the whole product on one machine, without hardware, network or account.
+
+A bolt is simulated, normality learnt from sound presses, and a gateway inspects further presses on the virtual sensor,
+through a real broker, to a subscriber that keeps the heatmaps. Only the sensor's bus and the bolt are not real.
+"""
+
+import json
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["demo"]
+
+PART, POSITION = "PZ1", "pos1"
+# 24 nominal presses cannot promise less than one false alarm in 25; this rate leaves one of them out.
+ALPHA = 0.08
+SUBSCRIBER_TIMEOUT_S = 10.0
+ROOT = "gelgate/demo/bench/station1/gel/v1"
+
+CONFIG = """\
+version = 1
+[station]
+site = "demo"
+line = "bench"
+station = "station1"
+[device]
+plugin = "usb_mock"
+options = {{ recording = "{recording}" }}
+[inspection]
+bundle = "{bundle}"
+[store]
+path = "gelgate.db"
+[[sinks]]
+plugin = "mqtt"
+options = {{ host = "{host}", port = {port} }}
+"""
+
+
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Where heatmaps, bundle and configuration are left.")
+    ] = Path("demo"),
+    seed: Annotated[int, typer.Option(help="Another bolt, other damage.")] = 0,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings too, about 190 MB.")] = False,
+) -> None:
+    """Simulate a bolt, learn it, inspect it on a virtual sensor, publish over a real broker, keep the heatmaps."""
+    started = time.monotonic()
+    heatmaps = output / "heatmaps"
+    shutil.rmtree(heatmaps, ignore_errors=True)
+    heatmaps.mkdir(parents=True)
+    with _recordings_folder(output if keep else None) as folder:
+        nominal, test = _simulated(folder, seed)
+        bundle = _fitted(nominal, output / "bundle")
+        tally = _inspected(output, bundle, test, heatmaps)
+    tally.show(heatmaps)
+    typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
+
+
+@contextmanager
+def _recordings_folder(kept: Path | None) -> Iterator[Path]:
+    if kept is not None:
+        yield kept / "recordings"
+        return
+    with tempfile.TemporaryDirectory(prefix="gelgate-demo-") as folder:
+        yield Path(folder)
+
+
+def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
+    """Two runs of the scene `demo`: sound presses to learn from, and presses of which some are damaged."""
+    import os
+
+    from calibration.progress import progress
+    from calibration.scene import load_scene
+    from calibration.simulate import simulate_recording
+
+    scene = load_scene("demo")
+    paths = []
+    for run in scene.runs:
+        typer.echo(f"simulating {run.presses} presses of a bolt, {run.faulty} of them damaged ({run.name})")
+        with progress("frames", 100) as advance:
+            path = simulate_recording(
+                scene,
+                folder / f"{run.name}-{seed}",
+                seed,
+                run=run.name,
+                workers=min(4, os.cpu_count() or 1),
+                progress=lambda fraction, advance=advance: advance(round(100 * fraction)),  # type: ignore[misc]
+            )
+        paths.append(path)
+    return paths[0], paths[1]
+
+
+def _fitted(nominal: Path, path: Path) -> Path:
+    import datetime
+
+    from calibration.backbones import DEFAULT_BACKBONE, open_trunk
+    from calibration.fit import Recipe, fit_bundle
+    from calibration.presses import read_presses
+    from calibration.progress import Stages
+    from edge import registry
+    from edge.core.profiles import profile
+    from edge.core.region import Region
+
+    detector, sensor = registry.load("detectors", "padim"), profile("mini_lr")
+    trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
+    region = Region.centre(sensor.size)
+    typer.echo(f"fitting PaDiM on the backbone {trunk.id}")
+    recipe = Recipe(PART, POSITION, sensor, region, detector, trunk, alpha=ALPHA)
+    presses = read_presses([nominal], sensor, region)
+    with Stages() as report:
+        today = datetime.date.today().isoformat()
+        return fit_bundle(path, presses, recipe, created=today, report=report, overwrite=True).resolve()
+
+
+@dataclass
+class _Tally:
+    """What came of the presses, against what the simulation knows. damaged: press number to whether it is."""
+
+    damaged: dict[int, bool]
+    kinds: dict[int, str]
+    verdicts: list[str] = field(default_factory=list)
+    gel: str = ""
+    received: int = 0
+
+    def add(self, line: str, verdict: str) -> None:
+        truth = self.kinds.get(len(self.verdicts), "sound")
+        self.verdicts.append(verdict)
+        typer.echo(f"{line}  [{truth}]")
+
+    def show(self, heatmaps: Path) -> None:
+        pairs = list(zip(self.verdicts, (self.damaged[n] for n in sorted(self.damaged)), strict=False))
+        caught = sum(verdict == "fail" for verdict, is_damaged in pairs if is_damaged)
+        passed = sum(verdict == "pass" for verdict, is_damaged in pairs if not is_damaged)
+        n_damaged = sum(self.damaged.values())
+        typer.echo(f"\ngel ledger: {self.gel}")
+        typer.echo(
+            f"verdicts:   {caught} of {n_damaged} damaged presses failed, "
+            f"{passed} of {len(self.damaged) - n_damaged} sound ones passed"
+        )
+        typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
+
+
+def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path) -> _Tally:
+    """Run the gateway on the test recording, with a subscriber beside it."""
+    from edge.cli.run import press_line
+    from edge.clock import SystemClock
+    from edge.config import load_config
+    from edge.gateway import Gateway
+    from edge.local_broker import LocalBroker
+    from edge.store import Store
+
+    tally = _known_truth(recording)
+    for old in folder.glob("gelgate.db*"):
+        old.unlink()
+    shutil.rmtree(folder / "gelgate.references", ignore_errors=True)
+    with LocalBroker() as broker:
+        typer.echo(
+            f"broker: {broker.kind} on {broker.host}:{broker.port}; inspecting on the virtual sensor\n"
+        )
+        config = folder / "gelgate.toml"
+        text = CONFIG.format(recording=recording.resolve(), bundle=bundle, host=broker.host, port=broker.port)
+        config.write_text(text, encoding="utf-8")
+        with _subscriber(broker.host, broker.port, heatmaps) as received:
+            loaded = load_config(config)
+            with Gateway.open(
+                loaded,
+                SystemClock(),
+                lambda report: tally.add(press_line(report), report.result.verdict or "error"),
+            ) as gateway:
+                gateway.run(threading.Event())
+            _await(lambda: len(received) >= len(tally.verdicts))
+            tally.received = len(received)
+    with Store(folder / "gelgate.db") as store:
+        gel = store.gels()[-1]
+        tally.gel = (
+            f"{gel.gel_id} on sensor {gel.serial}: {gel.presses} of {gel.limit_presses} presses, {gel.state}"
+        )
+    return tally
+
+
+def _known_truth(recording: Path) -> _Tally:
+    """What the simulation wrote beside each frame: which press is damaged, and how."""
+    from edge.recording import Recording
+
+    damaged: dict[int, bool] = {}
+    kinds: dict[int, str] = {}
+    for label in Recording.open(recording).labels():
+        press = label.get("press") if label else None
+        if isinstance(press, int) and label is not None:
+            defect = label["defect"]
+            damaged[press] = defect is not None
+            if isinstance(defect, dict):
+                kinds[press] = f"{defect['kind']}, severity {defect['severity']:.2f}"
+    return _Tally(damaged, kinds)
+
+
+@contextmanager
+def _subscriber(host: str, port: int, heatmaps: Path) -> Iterator[dict[str, str]]:
+    """A plant's subscriber: press id to verdict, as they arrive; pictures are saved under the verdict's name."""
+    from edge.mqtt import Broker, Connection, Received
+
+    results: dict[str, str] = {}
+
+    def arrived(message: Received) -> None:
+        topic = message.topic.removeprefix(ROOT + "/")
+        if topic == "result":
+            content = json.loads(message.payload)
+            results[content["press_id"]] = content["verdict"] or "error"
+        elif topic.startswith("heatmap/"):
+            press = topic.removeprefix("heatmap/")
+            (heatmaps / f"{len(results):02d}-{results.get(press, 'unknown')}.png").write_bytes(
+                message.payload
+            )
+
+    connection = Connection.open(Broker(host, port, "gelgate-demo-subscriber"), on_received=arrived)
+    try:
+        connection.subscribe(f"{ROOT}/#")
+        yield results
+    finally:
+        connection.close()
+
+
+def _await(is_done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
+    while time.monotonic() < deadline and not is_done():
+        time.sleep(0.05)
