@@ -49,7 +49,7 @@ def build_trunk(
     if not taps or len(set(taps)) != len(taps):
         raise ConfigError(f"a trunk needs distinct taps, found {list(taps)}; for instance {', '.join(TAPS)}")
     wanted = {tap: last_block(net, tap) for tap in taps}
-    check_state(state, net)
+    check_state(state, net, until=taps)
     drawing = _Trunk(net, state, weights)
     outputs = drawing.run(_normalised(drawing.graph, mean, std), set(wanted.values()))
     for tap, block in wanted.items():

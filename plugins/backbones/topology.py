@@ -3,7 +3,7 @@
 Ref: torchvision.models.resnet (v1.5 bottleneck: the stride sits in the 3x3 convolution), re-stated from its state dict.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -132,12 +132,16 @@ def last_block(net: Topology, tap: str) -> str:
     return tap
 
 
-def expected_shapes(net: Topology) -> dict[str, tuple[int, ...]]:
-    """Name to shape of every weight a trunk can need (the classifier `fc` and batch counters are not)."""
+def expected_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[str, tuple[int, ...]]:
+    """Name to shape of every weight that these taps need (the classifier `fc` and batch counters are in none)."""
     shapes: dict[str, tuple[int, ...]] = {}
     convs = [net.stem]
+    left = {last_block(net, tap) for tap in until} - {"relu", "maxpool"}
     for block in net.blocks:
+        if not left:
+            break
         convs += [*block.convs, *([block.shortcut] if block.shortcut else [])]
+        left.discard(block.name)
     for conv in convs:
         shapes[f"{conv.name}.weight"] = (conv.outputs, conv.inputs, conv.kernel, conv.kernel)
         for part in ("weight", "bias", "running_mean", "running_var"):
@@ -145,8 +149,10 @@ def expected_shapes(net: Topology) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def check_state(state: State, net: Topology, name: str = "the weights") -> None:
-    """Refuse weights that are not this network's.
+def check_state(
+    state: State, net: Topology, name: str = "the weights", until: Iterable[str] = ("avgpool",)
+) -> None:
+    """Refuse weights that are not this network's, or lack what the taps in `until` need.
 
     Errors: ConfigError with the missing, unexpected and wrongly shaped names (a few of each), or the weights that
     are not finite.
@@ -158,7 +164,7 @@ def check_state(state: State, net: Topology, name: str = "the weights") -> None:
         for key, shape in shapes.items()
         if key in state and tuple(state[key].shape) != shape
     ]
-    missing = [key for key in shapes if key not in state]
+    missing = [key for key in expected_shapes(net, until) if key not in state]
     faults = [
         f"{len(found)} {what} ({', '.join(found[:4])}{', ...' if len(found) > 4 else ''})"
         for what, found in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
@@ -166,7 +172,7 @@ def check_state(state: State, net: Topology, name: str = "the weights") -> None:
     ]
     if faults:
         raise ConfigError(f"{name} are not a {net.name} in torchvision's naming: {'; '.join(faults)}")
-    bad = [key for key in shapes if not np.isfinite(state[key]).all()]
+    bad = [key for key in shapes if key in state and not np.isfinite(state[key]).all()]
     if bad:
         raise ConfigError(
             f"{name} hold values that are not finite, in {', '.join(bad[:4])}; export a sound checkpoint"
