@@ -309,14 +309,14 @@ def _unit(
 
 def _rows(
     layer: NDArray[np.float32], tap: str, arrays: Mapping[str, NDArray[Any]], p: SpadeParameters
-) -> list[NDArray[np.float64]]:
+) -> list[NDArray[np.floating]]:
     """Each press's descriptors as the bank holds them, (cells, width)."""
     rotation = Rotation(arrays[f"{tap}_mean"], arrays.get(f"{tap}_basis"))
     return [rotation(_unit(press, arrays.get(f"{tap}_floor"))) for press in layer]
 
 
 def _search(
-    rows: NDArray[np.float64],
+    rows: NDArray[np.floating],
     presses: NDArray[np.int64],
     arrays: Mapping[str, NDArray[Any]],
     tap: str,

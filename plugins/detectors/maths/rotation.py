@@ -29,13 +29,16 @@ class Rotation:
         """Numbers per descriptor afterwards."""
         return len(self.mean) if self.basis is None else len(self.basis) + 1
 
-    def __call__(self, rows: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Descriptors (..., c) to (..., width), in float64."""
-        centred = rows.astype(np.float64) - self.mean
+    def __call__(
+        self, rows: NDArray[np.floating], dtype: type[np.floating] = np.float64
+    ) -> NDArray[np.floating]:
+        """Descriptors (..., c) to (..., width)."""
+        centred: NDArray[np.floating] = rows.astype(dtype) - self.mean.astype(dtype)
         if self.basis is None:
             return centred
-        along = centred @ self.basis.T.astype(np.float64)
-        rest = centred - along @ self.basis.astype(np.float64)
+        basis = self.basis.astype(dtype)
+        along = centred @ basis.T
+        rest = centred - along @ basis
         length = np.sqrt(np.einsum("...c,...c->...", rest, rest))
         return np.concatenate([along, length[..., None]], axis=-1)
 

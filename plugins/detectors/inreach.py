@@ -1,0 +1,361 @@
+"""InReaCh: patches that keep finding each other across nominal presses are normal; those that do not are left out.
+
+Definition (McIntosh and Branzan Albu, "Inter-realization channels: unsupervised anomaly detection beyond one-class
+classification", ICCV 2023), written from the paper and from an account of DeclanMcIntosh/InReaCh @a0d54ba, which has no
+licence and was not copied. The first ten presses are realisations: each of their patches opens a channel, and a
+patch of a later press joins the channel of its mutual nearest neighbour. Channels that stay too short are dropped, and
+members that lie too far from their channel's mean. What remains is the bank; a press scores by the distance to its
+nearest row. Because strays are left out, a few bad presses among the nominal ones do little harm.
+
+`max_dispersion` is 5.0 in the paper's words "internal dispersion below 5.0": in the published code it multiplies the
+standard deviation of the members' distances to their mean, and is no length of its own. So it is here.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
+from edge.core.errors import FitError
+from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.maths.coreset import k_centre
+from plugins.detectors.maths.descriptor import Descriptor, Kind
+from plugins.detectors.maths.patchbank import PatchBank
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
+from plugins.graph import Graph
+
+__all__ = ["InreachParameters", "associate", "inreach", "prune"]
+
+# The taps of the published descriptor on Wide-ResNet-50-2; layer3.0 is skipped there.
+PAPER_TAPS = (
+    "layer1.0", "layer1.1", "layer1.2",
+    "layer2.0", "layer2.1", "layer2.2", "layer2.3",
+    "layer3.1", "layer3.2", "layer3.3", "layer3.4", "layer3.5",
+    "layer4.0",
+)  # fmt: skip
+# InReaCh.py: the blur of the score map, in pixels of a 224 crop.
+PUBLISHED_SIGMA_PX = 13.0
+# Distances to a channel's mean beyond this quantile of all members' are strays, whatever their channel's own spread.
+STRAY_QUANTILE = 0.95
+# Two distances that differ by less than this part are equal: rounding of float32.
+EQUAL = 1e-5
+# The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
+SIGMA_MM = PAPER_SIGMA_PX / 15.77
+
+
+@dataclass(frozen=True)
+class InreachParameters:
+    """What InReaCh can be told; every repair is a switch of its own.
+
+    taps, grid_tap, descriptor: see maths/descriptor.py; any trunk's taps will do. dims: leading directions kept, plus
+    the length of the rest; None keeps all. is_balanced: each tap is divided by its nominal deviation. position_weight:
+    two more numbers in each descriptor, the place times this; the published code switches 5.0 on by a test of the
+    frames themselves, which a fit from features cannot make.
+    realisations: presses that open channels. is_index_right: a member is the patch that matched; published, the two
+    patch numbers of a match are swapped. is_mutual_sought: a patch joins the closest realisation that is mutual,
+    instead of being lost when the closest of all is not. is_tie_local: among equally near patches the one at the same
+    place wins, so that constant gel keeps its channels.
+    minimum_length: elements that a channel needs, its opener counted. is_minimum_exceeded: it needs one more, as
+    published. length_fraction: when positive, the minimum is this share of what a channel can have, at least 2,
+    because few presses cannot make long channels.
+    max_dispersion: see the module. is_floored: a member may also lie as far as the stray distance that 95 % of all
+    members keep, so that a channel without spread keeps its members. is_spread_limited: channels whose root mean
+    square distance exceeds that are dropped.
+    is_fallback: when no channel remains the bank is every patch, with a warning, instead of no bank.
+    most_rows: the bank is thinned to so many rows by k-centre; None keeps all. is_squared: squared distances, as
+    published. upsampling: of the grid to pixels. sigma: the blur, in `sigma_unit`.
+    """
+
+    mode: Mode = "corrected"
+    taps: tuple[str, ...] = ("layer1", "layer2", "layer3")
+    grid_tap: str = "layer2"
+    descriptor: Kind = "means"
+    dims: int | None = 64
+    is_balanced: bool = True
+    position_weight: float = 0.0
+    realisations: int = 10
+    is_index_right: bool = True
+    is_mutual_sought: bool = True
+    is_tie_local: bool = True
+    minimum_length: int = 3
+    is_minimum_exceeded: bool = False
+    length_fraction: float = 0.5
+    max_dispersion: float = 5.0
+    is_floored: bool = True
+    is_spread_limited: bool = True
+    is_fallback: bool = True
+    most_rows: int | None = 1024
+    is_squared: bool = False
+    upsampling: Upsampling = "sampled"
+    sigma: float = SIGMA_MM
+    sigma_unit: Literal["mm", "px"] = "mm"
+    packing: Packing = "float16"
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("realisations", 1),
+            ("minimum_length", 1),
+            ("length_fraction", 0),
+            ("position_weight", 0),
+            ("max_dispersion", 0),
+            ("sigma", 0),
+        ):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= least):
+                raise ValueError(f"{name} is at least {least}, found {value}")
+        if (self.dims is not None and self.dims < 1) or (self.most_rows is not None and self.most_rows < 1):
+            raise ValueError(
+                f"dims and most_rows are at least 1 or None, found {self.dims} and {self.most_rows}"
+            )
+        for name, known in (
+            ("upsampling", ("sampled", "bilinear", "nearest")),
+            ("sigma_unit", ("mm", "px")),
+            ("packing", ("none", "float16", "int8")),
+        ):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} is one of {', '.join(known)}, found '{getattr(self, name)}'")
+        _ = self.rows
+
+    @property
+    def rows(self) -> PatchBank:
+        descriptor = Descriptor(self.taps, self.grid_tap, self.descriptor, self.upsampling == "sampled")
+        return PatchBank(descriptor, self.dims, self.is_balanced, self.position_weight)
+
+    def smoothing(self, grid: Grid) -> Smoothing:
+        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        return Smoothing(grid.taps[self.grid_tap][1:], grid.frame, sigma_px, self.upsampling)
+
+    def shortest(self, presses: int) -> int:
+        """Elements that a channel needs when there are so many presses."""
+        if self.length_fraction > 0:
+            depth = min(self.realisations, presses)
+            return max(2, math.ceil(self.length_fraction * (presses - 1) / depth))
+        return self.minimum_length + self.is_minimum_exceeded
+
+
+PAPER = InreachParameters(
+    mode="paper",
+    taps=PAPER_TAPS,
+    grid_tap="layer1.0",
+    descriptor="binned",
+    dims=None,
+    is_balanced=False,
+    is_index_right=False,
+    is_mutual_sought=False,
+    is_tie_local=False,
+    is_minimum_exceeded=True,
+    length_fraction=0.0,
+    is_floored=False,
+    is_spread_limited=False,
+    is_fallback=False,
+    most_rows=None,
+    is_squared=True,
+    upsampling="nearest",
+    sigma=PUBLISHED_SIGMA_PX,
+    sigma_unit="px",
+    packing="none",
+)
+
+
+class Channels(NamedTuple):
+    """Elements of channels, sorted by channel. key: the channel, realisation * cells + its patch. press, patch: whose
+    descriptor the element is."""
+
+    key: NDArray[np.int64]
+    press: NDArray[np.int64]
+    patch: NDArray[np.int64]
+
+
+class Inreach:
+    """InReaCh under the entry points `gelgate.detectors`."""
+
+    name = "inreach"
+
+    def parameters(self, mode: Mode = "corrected", **overrides: object) -> InreachParameters:
+        """The mode's parameters with overrides. Errors: FitError."""
+        return choose(self.name, PAPER if mode == "paper" else InreachParameters(), overrides)
+
+    def taps(self, parameters: InreachParameters) -> tuple[str, ...]:
+        return parameters.taps
+
+    def fit(
+        self,
+        nominal: Nominal,
+        grid: Grid,
+        parameters: InreachParameters,
+        rng: np.random.Generator,
+        progress: Progress,
+    ) -> Bank:
+        """Find the channels and keep their members: `bank` (rows, width), beside `mean`, `basis` and `scales`.
+        Errors: FitError, also for an empty bank where there is no fallback.
+        """
+        p = parameters
+        require_fittable(self.name, nominal, grid, p.taps)
+        arrays, rows = p.rows.learn(nominal.features, grid, rng)
+        channels = associate(rows, p, lambda fraction: progress(0.9 * fraction))
+        kept = prune(rows, channels, p)
+        members = rows[kept.press, kept.patch]
+        facts: dict[str, Any] = {
+            "presses": nominal.presses,
+            "realisations": min(p.realisations, nominal.presses),
+            "channels_found": len(np.unique(channels.key)),
+            "channels_kept": len(np.unique(kept.key)),
+            "shortest_channel": p.shortest(nominal.presses),
+            "patches_kept": len(members),
+            "warnings": [],
+        }
+        if not len(members):
+            members = self._fallback(rows, facts, p)
+        if p.most_rows is not None and len(members) > p.most_rows:
+            start = int(rng.integers(len(members)))
+            found = k_centre(members, p.most_rows, start)
+            members, facts["start"], facts["radius"] = members[found.rows], start, found.radius
+        arrays["bank"] = np.ascontiguousarray(members)
+        facts["rows"] = len(members)
+        progress(1.0)
+        return Bank(arrays, {"bank": p.packing}, facts)
+
+    def _fallback(
+        self, rows: NDArray[np.float32], facts: dict[str, Any], p: InreachParameters
+    ) -> NDArray[np.float32]:
+        """Every patch of every press, and a warning. Errors: FitError where that is not wanted."""
+        if not p.is_fallback:
+            raise FitError(
+                f"inreach: none of {facts['channels_found']} channels of {len(rows)} presses has "
+                f"{p.shortest(len(rows))} elements within the dispersion; press more good parts"
+            )
+        facts["warnings"].append(
+            f"no channel of {len(rows)} presses remained; the bank is every patch, strays among them"
+        )
+        return rows.reshape(-1, rows.shape[2])
+
+    def reference_score(
+        self, features: Features, grid: Grid, bank: Bank, parameters: InreachParameters
+    ) -> ScoreMaps:
+        """The float64 oracle. Errors: NotScorable for features that are not finite."""
+        p = parameters
+        require_scorable(self.name, features, p.taps)
+        return p.smoothing(grid).score_maps(p.rows.distances(features, grid, bank.arrays, p.is_squared))
+
+    def head(self, grid: Grid, bank: Bank, parameters: InreachParameters) -> bytes:
+        """The graph; the number of rows in the bank is free."""
+        p = parameters
+        graph = Graph(self.name)
+        emit_scores(graph, p.rows.emit(graph, grid, bank, p.is_squared), p.smoothing(grid))
+        return graph.serialise()
+
+
+inreach = Inreach()
+
+
+class Match(NamedTuple):
+    """For each patch of a press, its nearest patch of a realisation. squared: float32 (cells,). patch: int64 (cells,).
+    is_mutual: whether that patch's nearest is this one."""
+
+    squared: NDArray[np.float32]
+    patch: NDArray[np.int64]
+    is_mutual: NDArray[np.bool_]
+
+
+def associate(
+    rows: NDArray[np.float32], p: InreachParameters, progress: Progress = lambda fraction: None
+) -> Channels:
+    """The channels of presses (n, cells, width), openers included, before any is dropped.
+
+    Only the best realisation so far is remembered for each patch. Among equally near realisations the first wins.
+    """
+    n, cells = rows.shape[:2]
+    keys, presses, patches = [], [], []
+    # One more column each, 1 and |row|^2: their product is the squared distance but for the asked row's own length.
+    asking = np.concatenate([rows, np.ones((n, cells, 1), np.float32)], axis=2)
+    asked_of = np.concatenate([-2 * rows, np.einsum("npc,npc->np", rows, rows)[:, :, None]], axis=2)
+    for press in range(1, n):
+        best = np.full(cells, np.inf, np.float32)
+        opener, is_joined = np.zeros(cells, np.int64), np.zeros(cells, bool)
+        for seed in range(min(press, p.realisations)):
+            there = _nearest(asking[press] @ asked_of[seed].T, rows[press], rows[seed], p.is_tie_local)
+            back = _nearest(asking[seed] @ asked_of[press].T, rows[seed], rows[press], p.is_tie_local)
+            found = _match(rows[press], rows[seed], there, back)
+            is_better = found.squared < best
+            if p.is_mutual_sought:
+                is_better &= found.is_mutual
+            best[is_better] = found.squared[is_better]
+            opener[is_better] = seed * cells + found.patch[is_better]
+            is_joined[is_better] = found.is_mutual[is_better]
+        patch = np.flatnonzero(is_joined)
+        key = opener[patch]
+        if not p.is_index_right:
+            key, patch = key // cells * cells + patch, key % cells
+        keys.append(key)
+        presses.append(np.full(len(key), press))
+        patches.append(patch)
+        progress(press / max(1, n - 1))
+    return _with_openers(keys, presses, patches, cells)
+
+
+def _with_openers(
+    keys: list[NDArray[np.int64]],
+    presses: list[NDArray[np.int64]],
+    patches: list[NDArray[np.int64]],
+    cells: int,
+) -> Channels:
+    key = np.concatenate([np.empty(0, np.int64), *keys])
+    opened = np.unique(key)
+    key = np.concatenate([opened, key])
+    press = np.concatenate([opened // cells, *presses]).astype(np.int64)
+    patch = np.concatenate([opened % cells, *patches]).astype(np.int64)
+    order = np.argsort(key, kind="stable")
+    return Channels(key[order], press[order], patch[order])
+
+
+def _match(
+    asked: NDArray[np.float32], seed: NDArray[np.float32], there: NDArray[np.int64], back: NDArray[np.int64]
+) -> Match:
+    """The matches of a press's patches (cells, width), measured exactly, from the nearest patches both ways."""
+    difference = asked - seed[there]
+    squared = np.einsum("pc,pc->p", difference, difference)
+    return Match(squared, there, back[there] == np.arange(len(asked)))
+
+
+def _nearest(
+    gap: NDArray[np.float32], asked: NDArray[np.float32], seed: NDArray[np.float32], is_tie_local: bool
+) -> NDArray[np.int64]:
+    """The row of `seed` with the smallest gap for each of `asked`; at equal distance its own place, if so wanted."""
+    found: NDArray[np.int64] = gap.argmin(axis=1)
+    if is_tie_local:
+        away, here = (np.einsum("pc,pc->p", d, d) for d in (asked - seed[found], asked - seed))
+        found = np.where(here <= away * (1 + EQUAL), np.arange(len(asked)), found)
+    return found
+
+
+def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -> Channels:
+    """The members of channels that are long and tight enough."""
+    shortest = p.shortest(len(rows))
+    channels = _longer(channels, shortest)
+    if not len(channels.key):
+        return channels
+    values = rows[channels.press, channels.patch].astype(np.float64)
+    _, first, number, length = np.unique(
+        channels.key, return_index=True, return_inverse=True, return_counts=True
+    )
+    mean = np.add.reduceat(values, first, axis=0) / length[:, None]
+    away = np.linalg.norm(values - mean[number], axis=1)
+    mean_square = np.add.reduceat(away**2, first) / length
+    mean_away = np.add.reduceat(away, first) / length
+    deviation = np.sqrt(np.add.reduceat((away - mean_away[number]) ** 2, first) / length)
+    stray = float(np.quantile(away, STRAY_QUANTILE))
+    limit = p.max_dispersion * deviation[number]
+    is_kept = away <= np.maximum(limit, stray) if p.is_floored else away < limit
+    if p.is_spread_limited:
+        is_kept &= np.sqrt(mean_square)[number] <= stray * (1 + EQUAL)
+    return _longer(Channels(*(field[is_kept] for field in channels)), shortest)
+
+
+def _longer(channels: Channels, shortest: int) -> Channels:
+    """Channels with at least so many elements."""
+    _, number, length = np.unique(channels.key, return_inverse=True, return_counts=True)
+    is_kept = length[number] >= shortest
+    return Channels(*(field[is_kept] for field in channels))

@@ -1,0 +1,191 @@
+"""Patch descriptors: what the 3x3 cells around a place look like in several taps, drawn on one grid.
+
+Two kinds. `binned` is that of PatchCore and InReaCh: the window is unfolded channel by channel, brought to the grid,
+averaged to a fixed number of bins per tap, the taps laid end to end and averaged again to that number. All of it is
+linear and acts on channels alone, so it is one sparse 3x3 convolution per tap at the tap's own size and then an
+interpolation: 12.8 MB where the plain order needs 1.13 GB (Wide-ResNet-50-2, 13 taps, 56x56). `means` is the plain
+mean of each channel over the window, all channels of all taps.
+
+Written twice, for NumPy and as a graph, from the same weights.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Features, Grid
+from plugins.detectors.maths.smoothing import upsampling_matrix
+from plugins.graph import Graph, Value
+
+__all__ = ["BINS", "Descriptor", "Kind", "binned_weights"]
+
+Kind = Literal["binned", "means"]
+
+# PatchCore's and InReaCh's number of bins, per tap and in the end.
+BINS = 1024
+# Rows of one convolution: few, so that it needs few channels (the weights are a narrow band).
+BAND = 16
+
+
+class Band(NamedTuple):
+    """Neighbouring rows of one tap's part of a binned descriptor. channels: those that they need.
+    weights: (rows, channels, 3, 3)."""
+
+    channels: slice
+    weights: NDArray[np.float64]
+
+
+@cache
+def binned_weights(channels: int, taps: int, number: int) -> NDArray[np.float64]:
+    """The part of the binned descriptor that tap `number` of `taps` gives: (rows, channels * 9).
+
+    Its rows are those from floor(number * BINS / taps) on; the first and last may be shared with the neighbour.
+    Columns are the unfolded window, channel by channel, each row by row.
+    """
+    size = channels * 9
+    first, last = number * BINS // taps, -(-(number + 1) * BINS // taps)
+    weights = np.zeros((last - first, size))
+    for b in range(BINS):
+        low, high = b * size // BINS, -(-(b + 1) * size // BINS)
+        weights[(number * BINS + b) // taps - first, low:high] += 1 / (high - low) / taps
+    weights.flags.writeable = False
+    return weights
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """How taps become descriptors.
+
+    taps: in this order. grid_tap: the tap whose grid the descriptors live on. kind: see the module. is_sampled: a cell
+    stands for its top left pixel, where its convolution looks, instead of for a square of pixels.
+    """
+
+    taps: tuple[str, ...]
+    grid_tap: str
+    kind: Kind
+    is_sampled: bool
+
+    def __post_init__(self) -> None:
+        if not self.taps or len(set(self.taps)) != len(self.taps) or self.grid_tap not in self.taps:
+            raise ValueError(f"taps are distinct and hold the grid_tap '{self.grid_tap}', found {self.taps}")
+        if self.kind not in ("binned", "means"):
+            raise ValueError(f"a descriptor is binned or means, found '{self.kind}'")
+
+    def cells(self, grid: Grid) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        return grid.taps[self.grid_tap][1:]
+
+    def width(self, grid: Grid) -> int:
+        """Numbers per descriptor."""
+        return BINS if self.kind == "binned" else sum(grid.taps[tap][0] for tap in self.taps)
+
+    def numpy(
+        self,
+        features: Features,
+        grid: Grid,
+        scales: Mapping[str, float],
+        dtype: type[np.floating] = np.float64,
+    ) -> NDArray[np.floating]:
+        """Descriptors (n, cells, width) of n presses. scales: tap to the factor of its features, 1 where absent."""
+        n = len(features[self.taps[0]])
+        columns = np.zeros((n, self.width(grid), *self.cells(grid)), dtype)
+        at = 0
+        for number, tap in enumerate(self.taps):
+            native = self._native(features[tap].astype(dtype) * dtype(scales.get(tap, 1.0)), number)
+            rows, across = self._resampling(grid, tap)
+            if self.kind == "binned":
+                at = number * BINS // len(self.taps)
+            columns[:, at : at + native.shape[1]] += rows.astype(dtype) @ native @ across.T.astype(dtype)
+            at += native.shape[1]
+        return np.swapaxes(columns.reshape(n, len(columns[0]), -1), 1, 2)
+
+    def emit(self, graph: Graph, grid: Grid, scales: Value | None) -> Value:
+        """The same in a graph: inputs for the taps; descriptors as columns (n, width, cells). scales: (taps,)."""
+        parts: list[Value] = []
+        for number, tap in enumerate(self.taps):
+            native = self._emit_native(graph, graph.input(tap, ("n", *grid.taps[tap])), grid, number)
+            if scales is not None:
+                native = graph.op("Mul", native, graph.op("Gather", scales, graph.ints(number), axis=0))
+            part = self._emit_resampled(graph, native, grid, tap)
+            if parts and self.kind == "binned" and number * BINS % len(self.taps):
+                parts[-1], part = _emit_shared_row(graph, parts[-1], part)
+            parts.append(part)
+        columns = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+        h, w = self.cells(grid)
+        return graph.reshape(columns, 0, self.width(grid), h * w)
+
+    def _bands(self, channels: int, number: int) -> Iterator[Band]:
+        weights = binned_weights(channels, len(self.taps), number).reshape(-1, channels, 3, 3)
+        for first in range(0, len(weights), BAND):
+            band = weights[first : first + BAND]
+            used = np.flatnonzero(band.any(axis=(0, 2, 3)))
+            chosen = slice(int(used[0]), int(used[-1]) + 1)
+            yield Band(chosen, band[:, chosen])
+
+    def _native(self, x: NDArray[np.floating], number: int) -> NDArray[np.floating]:
+        """One tap's part at its own size: (n, c, h, w) to (n, rows, h, w)."""
+        n, c, h, w = x.shape
+        padded = np.pad(x, ((0, 0), (0, 0), (1, 1), (1, 1)))
+        if self.kind == "means":
+            down = padded[:, :, :h] + padded[:, :, 1 : h + 1] + padded[:, :, 2:]
+            across = down[..., :w] + down[..., 1 : w + 1] + down[..., 2:]
+            mean: NDArray[np.floating] = across / x.dtype.type(9)
+            return mean
+        windows = np.stack([padded[:, :, i : i + h, j : j + w] for i in range(3) for j in range(3)], axis=2)
+        parts = []
+        for band in self._bands(c, number):
+            rows = band.weights.astype(x.dtype).reshape(len(band.weights), -1)
+            parts.append(rows @ windows[:, band.channels].reshape(n, rows.shape[1], h * w))
+        return np.concatenate(parts, axis=1).reshape(n, -1, h, w)
+
+    def _emit_native(self, graph: Graph, x: Value, grid: Grid, number: int) -> Value:
+        if self.kind == "means":
+            return graph.op("AveragePool", x, kernel_shape=[3, 3], pads=[1, 1, 1, 1], count_include_pad=1)
+        parts = []
+        for band in self._bands(grid.taps[self.taps[number]][0], number):
+            chosen = graph.op(
+                "Slice", x, graph.ints(band.channels.start), graph.ints(band.channels.stop), graph.ints(1)
+            )
+            weights = graph.constant(band.weights.astype(np.float32))
+            parts.append(graph.op("Conv", chosen, weights, pads=[1, 1, 1, 1]))
+        return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+
+    def _resampling(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The matrices that draw a tap on the grid: (grid rows, tap rows) and (grid columns, tap columns)."""
+        rows, columns = (
+            _resample(n, to, self.is_sampled)
+            for n, to in zip(grid.taps[tap][1:], self.cells(grid), strict=True)
+        )
+        return rows, columns
+
+    def _emit_resampled(self, graph: Graph, native: Value, grid: Grid, tap: str) -> Value:
+        if grid.taps[tap][1:] == self.cells(grid):
+            return native
+        rows, columns = self._resampling(grid, tap)
+        right = graph.constant(np.ascontiguousarray(columns.T, np.float32))
+        return graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", native, right))
+
+
+def _resample(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
+    """One axis: bilinear onto a finer grid; onto a coarser one the same weights turned round, so that nothing is
+    skipped."""
+    kind: Literal["sampled", "bilinear"] = "sampled" if is_sampled else "bilinear"
+    if cells <= onto:
+        return upsampling_matrix(cells, onto, kind)
+    turned = upsampling_matrix(onto, cells, kind).T
+    weights: NDArray[np.float64] = turned / turned.sum(axis=1, keepdims=True)
+    return weights
+
+
+def _emit_shared_row(graph: Graph, upper: Value, lower: Value) -> tuple[Value, Value]:
+    """Add the first row of `lower` to the last of `upper`, where two taps share one, and drop it from `lower`."""
+    end = graph.ints(np.iinfo(np.int64).max)
+    first = graph.op("Slice", lower, graph.ints(0), graph.ints(1), graph.ints(1))
+    last = graph.op("Slice", upper, graph.ints(-1), end, graph.ints(1))
+    rest = graph.op("Slice", upper, graph.ints(0), graph.ints(-1), graph.ints(1))
+    joined = graph.op("Concat", rest, graph.op("Add", last, first), axis=1)
+    return joined, graph.op("Slice", lower, graph.ints(1), end, graph.ints(1))

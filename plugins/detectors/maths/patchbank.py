@@ -1,0 +1,155 @@
+"""One bank of patch descriptors for the whole grid: what PatchCore and InReaCh score with, however they fill it.
+
+A descriptor is centred, turned onto its leading directions with the length of the rest beside them (or kept whole),
+and measured against its nearest row of the bank, wherever on the part that row came from.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Bank, Features, Grid
+from plugins.detectors.maths.descriptor import Descriptor
+from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
+from plugins.detectors.maths.shortlist import emit_group_nearest
+from plugins.graph import Graph, Value
+
+__all__ = ["PatchBank"]
+
+# Presses and cells that the mean and the leading directions are learnt from at most.
+SAMPLE_PRESSES = 16
+SAMPLE_CELLS = 4096
+# A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
+DEVIATION_FLOOR = 1e-2
+# Distances that the graph holds at once: 64 MB of float32.
+PRODUCT_LIMIT = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class PatchBank:
+    """How descriptors become rows.
+
+    dims: leading directions kept, plus the length of the rest; None keeps all. is_balanced: each tap is divided by its
+    nominal deviation. position_weight: two more numbers, the place on the grid (0 to 1, down and across) times this;
+    0 leaves them out.
+    """
+
+    descriptor: Descriptor
+    dims: int | None
+    is_balanced: bool
+    position_weight: float = 0.0
+
+    def learn(
+        self, features: Features, grid: Grid, rng: np.random.Generator
+    ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32]]:
+        """`scales` (taps,), `mean` (c,) and `basis` (dims, c), and the rows (n, cells, width) of n presses."""
+        arrays: dict[str, NDArray[Any]] = {}
+        taps = self.descriptor.taps
+        if self.is_balanced:
+            arrays["scales"] = np.array([1 / _deviation(features[tap]) for tap in taps], np.float32)
+        n = len(features[taps[0]])
+        drawn = np.sort(rng.choice(n, min(n, SAMPLE_PRESSES), replace=False))
+        sample = np.concatenate([self._described(features, grid, int(k), arrays) for k in drawn])
+        if len(sample) > SAMPLE_CELLS:
+            sample = sample[np.sort(rng.choice(len(sample), SAMPLE_CELLS, replace=False))]
+        rotation = fit_rotation(sample, self.dims)
+        arrays["mean"] = rotation.mean
+        if rotation.basis is not None:
+            arrays["basis"] = rotation.basis
+        rows = [
+            self._placed(rotation(self._described(features, grid, k, arrays), np.float32), grid)
+            for k in range(n)
+        ]
+        return arrays, np.stack(rows).astype(np.float32)
+
+    def rows(
+        self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]]
+    ) -> NDArray[np.floating]:
+        """Rows (n, cells, width) of presses to be scored, in float64."""
+        rotation = Rotation(arrays["mean"], arrays.get("basis"))
+        return self._placed(rotation(self.descriptor.numpy(features, grid, self._scales(arrays))), grid)
+
+    def distances(
+        self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
+    ) -> NDArray[np.float64]:
+        """The oracle: distances (n, grid rows, grid columns) to the nearest row of `bank` (m, width), in float64."""
+        rows = self.rows(features, grid, arrays)
+        found = nearest(rows.reshape(-1, rows.shape[2]), arrays["bank"]).distances
+        return (found**2 if is_squared else found).reshape(-1, *self.descriptor.cells(grid))
+
+    def emit(self, graph: Graph, grid: Grid, bank: Bank, is_squared: bool) -> Value:
+        """The same in a graph; the number of rows in the bank is free."""
+        width, dims = self.descriptor.width(grid), bank.arrays.get("basis")
+        scales = graph.input("scales", (len(self.descriptor.taps),)) if self.is_balanced else None
+        columns = self.descriptor.emit(graph, grid, scales)
+        basis = None if dims is None else graph.input("basis", dims.shape)
+        rows = emit_rotation(graph, columns, graph.input("mean", (width,)), basis)
+        if self.position_weight:
+            place = graph.constant(self._places(grid)[None].astype(np.float32))
+            leading = graph.op("Shape", rows, start=0, end=1)
+            shape = graph.op("Concat", leading, graph.ints(*self._places(grid).shape), axis=0)
+            rows = graph.op("Concat", rows, graph.op("Expand", place, shape), axis=2)
+        memory = bank.arrays["bank"]
+        distances = self._emit_search(
+            graph, rows, graph.input("bank", ("rows", memory.shape[1])), memory.shape, grid
+        )
+        return graph.op("Mul", distances, distances) if is_squared else distances
+
+    def _emit_search(
+        self, graph: Graph, rows: Value, memory: Value, size: tuple[int, ...], grid: Grid
+    ) -> Value:
+        """Distances (n, grid rows, grid columns), so many cells at a time that memory stays bounded."""
+        h, w = self.descriptor.cells(grid)
+        bank = graph.op("Unsqueeze", memory, graph.ints(0))
+        step = max(1, PRODUCT_LIMIT // size[0])
+        parts = []
+        for first in range(0, h * w, step):
+            count = min(step, h * w - first)
+            asked = rows
+            if count < h * w:
+                asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
+            found = emit_group_nearest(graph, graph.reshape(asked, 1, -1, size[1]), bank, size[1])
+            parts.append(graph.reshape(found, -1, count))
+        return graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
+
+    def _described(
+        self, features: Features, grid: Grid, press: int, arrays: Mapping[str, NDArray[Any]]
+    ) -> NDArray[np.floating]:
+        """Descriptors (cells, c) of one press, float32."""
+        one = {tap: features[tap][press : press + 1] for tap in self.descriptor.taps}
+        described: NDArray[np.floating] = self.descriptor.numpy(one, grid, self._scales(arrays), np.float32)[
+            0
+        ]
+        return described
+
+    def _scales(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+        return (
+            dict(zip(self.descriptor.taps, arrays["scales"].tolist(), strict=True))
+            if "scales" in arrays
+            else {}
+        )
+
+    def _places(self, grid: Grid) -> NDArray[np.float64]:
+        h, w = self.descriptor.cells(grid)
+        return np.asarray(self.position_weight * np.indices((h, w)).reshape(2, -1).T / (h, w))
+
+    def _placed(self, rows: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
+        if not self.position_weight:
+            return rows
+        places = np.broadcast_to(self._places(grid), (*rows.shape[:-1], 2))
+        return np.concatenate([rows, places], axis=-1)
+
+
+def _deviation(layer: NDArray[np.float32]) -> float:
+    """The root mean square deviation of a tap's channels over all nominal cells, with its floor; 1 for a dead tap."""
+    top = float(np.abs(layer).max())
+    if top == 0:
+        return 1.0
+    unit = layer.swapaxes(0, 1).reshape(layer.shape[1], -1) / np.float32(top)
+    power = np.einsum("cp,cp->c", unit, unit, dtype=np.float64) / unit.shape[1]
+    variance = power - np.square(unit.mean(axis=1, dtype=np.float64))
+    return top * float(np.sqrt(max(variance.mean(), DEVIATION_FLOOR**2 * power.mean())))

@@ -1,0 +1,204 @@
+"""InReaCh: the graph against the oracle, channels worked by hand, each repair against the published behaviour."""
+
+import numpy as np
+import pytest
+from heads import RESNET18, fit, grid, parity, presses_of, run_head, with_spot
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.core.detector import Grid
+from edge.core.errors import FitError, NotScorable
+from plugins.detectors.inreach import PAPER_TAPS, Channels, associate, inreach, prune
+
+MODES = ("paper", "corrected")
+# The published descriptor on a trunk that lacks its taps.
+HERE = {"taps": ("layer1", "layer2", "layer3"), "grid_tap": "layer1"}
+
+
+def parameters(mode: str, **overrides: object) -> object:
+    return inreach.parameters(mode, **(HERE if mode == "paper" else {}) | overrides)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n", [1, 2, 6, 14])
+def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
+    """Map and score agree to 1e-5, also where only the fallback makes a bank, for several presses at once."""
+    p = parameters(mode, is_fallback=True)
+    _, map_error, score_error = parity(inreach, p, presses_of(n), presses_of(3, 1), grid())
+    assert map_error < 1e-5
+    assert score_error < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
+    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
+    nominal, asked = presses_of(4, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
+    p = parameters(mode, is_fallback=True, grid_tap="layer2")
+    _, map_error, score_error = parity(inreach, p, nominal, asked, grid(RESNET18))
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+def test_the_published_taps() -> None:
+    """The paper's mode reads thirteen blocks of Wide-ResNet-50-2 and works with all of them at once."""
+    taps = {tap: (6, *(16 >> int(tap[5]),) * 2) for tap in PAPER_TAPS}
+    assert inreach.taps(inreach.parameters("paper")) == PAPER_TAPS
+    at = Grid((32, 32), taps, 15.77)
+    _, map_error, _ = parity(
+        inreach,
+        inreach.parameters("paper", is_fallback=True),
+        presses_of(5, 0, taps),
+        presses_of(1, 1, taps),
+        at,
+    )
+    assert map_error < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
+    """Where every patch is in the bank, a nominal press is at distance 0."""
+    nominal = presses_of(1)
+    p = parameters(mode, is_fallback=True, most_rows=None, packing="none")
+    bank = fit(inreach, p, nominal, grid())
+    own = run_head(inreach.head(grid(), bank, p), nominal, bank)["score_map"].max()
+    assert own < 1e-4 * run_head(inreach.head(grid(), bank, p), presses_of(1, 9), bank)["score_map"].max()
+
+
+def test_the_maximum_is_where_the_foreign_patch_is() -> None:
+    """A patch unlike anything nominal is found at its place."""
+    p = parameters("corrected")
+    bank = fit(inreach, p, presses_of(20), grid())
+    spotted = inreach.reference_score(with_spot(presses_of(1, 3), 0.75), grid(), bank, p).score_map[0]
+    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
+    assert 16 <= row < 32
+    assert 16 <= column < 32
+
+
+def test_channels_by_hand() -> None:
+    """Three presses of two patches: the third's second patch is nobody's mutual neighbour."""
+    rows = np.array([[[0.0], [10.0]], [[1.0], [11.0]], [[0.4], [0.6]]], np.float32)
+    found = associate(rows, inreach.parameters())
+    members = {}
+    for key, press, patch in zip(*found, strict=True):
+        members.setdefault(int(key), []).append((int(press), int(patch)))
+    # Patch 0 of press 0 (key 0): joined by patch 0 of press 1 and patch 0 of press 2 (0.4 away; mutual).
+    # Patch 0 of press 1 (key 2): joined by patch 1 of press 2 (0.4 away; mutual). 10 and 11 find each other (key 1).
+    assert members == {0: [(0, 0), (1, 0), (2, 0)], 1: [(0, 1), (1, 1)], 2: [(1, 0), (2, 1)]}
+
+
+def test_a_patch_joins_the_closest_mutual_realisation() -> None:
+    """Repair: published, a patch whose closest realisation has a better partner is lost; ours joins the next one."""
+    # Press 2's patch 0 is closest to press 1's patch 0, which prefers press 2's patch 1; press 0's patch 0 prefers it.
+    rows = np.array([[[2.0], [50.0]], [[1.0], [60.0]], [[1.4], [1.1]]], np.float32)
+    for is_sought, joins in ((True, True), (False, False)):
+        found = associate(rows, inreach.parameters(is_mutual_sought=is_sought))
+        chosen = found.key[(found.press == 2) & (found.patch == 0)]
+        assert (chosen.tolist() == [0]) == joins
+
+
+def test_short_channels_depend_on_the_number_of_presses() -> None:
+    """Repair: the published rule (more than 3) leaves a small set without a bank; ours asks for a share."""
+    published, relative = parameters("paper"), parameters("corrected")
+    assert [published.shortest(n) for n in (5, 22, 76)] == [4, 4, 4]
+    assert [relative.shortest(n) for n in (5, 22, 40, 76)] == [2, 2, 2, 4]
+    rows = presses_of(3)["layer1"].reshape(3, 6, -1).swapaxes(1, 2)
+    assert not len(prune(rows, associate(rows, published), published).key)
+    assert len(prune(rows, associate(rows, relative), relative).key)
+
+
+def test_dispersion_is_a_multiplier() -> None:
+    """The paper's 5.0 times the deviation of the distances to the mean: scale-free, and it drops a far stray."""
+    rng = np.random.default_rng(0)
+    p = inreach.parameters("paper", max_dispersion=3.0)
+    for scale in (1.0, 1000.0):
+        rows = (rng.normal(size=(30, 1, 1)) * scale).astype(np.float32)
+        rows[7] = 40 * scale
+        channels = Channels(np.zeros(30, np.int64), np.arange(30), np.zeros(30, np.int64))
+        kept = prune(rows, channels, p)
+        assert 7 not in kept.press
+        assert len(kept.press) >= 25
+
+
+def test_wide_channels_are_dropped() -> None:
+    """Repair: a channel that spreads beyond the stray distance is no channel, though by its own measure it is even."""
+    rng = np.random.default_rng(1)
+    rows = rng.normal(size=(20, 40, 2)).astype(np.float32)
+    rows[:, 0] *= 100
+    channels = Channels(
+        np.repeat(np.arange(40), 20), np.tile(np.arange(20), 40), np.repeat(np.arange(40), 20)
+    )
+    for is_limited in (True, False):
+        kept = prune(rows, channels, inreach.parameters(is_spread_limited=is_limited))
+        assert (0 not in kept.key) == is_limited
+
+
+def test_strays_among_the_presses_stay_out_of_the_bank() -> None:
+    """One nominal press with a foreign patch: the patch joins no channel, and is still anomalous afterwards."""
+    nominal = presses_of(20, spread=0.05)
+    spoiled = with_spot({tap: maps[4:5] for tap, maps in nominal.items()}, 0.5)
+    for tap, maps in nominal.items():
+        maps[4:5] = spoiled[tap]
+    p = parameters("corrected", most_rows=None, dims=None)
+    bank = fit(inreach, p, nominal, grid())
+    map_of_spoiled = inreach.reference_score(spoiled, grid(), bank, p).score_map[0]
+    usual = inreach.reference_score(presses_of(1, 9, spread=0.05), grid(), bank, p).score_map[0]
+    assert map_of_spoiled[16:24, 16:24].max() > 3 * usual.max()
+
+
+def test_the_bank_is_thinned_by_k_centre() -> None:
+    """most_rows is kept, reproducibly, and its start and radius are in the facts."""
+    p = parameters("corrected", most_rows=9)
+    one, two = (fit(inreach, p, presses_of(8), grid(), seed=2) for _ in range(2))
+    assert len(one.arrays["bank"]) == 9
+    np.testing.assert_array_equal(one.arrays["bank"], two.arrays["bank"])
+    assert one.facts["radius"] > 0
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
+    st.sampled_from(MODES), st.integers(0, 10_000),
+)  # fmt: skip
+def test_hard_nominal_sets_keep_the_error_bound(
+    n: int, scale: float, kind: str, mode: str, seed: int
+) -> None:
+    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    nominal = presses_of(n, seed, scale=scale)
+    for tap, maps in nominal.items():
+        if kind == "same":
+            nominal[tap] = np.repeat(maps[:1], n, axis=0)
+        elif kind == "constant":
+            nominal[tap] = np.full_like(maps, scale)
+        elif kind == "dead":
+            maps[:, ::2] = 0
+    asked = with_spot(presses_of(1, seed + 1, scale=scale))
+    oracle, map_error, score_error = parity(
+        inreach, parameters(mode, is_fallback=True), nominal, asked, grid()
+    )
+    assert np.isfinite(oracle.score_map).all()
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+def test_features_that_are_not_finite_are_refused() -> None:
+    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
+    broken = presses_of(3)
+    broken["layer3"][1, 0, 0, 0] = np.nan
+    p = parameters("corrected")
+    with pytest.raises(FitError, match="not finite"):
+        fit(inreach, p, broken, grid())
+    bank = fit(inreach, p, presses_of(3), grid())
+    with pytest.raises(NotScorable, match="no score"):
+        inreach.reference_score(broken, grid(), bank, p)
+    found = run_head(inreach.head(grid(), bank, p), broken, bank)
+    assert not np.isfinite(found["score_map"][1]).all()
+    assert np.isfinite(found["score_map"][[0, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("realisations", 0), ("grid_tap", "x"), ("upsampling", "cubic"), ("sgma", 1)]
+)
+def test_nonsense_is_refused(name: str, value: object) -> None:
+    """Unknown names and values out of range are refused by name."""
+    with pytest.raises(FitError, match="inreach"):
+        inreach.parameters(**{name: value})

@@ -1,0 +1,242 @@
+"""PatchCore and the bank of patches that it shares with InReaCh: graph against oracle, descriptor, repairs."""
+
+import numpy as np
+import pytest
+from heads import RESNET18, SMALL, fit, grid, parity, presses_of, run_head, with_spot
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from edge.core.detector import Grid
+from edge.core.errors import FitError, NotScorable
+from plugins.detectors.maths.descriptor import BINS, Descriptor, binned_weights
+from plugins.detectors.maths.patchbank import PatchBank
+from plugins.detectors.maths.rotation import fit_rotation
+from plugins.detectors.maths.smoothing import upsampling_matrix
+from plugins.detectors.patchcore import patchcore
+from plugins.graph import Graph
+
+MODES = ("paper", "corrected")
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n", [1, 2, 6])
+def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
+    """Map and score agree to 1e-5, for several presses at once."""
+    p = patchcore.parameters(mode, coreset_fraction=0.2)
+    _, map_error, score_error = parity(patchcore, p, presses_of(n), presses_of(3, 1), grid())
+    assert map_error < 1e-5
+    assert score_error < 1e-5
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
+    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
+    nominal, asked = presses_of(4, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
+    _, map_error, score_error = parity(patchcore, patchcore.parameters(mode), nominal, asked, grid(RESNET18))
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
+    """With every patch kept, a nominal press is at distance 0."""
+    nominal = presses_of(3)
+    p = patchcore.parameters(mode, coreset_fraction=1.0, most_rows=None, packing="none")
+    bank = fit(patchcore, p, nominal, grid())
+    own = run_head(patchcore.head(grid(), bank, p), nominal, bank)["score_map"].max()
+    assert own < 1e-4 * run_head(patchcore.head(grid(), bank, p), presses_of(1, 9), bank)["score_map"].max()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
+    """A patch unlike anything nominal is found at its place."""
+    p = patchcore.parameters(mode, coreset_fraction=0.5)
+    bank = fit(patchcore, p, presses_of(20), grid())
+    spotted = patchcore.reference_score(with_spot(presses_of(1, 3), 0.75), grid(), bank, p).score_map[0]
+    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
+    assert 16 <= row < 32
+    assert 16 <= column < 32
+
+
+def test_the_binned_descriptor_is_the_published_one() -> None:
+    """Unfold, interpolate, average to 1024, lay end to end, average to 1024: in the published order, at float64."""
+    for taps in ({"a": (64, 5, 7), "b": (96, 3, 4)}, {"a": (20, 4, 4), "b": (200, 4, 4), "c": (17, 2, 2)}):
+        features = {
+            tap: np.random.default_rng(3).normal(size=(2, *shape)).astype(np.float32)
+            for tap, shape in taps.items()
+        }
+        at = Grid((32, 32), taps, 1.0)
+        descriptor = Descriptor(tuple(taps), "a", "binned", is_sampled=False)
+        expected = _published(features, taps["a"][1:])
+        np.testing.assert_allclose(descriptor.numpy(features, at, {}), expected, atol=1e-14)
+        graph = Graph("descriptor")
+        graph.output("found", descriptor.emit(graph, at, None), ("n", BINS, "cells"))
+        import onnxruntime as ort
+
+        (found,) = ort.InferenceSession(graph.serialise()).run(None, features)
+        np.testing.assert_allclose(found.swapaxes(1, 2), expected, atol=2e-6)
+
+
+def _published(features: dict[str, np.ndarray], cells: tuple[int, int]) -> np.ndarray:
+    parts = []
+    for maps in features.values():
+        n, c, h, w = maps.shape
+        padded = np.pad(maps.astype(np.float64), ((0, 0), (0, 0), (1, 1), (1, 1)))
+        windows = np.stack([padded[:, :, i : i + h, j : j + w] for i in range(3) for j in range(3)], axis=2)
+        rows, columns = upsampling_matrix(h, cells[0]), upsampling_matrix(w, cells[1])
+        unfolded = (rows @ windows.reshape(n, c * 9, h, w) @ columns.T).reshape(n, c * 9, -1).swapaxes(1, 2)
+        parts.append(_adaptive(unfolded))
+    return _adaptive(np.concatenate(parts, axis=2))
+
+
+def _adaptive(x: np.ndarray) -> np.ndarray:
+    """Adaptive average pooling of the last axis to 1024."""
+    size = x.shape[-1]
+    edges = [(b * size // BINS, -(-(b + 1) * size // BINS)) for b in range(BINS)]
+    return np.stack([x[..., low:high].mean(axis=-1) for low, high in edges], axis=-1)
+
+
+def test_the_closed_form_for_wide_resnet() -> None:
+    """layer2: the 3x3 mean of a channel with its centre counted twice; layer3: the mean of two channels' 3x3 means."""
+    fine, coarse = binned_weights(512, 2, 0), binned_weights(1024, 2, 1)
+    window = np.full(9, 0.1)
+    window[4] = 0.2
+    np.testing.assert_allclose(fine, np.kron(np.eye(512), window), atol=1e-15)
+    np.testing.assert_allclose(coarse, np.kron(np.eye(512), np.full(18, 1 / 18)), atol=1e-15)
+
+
+def test_a_balanced_bank_is_not_ruled_by_one_tap() -> None:
+    """Repair: a tap a thousand times louder leaves the balanced map's shape as it was."""
+
+    def loud(features: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {tap: maps * np.float32(1000 if tap == "layer3" else 1) for tap, maps in features.items()}
+
+    change = {}
+    for is_balanced in (True, False):
+        p = patchcore.parameters(is_balanced=is_balanced, coreset_fraction=1.0, most_rows=None)
+        maps = []
+        for change_of in (lambda f: f, loud):
+            bank = fit(patchcore, p, change_of(presses_of(6)), grid())
+            spot = change_of(with_spot(presses_of(1, 9)))
+            maps.append(patchcore.reference_score(spot, grid(), bank, p).score_map[0])
+        change[is_balanced] = np.abs(maps[1] / maps[1].max() - maps[0] / maps[0].max()).max()
+    assert change[True] < 1e-3
+    assert change[False] > 0.02
+
+
+def test_the_exact_coreset_leaves_no_patch_farther() -> None:
+    """Repair: k-centre over the descriptors leaves a smaller radius than over a random projection of them."""
+    nominal = presses_of(12)
+    radius = {}
+    for is_exact in (True, False):
+        p = patchcore.parameters(
+            descriptor="binned", dims=None, is_coreset_exact=is_exact, coreset_fraction=0.1, most_rows=None
+        )
+        bank = fit(patchcore, p, nominal, grid())
+        patches = p.rows.learn(nominal, grid(), np.random.default_rng(0))[1].reshape(-1, BINS)
+        gaps = np.linalg.norm(patches[:, None] - bank.arrays["bank"][None], axis=2).min(axis=1)
+        radius[is_exact] = gaps.max()
+    assert radius[True] <= radius[False]
+
+
+def test_the_coreset_is_reproducible_and_limited() -> None:
+    """The same seed gives the same rows, what chance decided is in the facts, and most_rows is kept."""
+    p = patchcore.parameters(most_rows=7)
+    one, two = (fit(patchcore, p, presses_of(6), grid(), seed=4) for _ in range(2))
+    np.testing.assert_array_equal(one.arrays["bank"], two.arrays["bank"])
+    assert one.facts == two.facts
+    assert len(one.arrays["bank"]) == 7
+    assert "start" in one.facts
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(1, 4), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
+    st.sampled_from(MODES), st.integers(0, 10_000),
+)  # fmt: skip
+def test_hard_nominal_sets_keep_the_error_bound(
+    n: int, scale: float, kind: str, mode: str, seed: int
+) -> None:
+    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    nominal = presses_of(n, seed, scale=scale)
+    for tap, maps in nominal.items():
+        if kind == "same":
+            nominal[tap] = np.repeat(maps[:1], n, axis=0)
+        elif kind == "constant":
+            nominal[tap] = np.full_like(maps, scale)
+        elif kind == "dead":
+            maps[:, ::2] = 0
+    asked = with_spot(presses_of(1, seed + 1, scale=scale))
+    p = patchcore.parameters(mode, coreset_fraction=0.3)
+    oracle, map_error, score_error = parity(patchcore, p, nominal, asked, grid())
+    assert np.isfinite(oracle.score_map).all()
+    assert map_error < 1e-4
+    assert score_error < 1e-4
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 12), st.integers(2, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
+def test_turned_descriptors_never_seem_farther(n: int, c: int, dims: int, seed: int) -> None:
+    """Leading directions and the length of the rest: distances never exceed the true ones; kept whole, equal."""
+    rng = np.random.default_rng(seed)
+    learnt, asked = rng.normal(size=(n, c)), rng.normal(size=(6, c)) * 3
+    turned = fit_rotation(learnt, dims)(asked)
+    true = np.linalg.norm(asked[:, None] - asked[None], axis=2)
+    found = np.linalg.norm(turned[:, None] - turned[None], axis=2)
+    assert (found <= true + 1e-5).all()
+    if dims >= c:
+        np.testing.assert_allclose(found, true, atol=1e-5)
+
+
+def test_the_rest_shows_what_the_directions_hide() -> None:
+    """A press that differs only outside the leading directions is still at its full distance."""
+    learnt = np.zeros((20, 6))
+    learnt[:, 0] = np.linspace(-1, 1, 20)
+    turned = fit_rotation(learnt, 1)
+    stray = np.array([[0.5, 0, 0, 2.0, 0, 0]])
+    assert turned(stray)[0, 1] == pytest.approx(2.0)
+
+
+def test_the_place_can_be_part_of_the_descriptor() -> None:
+    """With a position weight the two added numbers are the row and column on the grid, in oracle and graph alike."""
+    bank = PatchBank(Descriptor(("layer2", "layer3"), "layer2", "means", True), 4, True, 5.0)
+    features = presses_of(2)
+    arrays, rows = bank.learn(features, grid(), np.random.default_rng(0))
+    np.testing.assert_allclose(rows[0, :, -2:], 5.0 * np.indices((4, 4)).reshape(2, -1).T / 4)
+    from edge.core.detector import Bank
+
+    whole = Bank({**arrays, "bank": rows[0]})
+    graph = Graph("bank")
+    graph.output("raw", bank.emit(graph, grid(), whole, False), ("n", 4, 4))
+    found = run_head(graph.serialise(), features, whole)["raw"]
+    np.testing.assert_allclose(found, bank.distances(features, grid(), whole.arrays, False), atol=1e-3)
+
+
+def test_features_that_are_not_finite_are_refused() -> None:
+    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
+    broken = presses_of(3)
+    broken["layer3"][1, 0, 0, 0] = np.nan
+    p = patchcore.parameters()
+    with pytest.raises(FitError, match="not finite"):
+        fit(patchcore, p, broken, grid())
+    bank = fit(patchcore, p, presses_of(3), grid())
+    with pytest.raises(NotScorable, match="no score"):
+        patchcore.reference_score(broken, grid(), bank, p)
+    found = run_head(patchcore.head(grid(), bank, p), broken, bank)
+    assert not np.isfinite(found["score_map"][1]).all()
+    assert np.isfinite(found["score_map"][[0, 2]]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("coreset_fraction", 0), ("dims", 0), ("grid_tap", "x"), ("layrs", [])]
+)
+def test_nonsense_is_refused(name: str, value: object) -> None:
+    """Unknown names and values out of range are refused by name."""
+    with pytest.raises(FitError, match="patchcore"):
+        patchcore.parameters(**{name: value})
+
+
+def test_only_its_taps_are_read() -> None:
+    """The head's inputs are the layers that it names, not every tap of the trunk."""
+    assert patchcore.taps(patchcore.parameters()) == ("layer2", "layer3")
+    assert set(SMALL) > set(patchcore.taps(patchcore.parameters()))
