@@ -162,9 +162,20 @@ class _Learner:
         self.step = saved.step
 
 
-def train(recipe: Recipe, run: Run) -> Path:
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _nothing(_: int) -> None:
+    """Shows nothing."""
+
+
+def train(
+    recipe: Recipe, run: Run, say: Callable[[str], None] = _say, advance: Callable[[int], None] = _nothing
+) -> Path:
     """Train to the recipe's last step or to the run's time limit; the folder of the last checkpoint.
 
+    say: takes a line for people. advance: takes the number of steps done, after each.
     Errors: ConfigError for a resume with other settings or a folder in use, GelgateError for a full disk.
     """
     device = _device(run.device)
@@ -173,11 +184,12 @@ def train(recipe: Recipe, run: Run) -> Path:
     learner = _Learner(recipe, device)
     log = _start(learner, run)
     started, since, since_step = time.monotonic(), time.monotonic(), learner.step
-    _say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
+    say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
     with _stop_asked() as is_stopped:
         while learner.step < recipe.steps:
             found = learner.learn()
+            advance(learner.step)
             is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
             is_last = learner.step == recipe.steps or is_late
             if learner.step % run.log_every == 0 or is_last:
@@ -185,16 +197,16 @@ def train(recipe: Recipe, run: Run) -> Path:
                 if learner.step % run.validate_every == 0 or is_last:
                     entry |= learner.validate()
                 log.append(entry)
-                _report(entry, recipe)
+                say(_line(entry, recipe))
                 since, since_step = time.monotonic(), learner.step
             if learner.step % run.save_every == 0 or is_last:
                 at = _save(learner, run, log)
             if is_last:
                 break
         if is_stopped():
-            _say(f"stopped at step {learner.step}; carry on with --resume {run.folder}")
+            say(f"stopped at step {learner.step}; carry on with --resume {run.folder}")
             raise KeyboardInterrupt
-    _say(f"step {learner.step} of {recipe.steps}, checkpoint {at}")
+    say(f"step {learner.step} of {recipe.steps}, checkpoint {at}")
     return at
 
 
@@ -258,14 +270,10 @@ def _entry(learner: _Learner, found: Losses, steps_per_second: float) -> dict[st
     return entry
 
 
-def _report(entry: dict[str, Any], recipe: Recipe) -> None:
+def _line(entry: dict[str, Any], recipe: Recipe) -> str:
     words = [f"{name} {value:.4g}" for name, value in entry.items() if name not in ("step", "rate")]
     left = (recipe.steps - entry["step"]) * 2 * recipe.pairs / max(entry["frames_per_second"], 1e-9) / 60
-    _say(f"step {entry['step']}/{recipe.steps}  {'  '.join(words)}  {left:.0f} min left")
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    return f"step {entry['step']}/{recipe.steps}  {'  '.join(words)}  {left:.0f} min left"
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -1,0 +1,125 @@
+"""The model card, written from the facts beside the packaged trunks and, where it exists, from their evaluation.
+
+Nothing is typed in by hand: `tactile_resnet18.json` comes from the training run, `tactile_resnet18_evaluation.json`
+from the evaluation, and a number that is in neither is not in the card.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from calibration.backbone.package import NAME
+from edge.core.errors import ConfigError
+
+__all__ = ["card", "write_card"]
+
+_LIMITS = (
+    "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
+    "threshold on presses of your own sensor.",
+    "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
+    "Regions of 224 pixels at 0.063 mm and, one batch in four, at 0.015 to 0.045 mm per pixel. Other scales are "
+    "untried.",
+    "JPEG compression, motion blur and a gel rim were not drawn.",
+)
+
+
+def write_card(folder: Path) -> Path:
+    """Write `<name>.md` beside the facts; gives its path. Errors: ConfigError when the facts are missing or broken."""
+    facts_file = folder / f"{NAME}.json"
+    try:
+        facts = json.loads(facts_file.read_text())
+        evaluation_file = folder / f"{NAME}_evaluation.json"
+        evaluation = json.loads(evaluation_file.read_text()) if evaluation_file.is_file() else None
+        text = card(facts, evaluation)
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
+    path = folder / f"{NAME}.md"
+    path.write_text(text)
+    return path
+
+
+def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
+    """The card as Markdown."""
+    recipe, last = facts["recipe"], facts["last_entry"]
+    lines = [
+        f"# {facts['name']}",
+        "",
+        f"A {facts['topology']} up to {facts['taps'][-1]} (taps {', '.join(facts['taps'])}), trained by this project",
+        "on simulated presses that are drawn while it learns; no picture is stored and none is downloaded.",
+        "",
+        "## Training",
+        "",
+        *_table(("setting", "value"), [(name, str(value)) for name, value in sorted(recipe.items())]),
+        "",
+        f"{facts['trained_steps']} steps, {facts['pairs_seen']} pairs of frames. At the last step:",
+        "",
+        *_table(
+            ("quantity", "value"),
+            [
+                (name, _number(value))
+                for name, value in last.items()
+                if name not in ("step", "frames_per_second")
+            ],
+        ),
+        "",
+        "`recall_fpr01_<stage>`: on pairs that training never draws, the share of damaged cells whose features differ",
+        "more than 99 % of the undamaged ones do.",
+        "",
+        "## Variants",
+        "",
+        *_table(
+            ("file", "bytes", *(f"error {tap}" for tap in facts["taps"]), "SHA-256"),
+            [
+                (
+                    f"{name}.onnx",
+                    str(v["bytes"]),
+                    *(_number(v["relative_error"][t]) for t in facts["taps"]),
+                    v["sha256"][:16],
+                )
+                for name, v in facts["variants"].items()
+            ],
+        ),
+        "",
+        "Error: norm of the difference to the float32 features over their norm, on simulated frames of their own.",
+        "",
+        "## Evaluation",
+        "",
+        *_evaluated(evaluation),
+        "",
+        "## Known limits",
+        "",
+        *(f"- {limit}" for limit in _LIMITS),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _evaluated(evaluation: dict[str, Any] | None) -> list[str]:
+    """One table per set of the evaluation: rows of backbone and detector, columns of measures with intervals."""
+    if evaluation is None:
+        return ["Not evaluated yet."]
+    lines: list[str] = []
+    for title, rows in evaluation["sets"].items():
+        names = list(dict.fromkeys(name for row in rows for name in row["measures"]))
+        body = [
+            (row["backbone"], row["detector"], *(_interval(row["measures"].get(name)) for name in names))
+            for row in rows
+        ]
+        lines += [f"### {title}", "", *_table(("backbone", "detector", *names), body), ""]
+    return lines
+
+
+def _interval(measure: dict[str, Any] | None) -> str:
+    if measure is None or measure["value"] is None:
+        return "-"
+    span = measure.get("over_images")
+    return f"{measure['value']:.3f}" + (f" ({span[0]:.3f} to {span[1]:.3f})" if span else "")
+
+
+def _number(value: float | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)]

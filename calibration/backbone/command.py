@@ -1,0 +1,64 @@
+"""The verb `train-backbone`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["train_backbone"]
+
+
+def train_backbone(
+    out: Annotated[Path, typer.Argument(help="folder of the run: checkpoints, log and loss figure")],
+    resume: Annotated[bool, typer.Option(help="carry on the run in that folder")] = False,
+    steps: Annotated[int, typer.Option(help="optimiser steps", min=1)] = 1800,
+    pairs: Annotated[int, typer.Option(help="pairs per step", min=1)] = 64,
+    side: Annotated[int, typer.Option(help="pixels per side of a frame, a multiple of 32", min=64)] = 224,
+    seed: Annotated[int, typer.Option(help="seed of weights and presses", min=0)] = 0,
+    geometry: Annotated[float, typer.Option(help="weight of reading slopes and depth", min=0)] = 1.0,
+    pair: Annotated[float, typer.Option(help="weight of pulling and pushing pairs", min=0)] = 1.0,
+    rank: Annotated[float, typer.Option(help="weight of ranking changes above one per cent", min=0)] = 0.5,
+    precision: Annotated[str, typer.Option(help="bfloat16 or float32")] = "bfloat16",
+    minutes: Annotated[float, typer.Option(help="stop and save after so long, 0 for never", min=0)] = 0.0,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
+    package: Annotated[
+        Path | None, typer.Option(help="when done, write the ONNX trunks and the card here")
+    ] = None,
+) -> None:
+    """Train the touch backbone on simulated presses; interrupt at any time and resume."""
+    import sys
+    from typing import Any
+
+    from calibration.progress import progress
+    from edge.core.errors import ConfigError
+
+    try:
+        from calibration.backbone.recipe import Recipe
+        from calibration.backbone.train import Run, train
+    except ImportError as error:
+        raise ConfigError(
+            f"train-backbone needs torch, found {error}; pip install 'gelgate[train]'"
+        ) from error
+    settings: dict[str, Any] = {
+        "steps": steps,
+        "pairs": pairs,
+        "side": side,
+        "seed": seed,
+        "geometry_weight": geometry,
+        "pair_weight": pair,
+        "rank_weight": rank,
+        "precision": precision,
+    }
+    run = Run(out, resume=out if resume else None, minutes=minutes, device=device)
+    recipe = Recipe(**settings)
+    if sys.stderr.isatty():
+        with progress("training", steps) as advance:
+            train(recipe, run, say=lambda _: None, advance=advance)
+    else:
+        train(recipe, run)
+    if package is not None:
+        from calibration.backbone.card import write_card
+        from calibration.backbone.package import package as make
+
+        make(out, package)
+        write_card(package)

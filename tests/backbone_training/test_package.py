@@ -1,0 +1,128 @@
+"""Packaging: graphs that answer as the trained network does, variants of a bounded size, and a card of facts alone."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+import torch
+
+from calibration.backbone import package as packaging
+from calibration.backbone.card import card, write_card
+from calibration.backbone.network import Trunk, state_arrays
+from calibration.backbone.recipe import STAGES
+from edge import cli
+from edge.core.errors import ConfigError
+from plugins.backbones.resnet import build_trunk
+
+
+@pytest.fixture(scope="module")
+def trunk() -> Trunk:
+    """A random network whose batch norms have seen something."""
+    torch.manual_seed(0)
+    network = Trunk()
+    with torch.no_grad():
+        for _ in range(3):
+            network(torch.rand(4, 3, 64, 64) * 255)
+    return network.eval()
+
+
+def run(graph: bytes, frames: np.ndarray) -> list[np.ndarray]:
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    answer: list[np.ndarray] = session.run(list(STAGES), {"frames": frames})
+    return answer
+
+
+def test_the_graph_is_the_network(trunk: Trunk) -> None:
+    """The ONNX trunk answers as torch does, to 1e-4 of the largest feature, at two sizes."""
+    graph = build_trunk(state_arrays(trunk), "resnet18", STAGES)
+    for side in (64, 96):
+        frames = np.random.default_rng(side).integers(0, 256, (2, side, side, 3), dtype=np.uint8)
+        with torch.no_grad():
+            expected = trunk(torch.tensor(frames.tolist(), dtype=torch.float32).permute(0, 3, 1, 2))
+        for found, wanted in zip(run(graph, frames), expected, strict=True):
+            assert np.abs(found - wanted.numpy()).max() < 1e-4 * float(wanted.max())
+
+
+def test_int8_keeps_inputs_outputs_and_features(trunk: Trunk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The int8 trunk takes the same frames and gives the same taps within a fifth, in a third of the bytes."""
+
+    def few(purpose: str, batches: int, pairs: int = 2) -> object:
+        rng = np.random.default_rng(batches)
+        return iter([rng.integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)])
+
+    monkeypatch.setattr(packaging, "calibration_frames", few)
+    plain = build_trunk(state_arrays(trunk), "resnet18", STAGES)
+    small = packaging.quantised(plain, batches=1)
+    assert len(small) < len(plain) / 3
+    assert len(small) < packaging.MOST_BYTES
+    errors = packaging.feature_errors(small, plain)
+    assert list(errors) == list(STAGES)
+    assert 0 < max(errors.values()) < 0.2
+    half = build_trunk(state_arrays(trunk), "resnet18", STAGES, weights="float16")
+    assert len(half) < packaging.MOST_BYTES
+    assert max(packaging.feature_errors(half, plain).values()) < 0.005
+
+
+FACTS = {
+    "name": "tactile_resnet18",
+    "topology": "resnet18",
+    "taps": list(STAGES),
+    "recipe": {"seed": 0, "steps": 5},
+    "trained_steps": 5,
+    "pairs_seen": 10,
+    "last_entry": {"step": 5, "geometry": 0.1234567},
+    "variants": {
+        "tactile_resnet18": {
+            "bytes": 7,
+            "sha256": "ab" * 32,
+            "relative_error": dict.fromkeys(STAGES, 0.00012),
+        }
+    },
+}
+
+
+def test_the_card_has_the_facts_and_the_evaluation() -> None:
+    """Every number of the card stands in the facts or the evaluation; without an evaluation it says so."""
+    assert "Not evaluated yet" in card(FACTS, None)
+    measures = {"aupro_fpr01": {"value": 0.71, "over_images": [0.65, 0.77]}, "image_auroc": {"value": None}}
+    rows = [{"backbone": "trained", "detector": "padim", "measures": measures}]
+    text = card(FACTS, {"sets": {"unseen parts": rows}})
+    assert "| trained | padim | 0.710 (0.650 to 0.770) | - |" in text
+    assert "0.1235" in text
+    assert "abababababababab" in text
+
+
+def test_the_card_needs_its_facts(tmp_path: Path) -> None:
+    """No facts, no card, one sentence; with facts the card lies beside them."""
+    with pytest.raises(ConfigError, match="package the run again"):
+        write_card(tmp_path)
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    assert write_card(tmp_path).read_text().startswith("# tactile_resnet18")
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["gelgate", "train-backbone", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def test_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One small step runs, a second start in the same folder is refused, and a missing torch names the extra."""
+    small = (str(tmp_path / "run"), "--steps", "1", "--pairs", "1", "--side", "64", "--device", "cpu")
+    assert command(monkeypatch, *small) == 0
+    assert "step 1/1" in capsys.readouterr().err
+    assert command(monkeypatch, *small) == 3
+    assert "already holds a run" in capsys.readouterr().err
+    assert command(monkeypatch, *small, "--resume", "--seed", "1") == 3
+    assert "seed: 1, not 0" in capsys.readouterr().err
+    for name in [n for n in sys.modules if n.startswith("calibration.backbone.t")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert command(monkeypatch, *small) == 3
+    assert "pip install 'gelgate[train]'" in capsys.readouterr().err
