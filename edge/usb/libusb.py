@@ -4,13 +4,14 @@ Ref: pyusb 1.3.1, usb/backend/libusb1.py, whose private structures are used here
 checks the names); libusb 1.0 API, "asynchronous device I/O". Many transfers are queued, because one at a time loses
 the micro-frames that pass between two calls.
 
-Known: loads and enumerates; packets and losses are read rightly from a stand-in library. Assumed: everything else,
-until it has been seen with a sensor on a bus.
+Seen: a virtual camera over USB/IP under a real kernel (Linux 6.1, vhci-hcd, usbfs): frames whole, controls set, interfaces
+given back, unplugged and plugged in again (tests/hardware/kernel_lab). Not yet seen: a sensor on a physical bus.
 """
 
 import ctypes
 import errno
 from collections import deque
+from functools import cache
 from typing import Any
 
 import usb.backend.libusb1 as libusb1
@@ -126,8 +127,13 @@ class LibusbPacketStream:
                 self._lib.libusb_free_transfer(transfer)
 
 
+@cache
 def get_backend() -> LibusbBackend:
-    """The libusb of the system or of the `libusb-package` wheel. Errors: DeviceNotFound when neither loads."""
+    """The libusb of the system or of the `libusb-package` wheel. Errors: DeviceNotFound when neither loads.
+
+    One for the whole process: a second one would shut its libusb down when it is collected, perhaps before the
+    devices that were found through it, and libusb then reads freed memory (seen: a crash after an unplug).
+    """
     import libusb_package
 
     if libusb_package.get_libusb1_backend() is None or libusb1._lib is None:

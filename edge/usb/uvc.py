@@ -14,9 +14,11 @@ __all__ = [
     "COMMIT",
     "GET_CUR",
     "GET_DEF",
+    "GET_INFO",
     "GET_LEN",
     "GET_MAX",
     "GET_MIN",
+    "GET_RES",
     "PROBE",
     "REQUEST_GET",
     "REQUEST_SET",
@@ -33,16 +35,8 @@ __all__ = [
 CLASS_VIDEO, SUBCLASS_CONTROL, SUBCLASS_STREAMING = 0x0E, 0x01, 0x02
 
 # Class-specific requests (UVC 1.5 table A-8) and their bmRequestType for an interface.
-SET_CUR, GET_CUR, GET_MIN, GET_MAX, GET_RES, GET_LEN, GET_INFO, GET_DEF = (
-    0x01,
-    0x81,
-    0x82,
-    0x83,
-    0x84,
-    0x85,
-    0x86,
-    0x87,
-)
+SET_CUR, GET_CUR, GET_MIN, GET_MAX = 0x01, 0x81, 0x82, 0x83
+GET_RES, GET_LEN, GET_INFO, GET_DEF = 0x84, 0x85, 0x86, 0x87
 REQUEST_SET, REQUEST_GET = 0x21, 0xA1
 
 # Selectors of a streaming interface (table A-16).

@@ -1,8 +1,8 @@
 """The GelSight Mini on a real USB bus: found by pyusb, streamed by the kernel (v4l2) or directly (uvc).
 
-References and what is seen, measured, read or assumed: firmware_notes/gelsight_mini.md. Not yet seen with this
-program: a sensor on a bus; the v4l2 path was tried on a virtual camera under a real kernel, the uvc path on the
-virtual bus of `usb_mock`.
+References and what is seen, measured, read or assumed: firmware_notes/gelsight_mini.md. Both stream paths were seen to
+work, be unplugged and come back on a virtual camera under a real kernel (tests/hardware/kernel_lab); not yet seen with
+this program is a sensor on a physical bus.
 """
 
 from typing import Literal

@@ -141,6 +141,11 @@ def test_close_cancels_waits_and_frees() -> None:
     assert (lib.flying, lib.freed) == ([], TRANSFERS)
 
 
+def test_there_is_one_backend_for_all() -> None:
+    """A backend that is collected shuts libusb down under the devices found through it: a crash after an unplug."""
+    assert get_backend() is get_backend()
+
+
 def test_the_real_library_loads_and_looks() -> None:
     """libusb comes with its wheel, and a machine without a sensor has none."""
     assert list(get_backend().enumerate_devices()) is not None

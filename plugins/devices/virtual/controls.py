@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from edge.usb.controls import UvcControl, uvc_control
-from edge.usb.uvc import GET_CUR, GET_DEF, GET_MAX, GET_MIN, SET_CUR
+from edge.usb.uvc import GET_CUR, GET_DEF, GET_INFO, GET_LEN, GET_MAX, GET_MIN, GET_RES, SET_CUR
 from plugins.devices.virtual.descriptors import CAMERA_TERMINAL, PROCESSING_UNIT
 
 __all__ = ["RANGES", "ControlBank"]
@@ -26,6 +26,8 @@ RANGES: Mapping[str, tuple[int, int, int]] = {
     "exposure_dynamic_framerate": (0, 1, 1),
     "exposure_time_absolute": (1, 5000, 157),
 }
+_GET_AND_SET = b"\x03"  # table 4-3: the control answers GET and takes SET
+_EXPOSURE_MODES = 0x01 | 0x08  # for modes the resolution is the set of them: manual and aperture priority
 _ENTITY = {0x02: CAMERA_TERMINAL, 0x05: PROCESSING_UNIT}
 
 
@@ -48,7 +50,13 @@ class ControlBank:
         low, high, default = RANGES[name]
         if request == SET_CUR:
             return self._set(name, int.from_bytes(bytes(data), "little", signed=control.signed))
-        value = {GET_CUR: self.values[name], GET_MIN: low, GET_MAX: high, GET_DEF: default}.get(request)
+        if request == GET_INFO:
+            return _GET_AND_SET
+        if request == GET_LEN:
+            return control.size.to_bytes(2, "little")
+        step = _EXPOSURE_MODES if name == "auto_exposure" else 1
+        answers = {GET_CUR: self.values[name], GET_MIN: low, GET_MAX: high, GET_RES: step, GET_DEF: default}
+        value = answers.get(request)
         return None if value is None else value.to_bytes(control.size, "little", signed=control.signed)
 
     def _set(self, name: str, value: int) -> bytes | None:
