@@ -73,6 +73,23 @@ def test_the_fit_is_blind_to_the_part() -> None:
     assert np.abs(difference[outside].mean(axis=0)).max() < 1.0
 
 
+@pytest.mark.parametrize("share", [0.5, 0.7])
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (0.8, 0.0), (1.2, 0.0), (1.1, -8.0), (0.9, 10.0)])
+def test_a_part_over_most_of_the_view_keeps_its_edge(share: float, gain: float, offset: float) -> None:
+    """A rough part over 70 % of the view: the free rest stays free, whatever the exposure does."""
+    relief = cv2.GaussianBlur(
+        np.random.default_rng(0).normal(0, 1, (120, 160, 3)).astype(np.float32), (0, 0), 3
+    )
+    edge = int(160 * share)
+    view = free_gel(99)
+    view[:, :edge] += (35 / relief.std() * relief)[:, :edge]
+    mask = touched_mask(
+        reference().difference((view * np.float32(gain) + np.float32(offset)).astype(np.float32))
+    )
+    assert touched(mask).area == pytest.approx(share, abs=0.02)
+    assert not mask[:, edge + 2 :].any()
+
+
 def test_known_levels_are_found() -> None:
     """reference = gain * view + offset, to a hundredth and a tenth of a level."""
     view = free_gel(1)
