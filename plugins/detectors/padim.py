@@ -63,7 +63,7 @@ class PadimParameters:
     channels: int | None = 200
     is_balanced: bool = True
     is_sampled: bool = True
-    ridge: float = 0.5
+    ridge: float = 0.1
     is_ridge_twice: bool = False
     rank: int | None = 16
     neighbours: int = 0
