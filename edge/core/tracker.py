@@ -138,6 +138,10 @@ class ContactTracker:
         """The view at the reference's level, with mask and touch set; the view itself while there is no reference."""
         if self._reference is None:
             return view
+        if self._reference.view.shape != view.shape:
+            raise ValueError(
+                f"the reference is {self._reference.view.shape}, this view {view.shape}; use views of one size"
+            )
         difference = self._reference.difference(view)
         self._mask = touched_mask(difference)
         self._touch = touched(self._mask)

@@ -246,6 +246,13 @@ def test_other_arrays_are_refused() -> None:
         tracker.feed(np.zeros((120, 160), np.float32), 1, 1)
 
 
+def test_a_stored_reference_of_another_size_is_refused() -> None:
+    """Both shapes are named."""
+    tracker = ContactTracker(stored=Reference(np.zeros((60, 80, 3), np.float32), 1, 0))
+    with pytest.raises(ValueError, match=r"60, 80.*120, 160"):
+        tracker.feed(free_gel(), 1, 1)
+
+
 def video_views(path: Path) -> list[View]:
     capture = cv2.VideoCapture(str(path))
     views = []
