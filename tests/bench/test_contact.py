@@ -1,4 +1,4 @@
-"""What looking for contact costs: the view's decode and the tracker, in CPU time, and as a share of one core when idle."""
+"""What looking for contact costs, in CPU time: decoding the view, the tracker, and one idle stream."""
 
 import time
 from collections.abc import Callable
