@@ -178,7 +178,7 @@ def _photograph(
     def both(values: Tensor) -> Tensor:
         return torch.cat([values, values])
 
-    relief, light = _draw_coat(draws, n, x, y)
+    relief, light = _draw_coat(draws, n, x, y, spacing)
     # What is left of another press shows through one gel in four.
     left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
     seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
@@ -205,9 +205,9 @@ def _photograph(
 _GRAINS, _NEW_GRAINS, _SCRATCHES, _STAINS = 8, 2, 2, 2
 
 
-def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing) -> tuple[Tensor, Tensor]:
     """Relief in mm and share of light, both (2n, h, w), of dust and wear; alike in both presses but for new grains."""
-    half_x, half_y = float(x.abs().max()), float(y.abs().max())
+    half_x, half_y = spacing[0] * x.shape[1] / 2, spacing[1] * x.shape[0] / 2
 
     def place(count: int) -> tuple[Tensor, Tensor]:
         return draws.uniform(-half_x, half_x, n, count), draws.uniform(-half_y, half_y, n, count)

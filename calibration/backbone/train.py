@@ -73,6 +73,7 @@ class _Learner:
         self.heads = heads().to(device)
         if device.type == "cuda":
             self.trunk = self.trunk.to(memory_format=torch.channels_last)
+            torch.backends.cudnn.benchmark = True
         self.model = nn.ModuleDict({"trunk": self.trunk, "heads": self.heads})
         decayed = [p for p in self.model.parameters() if p.ndim > 1]
         plain = [p for p in self.model.parameters() if p.ndim <= 1]
