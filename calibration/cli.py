@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from calibration.fit import Fitted
     from edge.core.profile import SensorProfile
 
-__all__ = ["fit"]
+__all__ = ["chosen_profile", "fit", "refuse_existing", "summary", "write"]
 
 
 def fit(
@@ -56,15 +56,13 @@ def fit(
     from calibration.presses import read_presses
     from calibration.progress import Stages
     from edge import registry
-    from edge.bundle import write_bundle
-    from edge.core.errors import ConfigError, StoreError
+    from edge.core.errors import ConfigError
     from edge.core.region import Region
 
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+    refuse_existing(output, overwrite)
     if mode not in ("corrected", "paper"):
         raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
-    sensor = _profile(profile, sources)
+    sensor = chosen_profile(profile, sources)
     detector = registry.load("detectors", method)
     overrides = _overrides(settings or [])
     parameters = detector.parameters(mode, **overrides)
@@ -89,16 +87,32 @@ def fit(
     )
     with Stages() as report:
         fitted = fit_files(presses, recipe, created=datetime.date.today().isoformat(), report=report)
+    write(fitted, output, overwrite)
+    summary(fitted, output)
+
+
+def refuse_existing(output: Path, overwrite: bool) -> None:
+    """Before any work. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+
+
+def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
+    """Errors: StoreError with what to do."""
+    from edge.bundle import write_bundle
+    from edge.core.errors import StoreError
+
     try:
         write_bundle(output, fitted.files, overwrite=overwrite)
     except OSError as error:
         raise StoreError(
             f"{output} cannot be written: {error.strerror or error}; free some space or choose another folder"
         ) from error
-    _summary(fitted, output)
 
 
-def _profile(name: str, sources: list[Path]) -> "SensorProfile":
+def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
     """The profile asked for, or the one that all recordings among the sources name."""
     from calibration.presses import is_recording
     from edge.core.errors import ConfigError
@@ -133,7 +147,8 @@ def _overrides(settings: list[str]) -> dict[str, Any]:
     return overrides
 
 
-def _summary(fitted: "Fitted", output: Path) -> None:
+def summary(fitted: "Fitted", output: Path) -> None:
+    """What was made, in four lines."""
     manifest = fitted.manifest
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:

@@ -3,8 +3,6 @@
 A detector's mathematics is its own; the procedure (which presses, which folds, which seed) is here.
 """
 
-import importlib.metadata
-import platform
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -17,48 +15,42 @@ from numpy.typing import NDArray
 
 from calibration.backbones import Trunk
 from calibration.features import extract, trunk_grid
+from calibration.measure import (
+    contact_range,
+    cost_card,
+    given_threshold,
+    golden_frames,
+    measured_tolerance,
+    placeholders,
+    provenance,
+    warnings,
+)
 from calibration.presses import NominalPresses
 from calibration.progress import Report
-from calibration.threshold import conformal_threshold, folds
+from calibration.threshold import check_alpha, conformal_threshold, folds
 from edge.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
 from edge.core.errors import FitError
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
 from edge.manifest import (
-    ContactRange,
-    CostCard,
     Facts,
     GridEntry,
     Manifest,
     ProfileEntry,
-    Provenance,
     RegionEntry,
     ThresholdEntry,
     ToleranceEntry,
 )
 from edge.packing import pack, unpack
 from edge.runtime import RUNTIME_ERRORS, TrunkSessions, open_session
-from edge.scorer import Scored, Scorer, map_peaks
+from edge.scorer import Scorer
 
 T = TypeVar("T")
 
 __all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
 
 FOLDS = 5
-
-GOLDEN_NOMINAL = 2
-"""Golden frames from nominal presses (the middle and the highest score); one with a painted defect comes beside."""
-
-TOLERANCE_FACTOR = 8.0
-"""The tolerance is this many times the largest difference seen over runs, threads and batch sizes."""
-
-TOLERANCE_RELATIVE = 1e-3
-"""Room for other processors, which sum in another order: float32 features through some thousand additions and a
-square root agree to about 1e-5; ten times that and a margin. Measured on x86 alone."""
-
-CONTACT_MARGIN = 0.05
-"""How far beyond the nominal presses one may lie, as a fraction of the picture, or half their spread if more."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +71,9 @@ class Recipe:
     seed: int = 0
     threads: int = 2
     with_trunk: bool = True
+
+    def __post_init__(self) -> None:
+        check_alpha(self.alpha)
 
 
 @dataclass(frozen=True)
@@ -129,7 +124,12 @@ class _Fit:
         self.presses, self.recipe, self.created, self.report = presses, recipe, created, report
         self.detector = recipe.detector
         self.parameters = self.detector.parameters(recipe.mode, **recipe.overrides)
-        self.warnings = _warnings(presses, recipe)
+        promised = recipe.alpha if recipe.threshold is None else None
+        self.warnings = warnings(presses, (recipe.region.height, recipe.region.width), promised)
+        if recipe.threshold is None:
+            conformal_threshold(
+                np.zeros(len(presses)), recipe.alpha
+            )  # refuses too few before any work is done
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
 
@@ -204,10 +204,11 @@ class _Fit:
     def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
         """Score with the bundle as it will be loaded, then write down what it measured."""
         self.report("golden", 0.0)
-        provisional = Fitted(*self._files(bank, self._facts(bank, *_placeholders()), ()))
+        provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
         scorer = Scorer(provisional.bundle(), self.recipe.threads, self.trunks)
-        golden = self._golden(scorer)
-        tolerance, cost = self._tolerance(golden, scorer), self._cost(scorer)
+        golden = golden_frames(scorer, self.presses.frames)
+        tolerance = measured_tolerance(scorer, golden, self.recipe.threads)
+        cost = cost_card(scorer, self.presses.frames, self.recipe.threads, self.seconds)
         threshold = self._threshold(scores, tolerance)
         facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
         fitted = Fitted(*self._files(bank, facts, golden))
@@ -215,59 +216,13 @@ class _Fit:
         self.report("golden", 1.0)
         return fitted
 
-    def _golden(self, scorer: Scorer) -> list[GoldenFrame]:
-        order = np.argsort(
-            [scorer.score(frame).anomaly_score for frame in self.presses.frames], kind="stable"
-        )
-        chosen = {"middle nominal score": order[len(order) // 2], "highest nominal score": order[-1]}
-        frames = {what: self.presses.frames[k] for what, k in chosen.items()}
-        frames["middle nominal press with a painted square"] = _painted(frames["middle nominal score"])
-        return [_golden_frame(scorer.score(rgb), rgb, what) for what, rgb in frames.items()]
-
-    def _tolerance(self, golden: Sequence[GoldenFrame], scorer: Scorer) -> ToleranceEntry:
-        """What repeated runs, one thread, two threads and another batch size change in the golden frames."""
-        frames = np.stack([frame.rgb for frame in golden])
-        runs = [[scorer.score(frame) for frame in frames], scorer.score_batch(frames)]
-        for threads in {1, 2} - {self.recipe.threads}:
-            other = Scorer(scorer.bundle, threads)
-            runs.append([other.score(frame) for frame in frames])
-        scores = np.array([[s.anomaly_score for s in run] for run in runs])
-        maps = np.stack([np.stack([s.score_map for s in run]) for run in runs]).astype(np.float64)
-        score, score_map = np.ptp(scores, axis=0).max(), np.ptp(maps, axis=0).max()
-        return ToleranceEntry(
-            score=float(TOLERANCE_FACTOR * score),
-            score_map=float(TOLERANCE_FACTOR * score_map),
-            relative=TOLERANCE_RELATIVE,
-            measured=float(max(score, score_map)),
-        )
-
     def _threshold(self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry) -> ThresholdEntry:
         alpha = self.recipe.alpha
         if self.recipe.threshold is not None:
-            return ThresholdEntry(
-                value=self.recipe.threshold,
-                method="given by hand",
-                alpha=alpha,
-                alpha_floor=1.0,
-                nominal_scores=(),
-            )
+            return given_threshold(self.recipe.threshold, alpha)
         if scores is None:
             raise FitError("no threshold: neither given nor found from the presses")
         return conformal_threshold(scores, alpha, slack=tolerance.around(float(scores.max())))
-
-    def _cost(self, scorer: Scorer) -> CostCard:
-        runs = [scorer.score(self.presses.frames[k % len(self.presses)]) for k in range(9)]
-        entries = scorer.bundle.manifest.bank.values()
-        return CostCard(
-            trunk_ms=float(np.median([run.trunk_ms for run in runs])),
-            head_ms=float(np.median([run.head_ms for run in runs])),
-            threads=self.recipe.threads,
-            features_s=self.seconds["features"],
-            fit_s=self.seconds["fit"],
-            threshold_s=self.seconds["threshold"],
-            bank_bytes_stored=sum(entry.bytes_stored for entry in entries),
-            bank_bytes_unpacked=sum(entry.bytes_unpacked for entry in entries),
-        )
 
     def _files(
         self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]
@@ -292,14 +247,8 @@ class _Fit:
             grid=GridEntry.of(self.grid),
             threshold=threshold,
             tolerance=tolerance,
-            contact=_contact_range(self.presses),
-            provenance=Provenance(
-                created=self.created,
-                presses=self.presses.names,
-                seed=recipe.seed,
-                versions=_versions(),
-                warnings=tuple(self.warnings),
-            ),
+            contact=contact_range(self.presses),
+            provenance=provenance(self.created, self.presses, recipe.seed, self.warnings),
         )
 
 
@@ -324,74 +273,7 @@ def _as_stored(bank: Bank, name: str) -> NDArray[Any]:
         raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
 
 
-def _placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:
-    return (
-        ThresholdEntry(value=0.0, method="not yet", alpha=0.5, alpha_floor=1.0, nominal_scores=()),
-        ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0),
-    )
-
-
-def _golden_frame(scored: Scored, rgb: NDArray[np.uint8], what: str) -> GoldenFrame:
-    return GoldenFrame(rgb, what, scored.anomaly_score, map_peaks(scored.score_map))
-
-
-def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The frame with a grey square of an eighth of its side in the middle: a score far out is checked as well."""
-    h, w = rgb.shape[:2]
-    painted, half = rgb.copy(), max(1, min(h, w) // 16)
-    painted[h // 2 - half : h // 2 + half, w // 2 - half : w // 2 + half] = 40
-    return painted
-
-
-def _contact_range(presses: NominalPresses) -> ContactRange | None:
-    if not presses.touches:
-        return None
-
-    def around(values: list[float]) -> tuple[float, float]:
-        low, high = min(values), max(values)
-        margin = max(CONTACT_MARGIN, (high - low) / 2)
-        return max(0.0, low - margin), min(1.0, high + margin)
-
-    touches = presses.touches
-    return ContactRange(
-        x=around([t.x for t in touches]),
-        y=around([t.y for t in touches]),
-        area=around([t.area for t in touches]),
-    )
-
-
-def _warnings(presses: NominalPresses, recipe: Recipe) -> list[str]:
-    region, n = recipe.region, len(presses)
-    if n == 0:
-        raise FitError("no nominal press was given; give at least 2")
-    if presses.frames.shape[1:3] != (region.height, region.width):
-        raise FitError(
-            f"presses are {presses.frames.shape[1:3]}, the region is {region} (h, w differ); read them anew"
-        )
-    if recipe.threshold is None:
-        conformal_threshold(np.zeros(n), recipe.alpha)  # refuses too few presses before any work is done
-    found = []
-    distinct = len({frame.tobytes() for frame in presses.frames})
-    if distinct < n:
-        found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
-    if n < 1 / recipe.alpha - 1 and recipe.threshold is None:
-        found.append(
-            f"{n} presses promise a false-alarm rate of 1/{n + 1} at best; {int(np.ceil(1 / recipe.alpha)) - 1} are "
-            f"needed for {recipe.alpha:g}"
-        )
-    return found
-
-
 def _plain(parameters: object) -> dict[str, Any]:
     if is_dataclass(parameters) and not isinstance(parameters, type):
         return asdict(parameters)
     return dict(vars(parameters))
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "gelgate": importlib.metadata.version("gelgate"),
-        "numpy": np.__version__,
-        "onnxruntime": ort.__version__,
-        "python": platform.python_version(),
-    }

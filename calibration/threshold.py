@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.core.errors import FitError
 from edge.manifest import ThresholdEntry
 
-__all__ = ["FLOOR_MARGIN", "conformal_threshold", "folds"]
+__all__ = ["FLOOR_MARGIN", "check_alpha", "conformal_threshold", "folds"]
 
 FLOOR_MARGIN = 0.25
 """Where n presses cannot promise the rate asked for, the largest score is raised by this share of the distance from
@@ -25,15 +25,18 @@ MIN_SCORES = 2
 
 
 def conformal_threshold(
-    scores: Sequence[float] | NDArray[np.float64], alpha: float, slack: float = 0.0
+    scores: Sequence[float] | NDArray[np.float64],
+    alpha: float,
+    slack: float = 0.0,
+    kind: str = "cross-conformal",
 ) -> ThresholdEntry:
     """The threshold at which a nominal press fails with probability alpha at most, if n allows it.
 
     scores: anomaly scores of nominal presses that the scoring bank did not know. slack: smallest margin above the
-    largest score where the floor holds; the numerical tolerance. Errors: FitError for fewer than two scores.
+    largest score where the floor holds; the numerical tolerance. kind: how the scores came about, for the record.
+    Errors: FitError for fewer than two scores.
     """
-    if not 0 < alpha < 1:
-        raise FitError(f"the false-alarm rate lies between 0 and 1, found {alpha}; 0.05 is one in twenty")
+    check_alpha(alpha)
     ordered = np.sort(np.asarray(scores, np.float64))
     n = len(ordered)
     if n < MIN_SCORES:
@@ -47,16 +50,20 @@ def conformal_threshold(
     # In exact arithmetic (n + 1) alpha may be a whole number that floats miss by a hair.
     rank = math.ceil((n + 1) * (1 - alpha) - 1e-9)
     if rank <= n:
-        value, method = float(ordered[rank - 1]), f"cross-conformal quantile, rank {rank} of {n}"
+        value, method = float(ordered[rank - 1]), f"{kind} quantile, rank {rank} of {n}"
     else:
         margin = max(FLOOR_MARGIN * float(ordered[-1] - np.median(ordered)), slack)
         value = float(ordered[-1]) + margin
-        method = (
-            f"largest of {n} out-of-fold scores plus {margin:.4g}: a rate below 1/{n + 1} needs more presses"
-        )
+        method = f"{kind}: largest of {n} scores plus {margin:.4g}: a rate below 1/{n + 1} needs more presses"
     return ThresholdEntry(
         value=value, method=method, alpha=alpha, alpha_floor=floor, nominal_scores=tuple(map(float, ordered))
     )
+
+
+def check_alpha(alpha: float) -> None:
+    """Errors: FitError for a false-alarm rate that is none."""
+    if not 0 < alpha < 1:
+        raise FitError(f"the false-alarm rate lies between 0 and 1, found {alpha}; 0.05 is one in twenty")
 
 
 def folds(specimens: Sequence[str | None], count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:

@@ -120,8 +120,13 @@ def test_a_threshold_can_be_given() -> None:
         (presses(1), {}, "1 nominal press gives no threshold"),
         (NominalPresses(np.zeros((0, 32, 32, 3), np.uint8), ()), {}, "no nominal press"),
         (presses(3), {"alpha": 1.5}, "false-alarm rate"),
+        (presses(3), {"alpha": 0.0}, "false-alarm rate"),
         (presses(3), {"overrides": {"gian": 2.0}}, "no such parameter"),
-        (NominalPresses(np.zeros((3, 32, 31, 3), np.uint8), ("",) * 3), {}, "the region is 8,4,32x32"),
+        (
+            NominalPresses(np.zeros((3, 32, 31, 3), np.uint8), ("",) * 3),
+            {},
+            r"presses are \(32, 31\), the region",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_a_sentence(nominal: NominalPresses, changes: dict, reason: str) -> None:
