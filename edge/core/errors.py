@@ -1,25 +1,25 @@
 """Every error that gelgate raises, drawn as a tree; each leaf says whose fault it is and what comes next.
 
-    GelgateError
-    ├── ConfigError        operator · fix the configuration; the gateway does not start
-    ├── BundleError        operator · re-export or replace the bundle; the gateway does not start
-    │   ├── BundleCorrupt      a hash, a shape or a golden frame differs from the manifest
-    │   └── BundleMismatch     a sound bundle for another sensor profile, or from a newer program
-    ├── RecordingError     operator · the folder is not a recording, or a frame in it is missing
-    ├── DatasetError       operator · files are missing, misnamed or wrongly sized
-    ├── DeviceError        device · counted, published, retried with back-off
-    │   ├── DeviceNotFound     nothing that is the configured sensor is plugged in
-    │   ├── DeviceBusy         another process or driver holds it
-    │   ├── DeviceLost         it was there and is gone: unplugged, or it stopped answering
-    │   ├── DeviceStalled      it is there, but no new frame arrived before the deadline (a TimeoutError)
-    │   ├── FrameCorrupt       one frame is broken; the next may be good
-    │   └── RecordingEnded     a recording was played to its end
-    ├── SinkError          broker · the row stays in the outbox and is sent again
-    │   ├── SinkUnavailable    not connected, or no acknowledgement in time
-    │   └── SinkRejected       the broker refused the message or the credentials
-    ├── StoreError         machine · disk full or database damaged; inspection halts, nothing is published as pass
-    ├── NotScorable        press · this press has no score (NaN, saturated, empty bank); never a pass
-    └── FitError           operator · the nominal presses do not allow a bank (none, mixed sizes, all identical)
+GelgateError
+├── ConfigError        operator · fix the configuration; the gateway does not start
+├── BundleError        operator · re-export or replace the bundle; the gateway does not start
+│   ├── BundleCorrupt      a hash, a shape or a golden frame differs from the manifest
+│   └── BundleMismatch     a sound bundle for another sensor profile, or from a newer program
+├── RecordingError     operator · the folder is not a recording, or a frame in it is missing
+├── DatasetError       operator · files are missing, misnamed or wrongly sized
+├── DeviceError        device · counted, published, retried with back-off
+│   ├── DeviceNotFound     nothing that is the configured sensor is plugged in
+│   ├── DeviceBusy         another process or driver holds it
+│   ├── DeviceLost         it was there and is gone: unplugged, or it stopped answering
+│   ├── DeviceStalled      it is there, but no new frame arrived before the deadline (a TimeoutError)
+│   ├── FrameCorrupt       one frame is broken; the next may be good
+│   └── RecordingEnded     a recording was played to its end
+├── SinkError          broker · the row stays in the outbox and is sent again
+│   ├── SinkUnavailable    not connected, or no acknowledgement in time
+│   └── SinkRejected       the broker refused the message or the credentials
+├── StoreError         machine · disk full or database damaged; inspection halts, nothing is published as pass
+├── NotScorable        press · this press has no score (NaN, saturated, empty bank); never a pass
+└── FitError           operator · the nominal presses do not allow a bank (none, mixed sizes, all identical)
 """
 
 __all__ = [
