@@ -176,7 +176,8 @@ def test_runs_where_only_torch_and_numpy_are(tmp_path: Path) -> None:
         "for name in ('onnx','onnxruntime','typer','pydantic','rich','sklearn','scipy','matplotlib','paho','usb'):\n"
         "    sys.modules[name] = None\n"
         "from calibration.backbone.train import main\n"
-        f"sys.exit(main(['--out', {str(tmp_path)!r}, '--steps', '1', '--pairs', '1', '--side', '64', '--threads', '1']))\n"
+        "small = ['--steps', '1', '--pairs', '1', '--side', '64', '--threads', '1']\n"
+        f"sys.exit(main(['--out', {str(tmp_path)!r}, *small]))\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
