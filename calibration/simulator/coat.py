@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.simulator import steady
 from calibration.simulator.field import CROP_MM, F32, Field, grids
 
 __all__ = [
@@ -75,7 +76,7 @@ def dust_relief(of: Dust, presses: int, field: Field) -> F32:
             break
         window = _window(field, gx, gy, 3 * radius)
         r2 = (x[window] - np.float32(gx)) ** 2 + (y[window] - np.float32(gy)) ** 2
-        relief[window] += np.float32(height) * np.exp(-r2 / np.float32(2 * radius * radius))
+        relief[window] += np.float32(height) * steady.exp(-r2 / np.float32(2 * radius * radius))
     return relief
 
 
@@ -155,7 +156,7 @@ def wear_relief(of: Wear, presses: int, field: Field) -> F32:
             - np.float32(math.sin(turn)) * dx
             + np.float32(0.03) * along * along
         )
-        line = np.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
+        line = steady.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
         ends = np.clip((np.float32(length / 2) - np.abs(along)) / np.float32(0.3), 0, 1)
         relief[window] -= np.float32(depth) * line * ends
     return relief
@@ -171,7 +172,7 @@ def wear_stains(of: Wear, presses: int, field: Field) -> F32:
         # A stain darkens for as long again as it took to appear.
         share = min(1.0, (presses - came) / max(came, 1.0))
         r2 = (x - np.float32(sx)) ** 2 + (y - np.float32(sy)) ** 2
-        keeps *= np.float32(1) - np.float32(lost * share) * np.exp(-r2 / np.float32(2 * radius * radius))
+        keeps *= np.float32(1) - np.float32(lost * share) * steady.exp(-r2 / np.float32(2 * radius * radius))
     return keeps
 
 
@@ -192,7 +193,7 @@ def grain_texture(rng: np.random.Generator, field: Field) -> F32:
     texture = rng.standard_normal(field.shape, dtype=np.float32)
     sx, sy = (_GRAIN_SIGMA_MM / m for m in field.mm_per_px)
     texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), sx, sigmaY=sy), dtype=np.float32)
-    return texture / np.float32(texture.std())
+    return texture / np.float32(texture.std(dtype=np.float64))
 
 
 def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:

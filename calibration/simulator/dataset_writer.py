@@ -28,6 +28,7 @@ from calibration.simulator.look import LOOKS
 from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.steady import steady_opencv
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -155,6 +156,11 @@ def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
 
 
 def _write_piece(task: _Task) -> int:
+    with steady_opencv():
+        return _written(task)
+
+
+def _written(task: _Task) -> int:
     for plan in task.presses:
         paths = {kind: task.folder / path for kind, path in outputs(task.scene, plan).items()}
         if all(path.is_file() for path in paths.values()):

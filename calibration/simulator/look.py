@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.simulator import steady
 from calibration.simulator.field import F32, Field, unit_grids
 
 __all__ = ["LOOKS", "Look", "background", "random_look", "response"]
@@ -234,14 +235,13 @@ def background(look: Look, over: Field) -> F32:
     """The untouched gel, float32 (3, h, w), grey levels 0 to 255."""
     u, v = unit_grids(over)
     powers = [(i, j) for i in range(5) for j in range(5 - i)]
-    terms = np.stack([u**i * v**j for i, j in powers]).astype(np.float32)
-    levels = np.exp(np.tensordot(look.free_gel.astype(np.float32), terms, axes=1))
-    return np.asarray(levels, dtype=np.float32)
+    terms = np.stack([u**i * v**j for i, j in powers]).astype(np.float64)
+    return steady.exp(np.tensordot(look.free_gel, terms, axes=1))
 
 
 def response(look: Look, over: Field) -> F32:
     """Grey levels per nx and per ny, float32 (3, 2, h, w): the lights fall off across the gel."""
     u, v = unit_grids(over)
-    terms = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])
-    table = look.slope_response[:, :12].reshape(3, 2, 6).astype(np.float32)
+    terms = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v]).astype(np.float64)
+    table = look.slope_response[:, :12].reshape(3, 2, 6)
     return np.asarray(np.tensordot(table, terms, axes=1), dtype=np.float32)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.simulator import steady
 from calibration.simulator.field import F32
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau, ramp, rotate
@@ -143,8 +144,10 @@ def _ridges(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         u, v = rotate(x, y, turn)
-        phase = (u + np.float32(wave) * np.sin(v * np.float32(bend))) * np.float32(2 * math.pi / wavelength)
-        crest = (0.5 + 0.5 * np.cos(phase)) ** np.float32(power)
+        phase = (u + np.float32(wave) * steady.sin(v * np.float32(bend))) * np.float32(
+            2 * math.pi / wavelength
+        )
+        crest = steady.power(0.5 + 0.5 * steady.cos(phase), power)
         patch = ramp(-box(x, y, float(reach[0]), float(reach[1])) / np.float32(0.3))
         return f32(np.float32(depth) * (crest - 1) * patch)
 
@@ -204,7 +207,7 @@ def _ripple(half: Half, rng: np.random.Generator) -> Relief:
         total = np.zeros_like(x)
         for (kx, ky), phase, rise in waves:
             total += np.float32(rise) * (
-                np.sin(np.float32(kx) * x + np.float32(ky) * y + np.float32(phase)) - 1
+                steady.sin(np.float32(kx) * x + np.float32(ky) * y + np.float32(phase)) - 1
             )
         return total
 

@@ -20,6 +20,7 @@ from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.steady import steady_opencv
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -136,9 +137,12 @@ def _renderer(scene: Scene, seed: int) -> Renderer:
 
 
 def _frames(task: _Task) -> list[FrameOut]:
-    if task.press is None:
-        return _idle_frames(task)
-    return list(press_frames(task.scene, task.seed, task.index, task.first_frame, task.press, task.previous))
+    with steady_opencv():
+        if task.press is None:
+            return _idle_frames(task)
+        return list(
+            press_frames(task.scene, task.seed, task.index, task.first_frame, task.press, task.previous)
+        )
 
 
 def _idle_frames(task: _Task) -> list[FrameOut]:
@@ -169,7 +173,9 @@ def press_frames(
     height = sample(whole if defect is None else Damaged(whole, defect), placed, renderer.field)
     depth = scene.press_depth_mm * placed.depth_factor
     angle = (
-        float(streams("motion_blur", *plan.key).uniform(0, 2 * np.pi)) if "motion_blur" in scene.effects else 0.0
+        float(streams("motion_blur", *plan.key).uniform(0, 2 * np.pi))
+        if "motion_blur" in scene.effects
+        else 0.0
     )
     left = _left_by(previous, scene, seed)
     light, shown = None, None

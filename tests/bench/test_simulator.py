@@ -1,0 +1,114 @@
+"""What each effect costs and what it changes, and frames a second for each effect set.
+
+The cost of an effect is the processor time of a press with all effects less that without it; what it changes is the
+mean absolute difference of the two pictures in grey levels. One thread, least of several rounds in turn.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.scene import load_scene
+from calibration.simulator import (
+    DEFAULT_EFFECTS,
+    EFFECTS,
+    HR,
+    LR,
+    PARTS,
+    Exposure,
+    Field,
+    Pose,
+    Renderer,
+    native_field,
+)
+from calibration.simulator.plan import recording_plan
+from calibration.simulator.pose import sample
+from calibration.simulator.record import press_frames
+
+PART = PARTS["PZ3"].positions["pos1"]
+SETS = {
+    "none": (),
+    "shape and light": ("deformation", "illumination"),
+    "default": DEFAULT_EFFECTS,
+    "all": tuple(EFFECTS),
+}
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def best_ms(*works: Callable[[int], object], rounds: int = 10) -> list[float]:
+    """The least processor time of each, taken in turn so that all see the same machine."""
+    best = [float("inf")] * len(works)
+    for k in range(rounds + 1):
+        for which, work in enumerate(works):
+            start = time.process_time()
+            work(k)
+            if k:
+                best[which] = min(best[which], time.process_time() - start)
+    return [1000 * seconds for seconds in best]
+
+
+def press(renderer: Renderer, k: int) -> np.ndarray:
+    """One press on a worn gel, with something left of the press before, warm lamps and a slide."""
+    key = ("bench", k)
+    placed = renderer.place(Pose(), key)
+    imprint = renderer.imprint(sample(PART, placed, renderer.field), 0.4 * placed.depth_factor)
+    surface = renderer.surface(imprint, 600, (np.roll(imprint, imprint.shape[1] // 8, axis=1), 0.5))
+    return renderer.expose(renderer.light(surface, 600), key, Exposure(0, 5.0, (4.0, 2.0)))
+
+
+@pytest.mark.bench
+def test_frames_a_second_for_each_effect_set() -> None:
+    """Budget on two cores: 20 LR and 3 HR frames a second with the default effects; printed, not judged."""
+    with one_thread():
+        print("\nframes per second of one processor (every frame another press)")
+        print(f"{'effects':<18}" + "".join(f"{name:>14}" for name in ("320x240", "1280x720", "native/4")))
+        for name, effects in SETS.items():
+            rates = []
+            for field in (LR, HR, native_field()):
+                renderer = Renderer(field, effects)
+                rates.append(1000 / best_ms(lambda k, r=renderer: press(r, k))[0])  # type: ignore[misc]
+            print(f"{name:<18}" + "".join(f"{rate:>14.1f}" for rate in rates))
+
+
+@pytest.mark.bench
+@pytest.mark.parametrize("field", [LR, HR], ids=["320x240", "1280x720"])
+def test_what_each_effect_costs_and_changes(field: Field) -> None:
+    """Time of each effect alone against how far it moves the picture."""
+    with one_thread():
+        names = tuple(EFFECTS)
+        renderers = [Renderer(field, names)]
+        renderers += [Renderer(field, tuple(other for other in names if other != name)) for name in names]
+        whole, *rest = best_ms(*[lambda k, r=renderer: press(r, k) for renderer in renderers])  # type: ignore[misc]
+        print(f"\n{field.size[0]}x{field.size[1]}: all effects {whole:.1f} ms")
+        print(f"{'effect':<18}{'ms':>8}{'share':>8}{'levels changed':>16}")
+        picture = press(renderers[0], 1).astype(np.float32)
+        for name, less, renderer in zip(names, rest, renderers[1:], strict=True):
+            change = np.abs(picture - press(renderer, 1)).mean()
+            print(f"{name:<18}{whole - less:>8.2f}{(whole - less) / whole:>8.1%}{change:>16.2f}")
+
+
+@pytest.mark.bench
+def test_a_recordings_frames_a_second() -> None:
+    """The demo's native frames with whole press motions, camera bytes included, one thread."""
+    scene = load_scene("demo")
+    plans = recording_plan(scene, scene.runs[1], 0, 0.8)
+    with one_thread():
+        list(press_frames(scene, 0, 0, 0, plans[0], None))
+        start = time.process_time()
+        frames = sum(len(list(press_frames(scene, 0, k, 100 * k, plans[k], plans[k - 1]))) for k in (1, 2, 3))
+        print(
+            f"\ndemo recording: {frames / (time.process_time() - start):.1f} native frames per second of one processor"
+        )

@@ -1,0 +1,57 @@
+"""Equal seeds give equal bytes, whatever vector instructions the processor offers."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+SCRIPT = """
+import hashlib, sys
+from calibration.simulator import EFFECTS, LR, PARTS, Renderer, named_streams, native_field
+from calibration.simulator.random_parts import random_part
+from calibration.simulator.defects import Damaged, Defect
+from calibration.simulator.steady import steady_opencv
+total = hashlib.sha256()
+with steady_opencv():
+    for number, part in enumerate(PARTS.values()):
+        for field in (LR, native_field(8)):
+            renderer = Renderer(field, tuple(EFFECTS), streams=named_streams(number))
+            sound = part.positions["pos1"]
+            for kind in ("dent", "burr", "abrasion", "material_loss", "impact_mark"):
+                worn = Damaged(sound, Defect(kind, 0.7, (0.3, 1.0), 0.5, 1.0, 3))
+                total.update(renderer.press(worn, 0.4, (kind,), presses=400).tobytes())
+    for number in range(8):
+        stream = named_streams(number)
+        total.update(Renderer(LR, tuple(EFFECTS), streams=stream).press(random_part(stream("part")), 0.4).tobytes())
+sys.stdout.write(total.hexdigest())
+"""
+
+
+def digest(**settings: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        env={**os.environ, **settings},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {
+            "OPENCV_IPP": "disabled",
+            "OPENCV_CPU_DISABLE": "AVX,AVX2,FMA3,AVX512-SKX,AVX512-ICL",
+            "OMP_NUM_THREADS": "1",
+        },
+        {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL", "OPENBLAS_CORETYPE": "Nehalem"},
+    ],
+    ids=["opencv", "numpy"],
+)
+def test_fewer_vector_instructions_give_the_same_pictures(settings: dict[str, str]) -> None:
+    """Every effect on every part, damaged and random ones: one digest, with and without the wide instructions."""
+    assert digest() == digest(**settings)
