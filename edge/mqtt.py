@@ -25,7 +25,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
 
-__all__ = ["Broker", "Connection", "Level", "Outgoing", "Received", "Tls"]
+__all__ = ["Broker", "Connection", "Level", "LevelRefused", "Outgoing", "Received", "Tls"]
 
 Level = Literal["5", "3.1.1"]
 
@@ -138,7 +138,7 @@ class Connection:
             connection = cls(trial, "5", will, on_received, on_lost)
             connection.broker = broker
             return connection
-        except _LevelRefused:
+        except LevelRefused:
             return cls(broker, "3.1.1", will, on_received, on_lost)
 
     def __init__(
@@ -272,7 +272,7 @@ class Connection:
         if consent is None and self._is_lost and not why:
             why = "it closed the connection without an answer"
         if self.level == "5" and (consent is None or consent.value in (0x01, 0x84)):
-            return _LevelRefused(
+            return LevelRefused(
                 f"broker {self.broker} does not speak MQTT 5 ({consent or why or 'no answer'})"
             )
         if consent is None:
@@ -393,5 +393,5 @@ class Connection:
         )
 
 
-class _LevelRefused(SinkUnavailable):
+class LevelRefused(SinkUnavailable):
     """The broker is there but does not speak this level; the next one is tried."""

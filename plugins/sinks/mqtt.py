@@ -25,7 +25,7 @@ from edge.core.backoff import Backoff
 from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.station import Station
-from edge.mqtt import Broker, Connection, Level, Outgoing, Received, Tls
+from edge.mqtt import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
 
 __all__ = ["MqttSink", "Options", "TlsOptions", "open"]
 
@@ -158,6 +158,8 @@ class MqttSink:
             try:
                 connection = self._connect(lost)
             except SinkError as error:
+                if isinstance(error, LevelRefused):
+                    self._worked = None  # another broker stands there now: search for its level anew
                 self._down(str(error))
                 self._tried.set()
                 self._closing.wait(self._backoff.failed())
@@ -176,9 +178,8 @@ class MqttSink:
 
     def _connect(self, lost: threading.Event) -> Connection:
         will = self._station.will
-        level, self._worked = self._worked, None  # after a failure the search for the level begins anew
         connection = Connection.open(
-            replace(self._broker, level=self._broker.level or level),
+            replace(self._broker, level=self._broker.level or self._worked),
             will=None if will is None else self._outgoing(will),
             on_received=self._received,
             on_lost=lost.set,
