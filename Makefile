@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench test-hardware clean
+.PHONY: demo test lint bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -23,6 +23,10 @@ bench: $(VENV)/.test
 # Needs a GelSight Mini on this machine; without one every test is skipped and says so.
 test-hardware: $(VENV)/.test
 	$(BIN)/pytest tests/hardware -m hardware -s
+
+# The virtual sensor under a real kernel in an emulated machine; needs Debian 12 and takes some minutes.
+kernel-lab: $(VENV)/.test
+	nice tests/hardware/kernel_lab/boot.sh
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -4,8 +4,9 @@ Ref: pyusb 1.3.1, usb/backend/libusb1.py, whose private structures are used here
 checks the names); libusb 1.0 API, "asynchronous device I/O". Many transfers are queued, because one at a time loses
 the micro-frames that pass between two calls.
 
-Seen: a virtual camera over USB/IP under a real kernel (Linux 6.1, vhci-hcd, usbfs): frames whole, controls set, interfaces
-given back, unplugged and plugged in again (tests/hardware/kernel_lab). Not yet seen: a sensor on a physical bus.
+Seen: a virtual camera over USB/IP under a real kernel (Linux 6.1, vhci-hcd, usbfs): frames whole, controls set,
+interfaces given back, unplugged and plugged in again (tests/hardware/kernel_lab). Not yet seen: a sensor on a physical
+bus.
 """
 
 import ctypes
