@@ -18,10 +18,10 @@ with steady_opencv():
         for field in (LR, native_field(8)):
             renderer = Renderer(field, tuple(EFFECTS), streams=named_streams(number))
             sound = part.positions["pos1"]
-            for kind in ("dent", "burr", "abrasion", "material_loss", "impact_mark"):
-                worn = Damaged(sound, Defect(kind, 0.7, (0.3, 1.0), 0.5, 1.0, 3))
-                total.update(renderer.press(worn, 0.4, (kind,), presses=400).tobytes())
-    for number in range(8):
+            kind = ("dent", "burr", "abrasion", "material_loss", "impact_mark")[number]
+            worn = Damaged(sound, Defect(kind, 0.7, (0.3, 1.0), 0.5, 1.0, 3))
+            total.update(renderer.press(worn, 0.4, (kind,), presses=400).tobytes())
+    for number in range(6):
         stream = named_streams(number)
         total.update(Renderer(LR, tuple(EFFECTS), streams=stream).press(random_part(stream("part")), 0.4).tobytes())
 sys.stdout.write(total.hexdigest())
@@ -40,6 +40,11 @@ def digest(**settings: str) -> str:
     return done.stdout
 
 
+@pytest.fixture(scope="module")
+def usual() -> str:
+    return digest()
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -52,6 +57,6 @@ def digest(**settings: str) -> str:
     ],
     ids=["opencv", "numpy"],
 )
-def test_fewer_vector_instructions_give_the_same_pictures(settings: dict[str, str]) -> None:
+def test_fewer_vector_instructions_give_the_same_pictures(usual: str, settings: dict[str, str]) -> None:
     """Every effect on every part, damaged and random ones: one digest, with and without the wide instructions."""
-    assert digest() == digest(**settings)
+    assert usual == digest(**settings)
