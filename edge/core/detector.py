@@ -17,6 +17,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.tiles import Tiles
+
 __all__ = ["Bank", "Detector", "Features", "Grid", "Mode", "Nominal", "Packing", "Progress", "ScoreMaps"]
 
 Features = Mapping[str, NDArray[np.float32]]
@@ -37,14 +39,18 @@ class Grid:
     """The geometry that a head is built for.
 
     frame: (h, w) of the inspected region in pixels. taps: tap name to (channels, h, w). pixels_per_mm scales
-    physical sizes such as the one blur.
+    physical sizes such as the one blur. tiles: set where the trunk sees the frame in overlapping tiles and gives its
+    taps as mosaics, tile beside tile; the head puts raw distances together before it blurs.
     """
 
     frame: tuple[int, int]
     taps: Mapping[str, tuple[int, int, int]]
     pixels_per_mm: float
+    tiles: Tiles | None = None
 
     def __post_init__(self) -> None:
+        if self.tiles is not None and self.tiles.frame != self.frame:
+            raise ValueError(f"the tiles are of a frame {self.tiles.frame}, the grid of {self.frame}")
         if not self.taps or min(self.frame) < 1:
             raise ValueError(f"a grid needs taps and a frame, found {self.frame} and {dict(self.taps)}")
 

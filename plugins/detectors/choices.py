@@ -10,7 +10,7 @@ import numpy as np
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
 
-__all__ = ["choose", "require_fittable", "require_scorable"]
+__all__ = ["choose", "repaired", "require_fittable", "require_scorable"]
 
 P = TypeVar("P")
 
@@ -34,11 +34,22 @@ def choose(detector: str, defaults: P, overrides: Mapping[str, Any]) -> P:
         raise FitError(f"{detector}: {error}") from error
 
 
-def require_fittable(detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...]) -> None:
+def repaired(parameters: Any, paper: Any, switches: tuple[str, ...]) -> list[str]:
+    """The named switches whose value is not the published one, as `name=value`: what a manifest lists as repairs."""
+    values = {name: (getattr(parameters, name), getattr(paper, name)) for name in switches}
+    return [f"{name}={ours}" for name, (ours, published) in values.items() if ours != published]
+
+
+def require_fittable(
+    detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...], *, is_tileable: bool = False
+) -> None:
     """Refuse presses that no bank can be learnt from.
 
-    Errors: FitError when a tap is missing, there is no press, a shape differs from the grid, or a value is not finite.
+    is_tileable: whether this detector's head can put a mosaic of tiles together. Errors: FitError when a tap is
+    missing, there is no press, a shape differs from the grid, a value is not finite, or the grid is of tiles.
     """
+    if grid.tiles is not None and not is_tileable:
+        raise FitError(f"{detector} does not work on tiles; use a trunk that sees the frame in one piece")
     _check(detector, "nominal presses", nominal.features, grid, taps)
     if nominal.no_contact is not None:
         _check(detector, "no-contact frames", nominal.no_contact, grid, taps)

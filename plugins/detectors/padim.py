@@ -100,7 +100,9 @@ class PadimParameters:
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
-        return Smoothing(cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear")
+        return Smoothing(
+            cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
+        )
 
 
 PAPER = PadimParameters(
@@ -140,7 +142,11 @@ class Padim:
         progress: Progress,
     ) -> Bank:
         """Means and eigenpairs per touched cell, one shared set elsewhere. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps)
+        require_fittable(self.name, nominal, grid, parameters.taps, is_tileable=True)
+        if grid.tiles is not None and parameters.neighbours:
+            raise FitError(
+                "padim: tiles do not know each other's cells; choose neighbours=0, or inspect in one piece"
+            )
         cells = grid.taps[parameters.grid_tap][1:]
         touched = np.ones(cells[0] * cells[1], bool)
         if parameters.is_touched_only:

@@ -70,7 +70,9 @@ class SubspaceParameters:
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
-        return Smoothing(cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear")
+        return Smoothing(
+            cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
+        )
 
 
 # Descriptors are made in float32: a variance below this part of their power is rounding, (6e-8)^2 and a margin.
@@ -110,7 +112,7 @@ class Subspace:
         progress: Progress,
     ) -> Bank:
         """centre (d,) and basis (r, d) of all cells of all presses. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps)
+        require_fittable(self.name, nominal, grid, parameters.taps, is_tileable=True)
         rows, columns = grid.taps[parameters.grid_tap][1:]
         embedding = learn_embedding(parameters.embedding, grid, nominal, np.ones(rows * columns, bool), rng)
         descriptors = embedding.numpy(nominal.features, np.float32)

@@ -109,8 +109,11 @@ class Embedding:
     def index(self, tap: str) -> NDArray[np.int64]:
         """The flat cell of `tap` (averaged to the grid where it is finer) for each cell of the grid, int64 (cells,)."""
         shape = self._shape(tap)
+        tiles = self.grid.tiles
+        counts = (1, 1) if tiles is None else (len(tiles.rows), len(tiles.columns))
         rows, columns = (
-            _repeat(of, to, self.choice.is_sampled) for of, to in zip(shape, self.cells, strict=True)
+            _repeat(of, to, self.choice.is_sampled, count)
+            for of, to, count in zip(shape, self.cells, counts, strict=True)
         )
         flat: NDArray[np.int64] = (rows[:, None] * shape[1] + columns[None]).ravel()
         return flat
@@ -248,10 +251,9 @@ def touched_cells(
     margin = margin_mm * grid.pixels_per_mm
     count = np.pad(nominal.touched.astype(np.int64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     bounds = []
-    for number, pixels in zip(cells, grid.frame, strict=True):
-        edges = np.arange(number + 1) * (pixels / number)
-        low = np.clip(np.floor(edges[:-1] - margin), 0, pixels).astype(np.int64)
-        bounds.append((low, np.clip(np.ceil(edges[1:] + margin), 0, pixels).astype(np.int64)))
+    for first, side, pixels in zip(*_squares(grid, cells), grid.frame, strict=True):
+        low = np.clip(np.floor(first - margin), 0, pixels).astype(np.int64)
+        bounds.append((low, np.clip(np.ceil(first + side + margin), 0, pixels).astype(np.int64)))
     (top, bottom), (left, right) = bounds
     inside = (
         count[np.ix_(bottom, right)]
@@ -263,8 +265,28 @@ def touched_cells(
     return touched
 
 
-def _repeat(cells: int, onto: int, is_sampled: bool) -> NDArray[np.int64]:
-    """Which of `cells` stands for each of `onto` finer cells: floor, or the nearest sample (ties to the right)."""
+def _squares(
+    grid: Grid, cells: tuple[int, int]
+) -> tuple[tuple[NDArray[np.float64], ...], tuple[float, float]]:
+    """First pixel of every row and column of a grid, and the sides of a cell in pixels."""
+    if grid.tiles is None:
+        sides = (grid.frame[0] / cells[0], grid.frame[1] / cells[1])
+        firsts = tuple(
+            np.arange(number, dtype=np.float64) * side for number, side in zip(cells, sides, strict=True)
+        )
+        return firsts, sides
+    of_tile = cells[0] // len(grid.tiles.rows), cells[1] // len(grid.tiles.columns)
+    return grid.tiles.edges(of_tile), (grid.tiles.size / of_tile[0], grid.tiles.size / of_tile[1])
+
+
+def _repeat(cells: int, onto: int, is_sampled: bool, tiles: int = 1) -> NDArray[np.int64]:
+    """Which of `cells` stands for each of `onto` finer cells: floor, or the nearest sample (ties to the right).
+
+    tiles: how many tiles lie along the axis; no cell stands for one of another tile.
+    """
+    if tiles > 1:
+        one = _repeat(cells // tiles, onto // tiles, is_sampled)
+        return (np.arange(tiles)[:, None] * (cells // tiles) + one).ravel()
     if cells >= onto:
         return np.arange(onto)
     ratio = 2 ** round(np.log2(onto / cells)) if is_sampled else 0

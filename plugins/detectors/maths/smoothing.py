@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Grid, ScoreMaps
+from edge.core.tiles import Tiles
 from plugins.graph import Graph, Value
 
 __all__ = [
@@ -103,29 +104,39 @@ class Smoothing:
     """How a grid of raw distances becomes the score map.
 
     cells: (rows, columns) of the grid. frame: (h, w) in pixels. sigma_px: the blur, in pixels of the frame.
+    tiles: set where the grid is a mosaic of tiles; they are blended first, so that no blur meets the edge of a tile.
     """
 
     cells: tuple[int, int]
     frame: tuple[int, int]
     sigma_px: float
     upsampling: Upsampling = "bilinear"
+    tiles: Tiles | None = None
 
     @classmethod
     def of(
         cls, grid: Grid, cells: tuple[int, int], sigma_mm: float, upsampling: Upsampling = "bilinear"
     ) -> "Smoothing":
         """The blur given as a physical size, so that it is the same on the part at every resolution."""
-        return cls(cells, grid.frame, sigma_mm * grid.pixels_per_mm, upsampling)
+        return cls(cells, grid.frame, sigma_mm * grid.pixels_per_mm, upsampling, grid.tiles)
 
     @property
     def rows(self) -> NDArray[np.float64]:
         """float64 (h, grid rows)."""
-        return smoothing_matrix(self.cells[0], self.frame[0], self.sigma_px, self.upsampling)
+        if self.tiles is None:
+            return smoothing_matrix(self.cells[0], self.frame[0], self.sigma_px, self.upsampling)
+        return self._over(self.tiles.blend_rows(self.cells[0] // len(self.tiles.rows)), self.frame[0])
 
     @property
     def columns(self) -> NDArray[np.float64]:
         """float64 (w, grid columns)."""
-        return smoothing_matrix(self.cells[1], self.frame[1], self.sigma_px, self.upsampling)
+        if self.tiles is None:
+            return smoothing_matrix(self.cells[1], self.frame[1], self.sigma_px, self.upsampling)
+        return self._over(self.tiles.blend_columns(self.cells[1] // len(self.tiles.columns)), self.frame[1])
+
+    def _over(self, blend: NDArray[np.float64], pixels: int) -> NDArray[np.float64]:
+        """One axis of a mosaic: blended onto the frame's own grid, then upsampled and blurred."""
+        return smoothing_matrix(len(blend), pixels, self.sigma_px, self.upsampling) @ blend
 
     def __call__(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
         """The smooth map, float64 (n, h, w), of raw distances (n, grid rows, grid columns)."""

@@ -1,0 +1,140 @@
+"""`tile_trunk`: any trunk becomes one that sees a large frame in overlapping tiles and gives its taps as mosaics.
+
+The tiles are cut inside the graph and go through the trunk as a batch; each tap then lies tile beside tile, (n, c,
+tile rows * h, tile columns * w). To a head that is one larger map in which every tile's locations are its own, so a
+bank per tile and location comes of itself, and blending is a matrix (edge.core.tiles). The layout stands in the file's
+metadata, where the fit finds it.
+"""
+
+import json
+from typing import Any
+
+from edge.core.errors import ConfigError
+from edge.core.tiles import Tiles
+from plugins.graph import IR_VERSION
+
+__all__ = ["LAYOUT", "tile_trunk", "tiles_of"]
+
+# The metadata entry that holds the layout as JSON: frame (h, w), size, rows, columns.
+LAYOUT = "gelgate_tiles"
+# The coarsest stride of the family (layer4): tiles of other sizes would round their grids up.
+STRIDE = 32
+
+
+def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
+    """The trunk over tiles, serialised. Input `frames` uint8 (n, *tiles.frame, 3), outputs the same taps as mosaics.
+
+    Errors: ConfigError for a trunk without the one input `frames`, one that is tiled already, or a tile size that is
+    not a multiple of 32.
+    """
+    import onnx
+    from onnx import helper
+
+    if tiles.size % STRIDE:
+        raise ConfigError(f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}")
+    model = onnx.load_from_string(trunk)
+    if [i.name for i in model.graph.input] != ["frames"] or any(
+        p.key == LAYOUT for p in model.metadata_props
+    ):
+        raise ConfigError("only a plain trunk, with the one input 'frames' and no tiles yet, can be tiled")
+    shapes = _tap_shapes(model, tiles)
+    for node in model.graph.node:
+        node.input[:] = ["tiles" if name == "frames" else name for name in node.input]
+        node.output[:] = [f"{name}_of_tiles" if name in shapes else name for name in node.output]
+        node.input[:] = [f"{name}_of_tiles" if name in shapes else name for name in node.input]
+    constants: list[Any] = []
+    before = _cut(tiles, constants)
+    after = [node for tap, shape in shapes.items() for node in _mosaic(tap, shape, tiles, constants)]
+    graph = helper.make_graph(
+        [*before, *model.graph.node, *after],
+        f"{model.graph.name}_tiled",
+        [helper.make_tensor_value_info("frames", onnx.TensorProto.UINT8, ["n", *tiles.frame, 3])],
+        [
+            helper.make_tensor_value_info(
+                tap, onnx.TensorProto.FLOAT, ["n", c, h * len(tiles.rows), w * len(tiles.columns)]
+            )
+            for tap, (c, h, w) in shapes.items()
+        ],
+        initializer=[*model.graph.initializer, *constants],
+    )
+    tiled = helper.make_model(
+        graph, opset_imports=model.opset_import, ir_version=IR_VERSION, producer_name="gelgate"
+    )
+    layout = {"frame": tiles.frame, "size": tiles.size, "rows": tiles.rows, "columns": tiles.columns}
+    facts = {entry.key: entry.value for entry in model.metadata_props}
+    helper.set_model_props(tiled, {**facts, LAYOUT: json.dumps(layout)})
+    onnx.checker.check_model(tiled, full_check=True)
+    return bytes(tiled.SerializeToString())
+
+
+def tiles_of(metadata: dict[str, str]) -> Tiles | None:
+    """The layout in a trunk's metadata, None for a plain trunk. Errors: ConfigError for a layout that is none."""
+    if LAYOUT not in metadata:
+        return None
+    try:
+        layout = json.loads(metadata[LAYOUT])
+        h, w = layout["frame"]
+        return Tiles((h, w), layout["size"], tuple(layout["rows"]), tuple(layout["columns"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"the trunk's tile layout cannot be read ({error}); tile the trunk again"
+        ) from error
+
+
+def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
+    """Each tap's (c, h, w) for one tile."""
+    import onnx
+
+    fixed = onnx.ModelProto()
+    fixed.CopyFrom(model)
+    for place, size in enumerate((1, tiles.size, tiles.size, 3)):
+        fixed.graph.input[0].type.tensor_type.shape.dim[place].dim_value = size
+    for output in fixed.graph.output:
+        for dim in output.type.tensor_type.shape.dim:
+            dim.Clear()
+    inferred = onnx.shape_inference.infer_shapes(fixed, strict_mode=True, data_prop=True)
+    shapes = {}
+    for output in inferred.graph.output:
+        _, c, h, w = (dim.dim_value for dim in output.type.tensor_type.shape.dim)
+        if not min(c, h, w):
+            raise ConfigError(
+                f"the size of the trunk's tap '{output.name}' is not known beforehand; it cannot be tiled"
+            )
+        shapes[output.name] = (c, h, w)
+    return shapes
+
+
+def _cut(tiles: Tiles, constants: list[Any]) -> list[Any]:
+    """frames (n, h, w, 3) to `tiles` (tiles * n, size, size, 3), tile after tile."""
+    from onnx import helper
+
+    axes = _ints("tile_axes", [1, 2], constants)
+    nodes = []
+    for index, (row, column) in enumerate(tiles.places):
+        first = _ints(f"tile_{index}_first", [row, column], constants)
+        last = _ints(f"tile_{index}_last", [row + tiles.size, column + tiles.size], constants)
+        nodes.append(helper.make_node("Slice", ["frames", first, last, axes], [f"tile_{index}"]))
+    return [*nodes, helper.make_node("Concat", [f"tile_{i}" for i in range(len(tiles))], ["tiles"], axis=0)]
+
+
+def _mosaic(tap: str, shape: tuple[int, int, int], tiles: Tiles, constants: list[Any]) -> list[Any]:
+    """A tap of (tiles * n, c, h, w) laid out as (n, c, tile rows * h, tile columns * w)."""
+    from onnx import helper
+
+    c, h, w = shape
+    rows, columns = len(tiles.rows), len(tiles.columns)
+    apart = _ints(f"{tap}_apart", [rows, columns, -1, c, h, w], constants)
+    whole = _ints(f"{tap}_whole", [-1, c, rows * h, columns * w], constants)
+    return [
+        helper.make_node("Reshape", [f"{tap}_of_tiles", apart], [f"{tap}_tiles"]),
+        helper.make_node("Transpose", [f"{tap}_tiles"], [f"{tap}_beside"], perm=[2, 3, 0, 4, 1, 5]),
+        helper.make_node("Reshape", [f"{tap}_beside", whole], [tap]),
+    ]
+
+
+def _ints(name: str, values: list[int], constants: list[Any]) -> str:
+    import numpy as np
+    from onnx import numpy_helper
+
+    constants.append(numpy_helper.from_array(np.array(values, np.int64), name))
+    return name
