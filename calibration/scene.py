@@ -4,11 +4,10 @@ A scene names the effects that it calls for; what it does not name is not comput
 at once, an unknown key with the nearest known one.
 """
 
-import difflib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -18,6 +17,8 @@ from calibration.simulator.look import LOOKS
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
 from edge.core.errors import ConfigError
+from edge.core.nearest import suggestion
+from edge.table_faults import numbered, sentences
 
 __all__ = ["SCENES", "Camera", "Defects", "Motion", "Nominal", "Run", "Scene", "load_scene", "scene_names"]
 
@@ -177,9 +178,7 @@ class Scene(_Table):
 def _known(name: str, known: Mapping[str, object], what: str) -> str:
     if name in known:
         return name
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
-    raise ValueError(f"no {what} is named '{name}'; {hint}")
+    raise ValueError(f"no {what} is named '{name}'; {suggestion(name, known)}")
 
 
 def scene_names() -> list[str]:
@@ -193,43 +192,12 @@ def load_scene(name_or_path: str | Path) -> Scene:
     if path.suffix != ".toml":
         path = SCENES / f"{name_or_path}.toml"
         if not path.is_file():
-            near = difflib.get_close_matches(str(name_or_path), scene_names(), n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(scene_names())}"
-            raise ConfigError(f"no scene is named '{name_or_path}'; {hint} A file's name ends in .toml")
+            hint = suggestion(str(name_or_path), scene_names())
+            raise ConfigError(f"no scene is named '{name_or_path}'; {hint} (a file's name ends in .toml)")
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         return Scene.model_validate(table)
     except ValidationError as error:
-        faults = [_sentence(dict(fault)) for fault in error.errors()]
-        lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
-        raise ConfigError(f"scene {path} has {len(faults)} fault(s):{lines}") from None
+        raise ConfigError(numbered(f"scene {path}", sentences(Scene, error))) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"scene {path} cannot be read: {error}") from error
-
-
-def _sentence(fault: Mapping[str, Any]) -> str:
-    key = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        known = _keys_at(fault["loc"][:-1])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
-        return f"'{key}' is not known; {hint}"
-    if fault["type"] == "missing":
-        return f"'{key}' is missing"
-    message = fault["msg"].removeprefix("Value error, ")
-    return f"'{key}' is {fault['input']!r}: {message}" if key else message
-
-
-def _keys_at(location: tuple[Any, ...]) -> list[str]:
-    model: type[BaseModel] = Scene
-    for part in location:
-        if isinstance(part, str) and part in model.model_fields:
-            model = next(_models_in(model.model_fields[part].annotation), model)
-    return list(model.model_fields)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in getattr(annotation, "__args__", ()):
-        yield from _models_in(inner)

@@ -3,7 +3,6 @@
 Paths are relative to the file. Plugin options are validated by the plugin's own `Options` model, in the same report.
 """
 
-import difflib
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from edge import registry
 from edge.core.errors import ConfigError
+from edge.table_faults import numbered, sentences
 
 __all__ = ["Config", "PluginTable", "load_config"]
 
@@ -51,7 +51,7 @@ class InspectionTable(_Table):
 
 
 class GelTable(_Table):
-    """When the gel is due. `limit_presses`: the maker's coin figure (GelSight Mini datasheet); sharp parts cut faster."""
+    """When the gel is due. `limit_presses`: the maker's figure for coins; sharp parts cut faster (datasheet)."""
 
     limit_presses: int = Field(default=1000, ge=1)
     warn_fraction: float = Field(default=0.8, gt=0, le=1)
@@ -91,8 +91,7 @@ def load_config(path: Path) -> Config:
     config = _validated(Config, table, "", faults)
     faults += _plugin_faults(table)
     if faults or config is None:
-        lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
-        raise ConfigError(f"configuration {path} has {len(faults)} fault(s):{lines}")
+        raise ConfigError(numbered(f"configuration {path}", faults))
     return _with_paths_from(path.parent, config)
 
 
@@ -100,38 +99,8 @@ def _validated(model: type[M], table: object, where: str, faults: list[str]) -> 
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        faults += [_sentence(model, where, dict(fault)) for fault in error.errors()]
+        faults += sentences(model, error, where)
         return None
-
-
-def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> str:
-    key = ".".join(str(part) for part in (*([where] if where else []), *fault["loc"]))
-    if fault["type"] == "extra_forbidden":
-        known = _fields_at(model, fault["loc"][:-1])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        return f"'{key}' is not known; " + (
-            f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(known))}"
-        )
-    if fault["type"] == "missing":
-        return f"'{key}' is missing"
-    return f"'{key}' is {fault['input']!r}: {fault['msg'].removeprefix('Value error, ')}"
-
-
-def _fields_at(model: type[BaseModel], location: tuple[Any, ...]) -> list[str]:
-    for part in location:
-        if isinstance(part, str) and part in model.model_fields:
-            inner = next(_models_in(model.model_fields[part].annotation), None)
-            if inner is None:
-                return []
-            model = inner
-    return list(model.model_fields)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in getattr(annotation, "__args__", ()):
-        yield from _models_in(inner)
 
 
 def _plugin_faults(table: Mapping[str, Any]) -> list[str]:

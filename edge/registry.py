@@ -3,12 +3,12 @@
 A plugin is loaded only when it is named, so an unused one costs nothing and cannot run.
 """
 
-import difflib
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from edge.core.errors import ConfigError
+from edge.core.nearest import suggestion
 
 __all__ = ["load", "names"]
 
@@ -27,9 +27,7 @@ def load(kind: str, name: str) -> Any:
     """The object behind a plugin's name. Errors: ConfigError with the nearest known name, or why it cannot load."""
     point = _group(kind).get(name)
     if point is None:
-        near = difflib.get_close_matches(name, _group(kind), n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names(kind)) or 'none'}"
-        raise ConfigError(f"no {kind} plugin is named '{name}'; {hint}")
+        raise ConfigError(f"no {kind} plugin is named '{name}'; {suggestion(name, names(kind))}")
     try:
         return point.load()
     except ImportError as error:

@@ -1,11 +1,11 @@
 """The effects that a scene can call for. One that a scene does not name is not computed and draws nothing."""
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from calibration.simulator import camera, coat, gel, optics, pose
+from edge.core.nearest import suggestion
 
 __all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]
 
@@ -63,7 +63,5 @@ def chosen(names: Iterable[str]) -> frozenset[str]:
     asked = list(names)
     for name in asked:
         if name not in EFFECTS:
-            near = difflib.get_close_matches(name, EFFECTS, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(EFFECTS)}"
-            raise ValueError(f"no effect is named '{name}'; {hint}")
+            raise ValueError(f"no effect is named '{name}'; {suggestion(name, EFFECTS)}")
     return frozenset(asked)

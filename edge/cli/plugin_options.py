@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from edge.core.errors import ConfigError
+from edge.table_faults import numbered, sentences
 
 __all__ = ["plugin_options"]
 
@@ -25,13 +26,8 @@ def plugin_options(kind: str, name: str, model: type[BaseModel], given: Sequence
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        faults = "; ".join(
-            f"'{'.'.join(map(str, fault['loc']))}': {fault['msg'].removeprefix('Value error, ')}"
-            for fault in error.errors()
-        )
-        raise ConfigError(
-            f"{kind} plugin '{name}' cannot take these options: {faults}; known: {', '.join(model.model_fields)}"
-        ) from error
+        faults = numbered(f"--option for the {kind} plugin '{name}'", sentences(model, error))
+        raise ConfigError(f"{faults}\nit takes: {', '.join(model.model_fields)}") from error
 
 
 def _value(text: str) -> object:

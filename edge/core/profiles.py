@@ -4,11 +4,11 @@ The sensor has one video mode, MJPEG 3280x2464; every other size in the literatu
 A bundle names its profile and carries the numbers, so a later change here cannot move an old bundle's geometry.
 """
 
-import difflib
 from collections.abc import Mapping
 from types import MappingProxyType
 
 from edge.core.errors import ConfigError
+from edge.core.nearest import suggestion
 from edge.core.profile import SensorProfile
 
 __all__ = ["MINI_CONTROLS", "PROFILES", "profile"]
@@ -78,6 +78,4 @@ def profile(name: str) -> SensorProfile:
     """The built-in profile of that name. Errors: ConfigError with the nearest known name."""
     if name in PROFILES:
         return PROFILES[name]
-    near = difflib.get_close_matches(name, PROFILES, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(PROFILES)}"
-    raise ConfigError(f"no sensor profile is named '{name}'; {hint}")
+    raise ConfigError(f"no sensor profile is named '{name}'; {suggestion(name, PROFILES)}")

@@ -8,7 +8,7 @@ from small_recordings import SERIAL, jpeg, write_recording
 from typer.testing import CliRunner
 
 from edge.cli import build
-from edge.core.errors import ConfigError, DeviceNotFound, RecordingError
+from edge.core.errors import ConfigError, DeviceLost, DeviceNotFound, RecordingError
 from edge.recording import Recording
 
 
@@ -71,6 +71,16 @@ def test_record_until_a_recording_ends(tmp_path: Path) -> None:
     assert "3 frames" in said
 
 
+def test_what_was_recorded_before_a_loss_is_kept(tmp_path: Path) -> None:
+    """Unplugged after three frames: an error, and three frames that play."""
+    folder = write_recording(tmp_path / "r", 6)
+    source = ["--device", "usb_mock", "--option", f"recording={folder}", "--option", "pace=0"]
+    arguments = ["record", str(tmp_path / "copy"), *source, "--option", 'faults=["unplug@3"]']
+    with pytest.raises(DeviceLost):
+        CliRunner().invoke(build(), arguments, catch_exceptions=False)
+    assert len(Recording.open(tmp_path / "copy")) == 3
+
+
 def test_record_from_images(tmp_path: Path) -> None:
     """The reference may lie among the presses; it is not taken for one."""
     images = tmp_path / "images"
@@ -93,7 +103,7 @@ def test_record_from_images(tmp_path: Path) -> None:
         (
             ["record", "out", "--device", "usb_mock", "--option", "pase=0"],
             ConfigError,
-            r"'pase'.*known: recording",
+            r"(?s)'pase' is not known; did you mean 'pace'.*it takes: recording, ",
         ),
         (
             ["record", "out", "--device", "recorded", "--option", "recording=/nowhere"],

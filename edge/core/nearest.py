@@ -1,0 +1,13 @@
+"""What to suggest for a name that is not known."""
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["suggestion"]
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """`did you mean 'x'?` where a known name is near, else `known: x, y`."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"

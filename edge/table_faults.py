@@ -1,0 +1,55 @@
+"""What pydantic found wrong in a table that a person wrote, one sentence a fault."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from edge.core.nearest import suggestion
+
+__all__ = ["numbered", "sentences"]
+
+
+def sentences(model: type[BaseModel], error: ValidationError, where: str = "") -> list[str]:
+    """Every fault in `error`, raised by `model`, with the whole key; an unknown key comes with the nearest known one.
+
+    where: the key of the table itself in the file that holds it. A table's own values are not repeated: one of them
+    may be a secret.
+    """
+    return [_sentence(model, where, dict(fault)) for fault in error.errors()]
+
+
+def numbered(what: str, faults: Sequence[str]) -> str:
+    """All faults of one file in one report."""
+    lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
+    return f"{what} has {len(faults)} fault(s):{lines}"
+
+
+def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in (*([where] if where else []), *fault["loc"]))
+    message = str(fault["msg"]).removeprefix("Value error, ")
+    if fault["type"] == "extra_forbidden":
+        known = _keys_at(model, fault["loc"][:-1])
+        return f"'{key}' is not known; {suggestion(str(fault['loc'][-1]), known)}"
+    if fault["type"] == "missing":
+        return f"'{key}' is missing"
+    if fault["type"] in ("model_type", "dict_type"):
+        message = "expected a table"
+    if isinstance(fault["input"], Mapping | BaseModel):
+        return f"'{key}': {message}" if key else message
+    return f"'{key}' is {fault['input']!r}: {message}"
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys of the table at that place; indexes of lists do not change the table's kind."""
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            model = next(_models_in(model.model_fields[part].annotation), model)
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models_in(inner)
