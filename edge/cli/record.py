@@ -7,6 +7,8 @@ import typer
 
 __all__ = ["record"]
 
+_SAY_EVERY_NS = 5_000_000_000
+
 Out = Annotated[Path, typer.Argument(help="The folder to write; it must be empty or not exist.")]
 DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")]
 OptionTexts = Annotated[
@@ -88,6 +90,7 @@ def _from_device(
     from edge import registry
     from edge.cli.plugin_options import plugin_options
     from edge.clock import SystemClock
+    from edge.core.errors import GelgateError
     from edge.recording import RecordingHeader, RecordingWriter
 
     clock = SystemClock()
@@ -99,7 +102,11 @@ def _from_device(
         with RecordingWriter(out, header) as writer:
             typer.echo(f"recording {who.product} to {out}; Ctrl-C ends it", err=True)
             end_ns = clock.monotonic_ns() + round(seconds * 1e9) if seconds is not None else None
-            corrupt, ending = _copy_frames(sensor, writer, clock, end_ns, frames)
+            try:
+                corrupt, ending = _copy_frames(sensor, writer, clock, end_ns, frames)
+            except GelgateError:
+                typer.echo(f"{out}: {len(writer)} frames were recorded and are kept", err=True)
+                raise
             return f"{out}: {len(writer)} frames, {corrupt} corrupt ones left out{ending}"
     finally:
         sensor.close()
@@ -112,6 +119,7 @@ def _copy_frames(
     from edge.core.errors import FrameCorrupt, RecordingEnded
 
     corrupt = 0
+    said_ns = clock.monotonic_ns()
     try:
         while (frames is None or len(writer) < frames) and (end_ns is None or clock.monotonic_ns() < end_ns):
             try:
@@ -120,6 +128,9 @@ def _copy_frames(
                 corrupt += 1
                 continue
             writer.add(frame.payload, frame.timestamp_ns)
+            if frame.timestamp_ns - said_ns >= _SAY_EVERY_NS:
+                said_ns = frame.timestamp_ns
+                typer.echo(f"{len(writer)} frames", err=True)
     except RecordingEnded:
         return corrupt, "; the recording that was played is over"
     except KeyboardInterrupt:
