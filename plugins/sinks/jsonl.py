@@ -5,6 +5,7 @@ line is on the disk before `send` returns. What it does not do: it never rotates
 serves no commands; a retained topic is a line like any other, the last one counts.
 """
 
+import errno
 import json
 import os
 import threading
@@ -66,14 +67,15 @@ class JsonlSink:
         return name
 
     def _append(self, line: dict[str, object]) -> None:
-        with (self._folder / "messages.jsonl").open("ab") as file:
+        data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + b"\n"
+        with (self._folder / "messages.jsonl").open("ab", buffering=0) as file:
             start = file.tell()
             try:
-                file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + b"\n")
-                file.flush()
+                if file.write(data) != len(data):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(file.fileno())
             except OSError:
-                os.ftruncate(file.fileno(), start)  # half a line would spoil the next one too
+                file.truncate(start)  # half a line would spoil the next one too
                 raise
 
 

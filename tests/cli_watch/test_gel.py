@@ -77,7 +77,7 @@ def test_which_database_is_meant_must_be_said() -> None:
 def test_the_commands_are_registered() -> None:
     """`gelgate gel replace --help` answers."""
     done = subprocess.run(
-        [sys.executable, "-c", "from edge.cli import main; main()", "gel", "replace", "--help"],
+        [Path(sys.executable).with_name("gelgate"), "gel", "replace", "--help"],
         capture_output=True,
         text=True,
         check=True,
