@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import greedy_from_distances
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest
@@ -136,6 +136,18 @@ class Layout(NamedTuple):
         return np.unique(self.groups.reshape(-1), return_index=True)[1]
 
 
+REPAIRS = (
+    "banks",
+    "fusion",
+    "is_calibrated",
+    "weighting",
+    "is_softmax_stable",
+    "is_single_unweighted",
+    "is_sampled",
+)
+"""The switches that set the corrected mode apart; the others are operating points."""
+
+
 class Fapm:
     """FAPM under the entry points `gelgate.detectors`."""
 
@@ -166,7 +178,7 @@ class Fapm:
         # One start for every group: a share of the set, so that it means the same at every size.
         start = float(rng.random())
         arrays: dict[str, NDArray[Any]] = {}
-        facts: dict[str, Any] = {"start": start, "warnings": []}
+        facts: dict[str, Any] = {"start": start, "repairs": repaired(p, PAPER, REPAIRS), "warnings": []}
         for number, tap in enumerate(p.layers):
             layer, learnt = _fit_layer(nominal.features[tap], _layout(grid, tap, p), start, p)
             arrays |= {f"{tap}_{name}": array for name, array in layer.items()}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import Descriptor, Kind
 from plugins.detectors.maths.patchbank import PatchBank
@@ -169,6 +169,22 @@ class Channels(NamedTuple):
     patch: NDArray[np.int64]
 
 
+REPAIRS = (
+    "is_balanced",
+    "is_index_right",
+    "is_mutual_sought",
+    "is_tie_local",
+    "is_minimum_exceeded",
+    "length_fraction",
+    "is_floored",
+    "is_spread_limited",
+    "is_fallback",
+    "is_squared",
+    "upsampling",
+)
+"""The switches that set the corrected mode apart; the others are operating points."""
+
+
 class Inreach:
     """InReaCh under the entry points `gelgate.detectors`."""
 
@@ -205,6 +221,7 @@ class Inreach:
             "channels_kept": len(np.unique(kept.key)),
             "shortest_channel": p.shortest(nominal.presses),
             "patches_kept": len(members),
+            "repairs": repaired(p, PAPER, REPAIRS),
             "warnings": [],
         }
         if not len(members):

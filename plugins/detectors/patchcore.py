@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import Descriptor, Kind
 from plugins.detectors.maths.patchbank import PatchBank
@@ -103,6 +103,10 @@ PAPER = PatchcoreParameters(
 )
 
 
+REPAIRS = ("is_balanced", "is_coreset_exact", "is_squared", "image_score", "is_sampled")
+"""The switches that set the corrected mode apart; the others are operating points."""
+
+
 class Patchcore:
     """PatchCore under the entry points `gelgate.detectors`."""
 
@@ -133,7 +137,13 @@ class Patchcore:
         chosen, facts = _coreset(points, min(count, p.most_rows or count), p, rng)
         arrays["bank"] = points[chosen]
         progress(1.0)
-        facts |= {"presses": nominal.presses, "patches": len(points), "rows": len(chosen), "warnings": []}
+        facts |= {
+            "presses": nominal.presses,
+            "patches": len(points),
+            "rows": len(chosen),
+            "repairs": repaired(p, PAPER, REPAIRS),
+            "warnings": [],
+        }
         return Bank(arrays, {"bank": p.packing}, facts)
 
     def reference_score(

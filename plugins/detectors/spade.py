@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.layered import emit_layered_scores
@@ -131,6 +131,10 @@ PAPER = SpadeParameters(
 )
 
 
+REPAIRS = ("window_mm", "is_floor_relative", "is_gallery_whole", "is_balanced", "image_score", "is_sampled")
+"""The switches that set the corrected mode apart; the others are operating points."""
+
+
 class Spade:
     """SPADE under the entry points `gelgate.detectors`."""
 
@@ -168,7 +172,12 @@ class Spade:
             "press_descriptors": (described[kept] - press_mean).astype(np.float32),
             "press_mean": press_mean,
         }
-        facts: dict[str, Any] = {"presses": kept.tolist(), "start": start, "warnings": []}
+        facts: dict[str, Any] = {
+            "presses": kept.tolist(),
+            "start": start,
+            "repairs": repaired(p, PAPER, REPAIRS),
+            "warnings": [],
+        }
         if len(kept) < len(described):
             facts["warnings"].append(
                 f"{len(kept)} of {len(described)} presses fit into {p.bank_mb} MB; the others are left out (k-centre)"
