@@ -16,7 +16,7 @@ GelgateError
 │   └── RecordingEnded     a recording was played to its end
 ├── SinkError          broker · the row stays in the outbox and is sent again
 │   ├── SinkUnavailable    not connected, or no acknowledgement in time
-│   └── SinkRejected       the broker refused the message or the credentials
+│   └── SinkRejected       the broker refused this message; it is set aside and offered again later
 ├── StoreError         machine · disk full or database damaged; inspection halts, nothing is published as pass
 ├── NotScorable        press · this press has no score (NaN, saturated, empty bank); never a pass
 └── FitError           operator · the nominal presses do not allow a bank (none, mixed sizes, all identical)
@@ -119,8 +119,8 @@ class SinkError(GelgateError):
 
 
 class SinkUnavailable(SinkError):
-    """The receiver is not there, or did not acknowledge in time; the message is kept and sent again."""
+    """The receiver is not there, lets us not in, or did not acknowledge in time; the message is sent again."""
 
 
 class SinkRejected(SinkError):
-    """The receiver is there and refused: credentials, permissions or size."""
+    """The receiver is there and refused this message: permissions or size. Others may pass."""
