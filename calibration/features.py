@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Progress
 from edge.core.errors import FitError
+from edge.core.tiles import TILES_KEY, Tiles
 from edge.runtime import RUNTIME_ERRORS
 
 __all__ = ["extract", "trunk_grid"]
@@ -27,6 +28,7 @@ def trunk_grid(
 
     Errors: FitError for a tap that the trunk lacks, or a frame that it cannot take.
     """
+    tiles = _tiles(session, frame)
     given = [output.name for output in session.get_outputs()]
     missing = [tap for tap in taps if tap not in given]
     if missing:
@@ -36,7 +38,21 @@ def trunk_grid(
         )
     maps = _run(session, list(taps), np.full((1, *frame, 3), 128, np.uint8))
     shapes = {tap: (m.shape[1], m.shape[2], m.shape[3]) for tap, m in zip(taps, maps, strict=True)}
-    return Grid(frame, shapes, pixels_per_mm)
+    return Grid(frame, shapes, pixels_per_mm, tiles)
+
+
+def _tiles(session: ort.InferenceSession, frame: tuple[int, int]) -> Tiles | None:
+    """The layout of a trunk that sees its frame in tiles; None for one that sees it whole. Errors: FitError."""
+    written = session.get_modelmeta().custom_metadata_map.get(TILES_KEY)
+    if written is None:
+        return None
+    tiles = Tiles.read(written)
+    if tiles.frame != frame:
+        raise FitError(
+            f"the trunk is tiled for frames of {tiles.frame} (h, w), the region is {frame}; give the region that size, "
+            "or tile the trunk again with `gelgate export tiles`"
+        )
+    return tiles
 
 
 def extract(
@@ -45,13 +61,14 @@ def extract(
     """Tap name to float32 (n, c, h, w) for all frames, uint8 (n, h, w, 3). Errors: FitError, non-finite features."""
     taps = list(grid.taps)
     features = {tap: _room((len(frames), *grid.taps[tap])) for tap in taps}
-    for start in range(0, len(frames), BATCH):
-        batch = frames[start : start + BATCH]
+    size = BATCH if grid.tiles is None else 1  # a tiled frame is a batch of its own
+    for start in range(0, len(frames), size):
+        batch = frames[start : start + size]
         for tap, maps in zip(taps, _run(session, taps, batch), strict=True):
             if not np.isfinite(maps).all():
                 raise FitError(f"the trunk gives features that are not finite at {tap}; use another backbone")
-            features[tap][start : start + BATCH] = maps
-        progress(min(1.0, (start + BATCH) / len(frames)))
+            features[tap][start : start + size] = maps
+        progress(min(1.0, (start + size) / len(frames)))
     return features
 
 

@@ -49,6 +49,40 @@ def backbone(
 
 
 @export.command()
+def tiles(
+    trunk: Annotated[Path, typer.Argument(help="A trunk .onnx file, or an installed backbone's name.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("tiled.onnx"),
+    frame: Annotated[str, typer.Option(help="Size of the inspected region, WIDTHxHEIGHT.")] = "1280x720",
+    size: Annotated[int, typer.Option(min=32, help="Side of a tile in pixels.")] = 224,
+    overlap: Annotated[
+        int, typer.Option(min=0, help="Pixels that neighbours have in common, at least.")
+    ] = 56,
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+) -> None:
+    """Make a trunk see a large frame in overlapping tiles, each as it sees a small frame."""
+    from edge import registry
+    from edge.core.errors import ConfigError
+    from edge.core.tiles import tiling
+    from plugins.backbones.tiled import tile_trunk
+
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
+    try:
+        width, height = (int(number) for number in frame.split("x"))
+        layout = tiling((height, width), size, overlap)
+    except ValueError as error:
+        raise ConfigError(f"--frame {frame}: {error}") from error
+    if not trunk.is_file() and str(trunk) not in registry.names("backbones"):
+        known = ", ".join(registry.names("backbones"))
+        raise ConfigError(f"{trunk} is neither a file nor an installed backbone ({known})")
+    plain = trunk.read_bytes() if trunk.is_file() else registry.load("backbones", str(trunk)).trunk()
+    output.write_bytes(tile_trunk(plain, layout))
+    typer.echo(
+        f"{output}: {len(layout)} tiles of {size} over {frame}, rows {layout.rows}, columns {layout.columns}"
+    )
+
+
+@export.command()
 def merge(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="What to write.")] = Path("detector.onnx"),

@@ -8,12 +8,16 @@ Each tile weighs fully where it lies alone and falls off linearly where a neighb
 side without a neighbour it does not fall off. After division the weights at every cell sum to 1.
 """
 
+import json
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FLOOR", "Tiles", "tiling"]
+__all__ = ["FLOOR", "TILES_KEY", "Tiles", "tiling"]
+
+# The entry in a trunk's metadata that holds its layout, as `Tiles.written` gives it.
+TILES_KEY = "gelgate_tiles"
 
 # The weight at the very edge of a tile that a neighbour overlaps. Windows that reach zero leave blind seams.
 FLOOR = 0.05
@@ -65,6 +69,22 @@ class Tiles:
     def blend_columns(self, cells: int) -> NDArray[np.float64]:
         """The same along the columns."""
         return _blend(self.columns, self.size, self.frame[1], cells)
+
+    def written(self) -> str:
+        """The layout as JSON, for a trunk's metadata."""
+        return json.dumps(
+            {"frame": self.frame, "size": self.size, "rows": self.rows, "columns": self.columns}
+        )
+
+    @classmethod
+    def read(cls, text: str) -> "Tiles":
+        """What `written` wrote. Errors: ValueError for anything else."""
+        try:
+            layout = json.loads(text)
+            h, w = layout["frame"]
+            return cls((h, w), layout["size"], tuple(layout["rows"]), tuple(layout["columns"]))
+        except (KeyError, TypeError, json.JSONDecodeError) as error:
+            raise ValueError(f"not a layout of tiles: {text[:80]}") from error
 
     def edges(self, cells: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """First pixel of every row and column of the mosaic, for one tile's grid of (rows, columns) cells."""

@@ -6,17 +6,14 @@ bank per tile and location comes of itself, and blending is a matrix (edge.core.
 metadata, where the fit finds it.
 """
 
-import json
 from typing import Any
 
 from edge.core.errors import ConfigError
-from edge.core.tiles import Tiles
+from edge.core.tiles import TILES_KEY, Tiles
 from plugins.graph import IR_VERSION
 
-__all__ = ["LAYOUT", "tile_trunk", "tiles_of"]
+__all__ = ["tile_trunk"]
 
-# The metadata entry that holds the layout as JSON: frame (h, w), size, rows, columns.
-LAYOUT = "gelgate_tiles"
 # The coarsest stride of the family (layer4): tiles of other sizes would round their grids up.
 STRIDE = 32
 
@@ -34,7 +31,7 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
         raise ConfigError(f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}")
     model = onnx.load_from_string(trunk)
     if [i.name for i in model.graph.input] != ["frames"] or any(
-        p.key == LAYOUT for p in model.metadata_props
+        p.key == TILES_KEY for p in model.metadata_props
     ):
         raise ConfigError("only a plain trunk, with the one input 'frames' and no tiles yet, can be tiled")
     shapes = _tap_shapes(model, tiles)
@@ -60,25 +57,10 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     tiled = helper.make_model(
         graph, opset_imports=model.opset_import, ir_version=IR_VERSION, producer_name="gelgate"
     )
-    layout = {"frame": tiles.frame, "size": tiles.size, "rows": tiles.rows, "columns": tiles.columns}
     facts = {entry.key: entry.value for entry in model.metadata_props}
-    helper.set_model_props(tiled, {**facts, LAYOUT: json.dumps(layout)})
+    helper.set_model_props(tiled, {**facts, TILES_KEY: tiles.written()})
     onnx.checker.check_model(tiled, full_check=True)
     return bytes(tiled.SerializeToString())
-
-
-def tiles_of(metadata: dict[str, str]) -> Tiles | None:
-    """The layout in a trunk's metadata, None for a plain trunk. Errors: ConfigError for a layout that is none."""
-    if LAYOUT not in metadata:
-        return None
-    try:
-        layout = json.loads(metadata[LAYOUT])
-        h, w = layout["frame"]
-        return Tiles((h, w), layout["size"], tuple(layout["rows"]), tuple(layout["columns"]))
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(
-            f"the trunk's tile layout cannot be read ({error}); tile the trunk again"
-        ) from error
 
 
 def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:

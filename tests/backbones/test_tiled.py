@@ -1,0 +1,120 @@
+"""A tiled trunk: the plain trunk's features of every tile, side by side, for PaDiM and its kin to score as one map."""
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+from presses import fitted, head_scores, largest_error
+from typer.testing import CliRunner
+
+from calibration.features import extract, trunk_grid
+from edge.cli import build
+from edge.core.detector import Nominal
+from edge.core.errors import ConfigError, FitError
+from edge.core.tiles import TILES_KEY, Tiles, tiling
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+from plugins.backbones.tiled import tile_trunk
+from plugins.detectors.padim import padim
+
+TAPS = ("layer1", "layer2", "layer3", "avgpool")
+PLAIN = build_trunk(random_state("resnet18"), "resnet18", TAPS)
+TILES = tiling((96, 160), 64, 32)
+
+
+def session(graph: bytes) -> onnxruntime.InferenceSession:
+    return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
+
+
+def frames(n: int) -> np.ndarray:
+    rgb: np.ndarray = np.random.default_rng(0).integers(0, 256, (n, 96, 160, 3), dtype=np.uint8)
+    return rgb
+
+
+def test_a_mosaic_holds_every_tiles_own_features() -> None:
+    """Each block of each tap is what the plain trunk gives for that tile alone, for every frame of a batch."""
+    rgb = frames(2)
+    mosaics = dict(zip(TAPS, session(tile_trunk(PLAIN, TILES)).run(list(TAPS), {"frames": rgb}), strict=True))
+    for frame in range(2):
+        alone = session(PLAIN).run(list(TAPS), {"frames": TILES.cut(rgb[frame])})
+        for tap, features in zip(TAPS, alone, strict=True):
+            c, h, w = features.shape[1:]
+            expected = features.reshape(2, 4, c, h, w).transpose(2, 0, 3, 1, 4).reshape(c, 2 * h, 4 * w)
+            np.testing.assert_allclose(mosaics[tap][frame], expected, rtol=1e-4, atol=1e-4)
+
+
+def test_the_fit_finds_the_layout_in_the_trunk() -> None:
+    """trunk_grid reads the tiles from the metadata; PaDiM fitted on them scores a frame as its oracle does."""
+    trunk = session(tile_trunk(PLAIN, TILES))
+    grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
+    assert grid.tiles == TILES
+    assert grid.taps["layer1"] == (64, 32, 64)
+    features = extract(trunk, frames(7), grid, lambda fraction: None)
+    train, query = ({tap: value[part] for tap, value in features.items()} for part in (slice(5), slice(5, 7)))
+    bank = fitted(padim, padim.parameters(), Nominal(train), grid)
+    oracle = padim.reference_score(query, grid, bank, padim.parameters())
+    assert oracle.score_map.shape == (2, 96, 160)
+    assert largest_error(head_scores(padim, padim.parameters(), query, bank, grid), oracle) < 1e-4
+
+
+def test_the_full_frame_needs_nothing_of_its_own() -> None:
+    """The same frame in one piece: the plain trunk, a larger grid, the same detector."""
+    trunk = session(PLAIN)
+    grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
+    assert grid.tiles is None
+    assert grid.taps["layer1"] == (64, 24, 40)
+    features = extract(trunk, frames(6), grid, lambda fraction: None)
+    parameters = padim.parameters(grid_tap="layer2", rank=4)
+    bank = fitted(padim, parameters, Nominal(features), grid)
+    oracle = padim.reference_score(features, grid, bank, parameters)
+    assert largest_error(head_scores(padim, parameters, features, bank, grid), oracle) < 1e-4
+
+
+def test_a_region_of_another_size_is_refused() -> None:
+    """A trunk tiled for 160x96 does not fit a region of 64x64, and the sentence says both."""
+    with pytest.raises(FitError, match=r"\(96, 160\).*\(64, 64\)"):
+        trunk_grid(session(tile_trunk(PLAIN, TILES)), TAPS[:3], (64, 64), 15.77)
+
+
+def test_neighbours_end_at_a_tile() -> None:
+    """A 3x3 neighbourhood across two tiles would mix places: refused."""
+    trunk = session(tile_trunk(PLAIN, TILES))
+    grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
+    features = extract(trunk, frames(1), grid, lambda fraction: None)
+    with pytest.raises(FitError, match="tiles do not know"):
+        fitted(padim, padim.parameters(neighbours=1), Nominal(features), grid)
+
+
+def test_only_a_plain_trunk_is_tiled() -> None:
+    """A tiled trunk, and tiles that the strides do not divide, are refused."""
+    with pytest.raises(ConfigError, match="no tiles yet"):
+        tile_trunk(tile_trunk(PLAIN, TILES), TILES)
+    with pytest.raises(ConfigError, match="multiple of 32"):
+        tile_trunk(PLAIN, tiling((96, 160), 48, 16))
+
+
+def test_the_layout_survives_writing() -> None:
+    """What is written into the metadata is read back; anything else is refused."""
+    assert Tiles.read(TILES.written()) == TILES
+    for text in ("", "[]", "{}", '{"frame": 3}'):
+        with pytest.raises(ValueError, match="not a layout"):
+            Tiles.read(text)
+
+
+def test_the_command_tiles_an_installed_backbone(tmp_path: Path) -> None:
+    """`gelgate export tiles random_resnet18` writes a trunk with its layout inside, and names what it cannot do."""
+    output = tmp_path / "tiled.onnx"
+    arguments = ["export", "tiles", "random_resnet18", "-o", str(output), "--size", "64", "--overlap", "32"]
+    done = CliRunner().invoke(build(), [*arguments, "--frame", "160x96"], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "8 tiles of 64 over 160x96" in done.output
+    metadata = session(output.read_bytes()).get_modelmeta().custom_metadata_map
+    assert Tiles.read(metadata[TILES_KEY]) == TILES
+    for wrong in (["--frame", "40x40"], ["--frame", "wide"], ["--overlap", "64", "--frame", "160x96"]):
+        with pytest.raises(ConfigError, match="--frame"):
+            CliRunner().invoke(build(), [*arguments, *wrong, "--overwrite"], catch_exceptions=False)
+    with pytest.raises(ConfigError, match="neither a file nor"):
+        CliRunner().invoke(
+            build(), ["export", "tiles", "nothing", "-o", str(tmp_path / "x")], catch_exceptions=False
+        )
