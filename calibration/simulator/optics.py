@@ -33,7 +33,7 @@ def normals(surface_mm: F32, field: Field) -> tuple[F32, F32]:
 def headlight(nx: F32, ny: F32) -> F32:
     """What is seen where a scene names no lights: a white lamp at the camera on a Lambertian coat."""
     level = np.float32(_HEADLIGHT_LEVEL) * cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
-    return np.asarray(np.repeat(level[None], 3, axis=0), dtype=np.float32)
+    return np.stack([level, level, level]).astype(np.float32, copy=False)
 
 
 def illumination(nx: F32, ny: F32, free_gel: F32, per_normal: F32, curvature: F32) -> F32:

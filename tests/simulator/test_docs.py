@@ -1,0 +1,21 @@
+"""The manual names everything that a scene can name."""
+
+from pathlib import Path
+
+from calibration.scene import Camera, Defects, JitterTable, Motion, Nominal, Run, Scene, scene_names
+from calibration.simulator import DEFECTS, EFFECTS, LOOKS, PARTS
+
+MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
+
+
+def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
+    """Parts, defects, effects, sensors and the scenes that come along."""
+    names = [*PARTS, *DEFECTS, *EFFECTS, *LOOKS, *scene_names()]
+    assert [name for name in names if name not in MANUAL] == []
+
+
+def test_every_key_of_a_scene_is_in_the_manual() -> None:
+    """Each field of each table, as it is spelled in the file."""
+    models = (Scene, Camera, Motion, JitterTable, Nominal, Defects, Run)
+    keys = {key for model in models for key in model.model_fields} - {"version"}
+    assert [key for key in sorted(keys) if key not in MANUAL] == []
