@@ -32,7 +32,7 @@ def test_figures_of_equal_pictures_are_equal() -> None:
 
 
 def test_the_spectrum_finds_a_wave_in_its_band() -> None:
-    """A wave of 1.5 cycles per mm and 10 levels has a gradient of 10 * 2 pi * 1.5 / sqrt(2) = 67 levels per mm there."""
+    """A wave of 1.5 cycles per mm and 10 levels has a gradient of 20 pi * 1.5 / sqrt(2) = 67 levels per mm there."""
     x = (np.arange(320) * 0.0634)[None, :, None]
     wave = np.broadcast_to(100 + 10 * np.sin(2 * np.pi * 1.5 * x), (240, 320, 3)).astype(np.float32)
     bands = spectrum(wave)
