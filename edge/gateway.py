@@ -161,7 +161,9 @@ class Gateway:
         self._parts.callback(self._stop_publishing)
         self._say_state("starting", "waiting for the sensor")
         self._acquisition = Acquisition(
-            _device_opener(config.device, self._clock), self._clock, self._device_changed
+            _device_opener(config.device, bundle.profile.controls, self._clock),
+            self._clock,
+            self._device_changed,
         )
         self._parts.callback(self._acquisition.close)
 
@@ -408,9 +410,16 @@ def _plugin_opened(kind: str, table: PluginTable, *context: object) -> Any:
     return plugin.open(plugin.Options.model_validate(table.options), *context)
 
 
-def _device_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
+def _device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:
+    """Opens the configured device, the same one each time.
+
+    Camera controls are those of the bundle's sensor profile; the configuration may set some of them otherwise.
+    """
     plugin = registry.load("devices", table.plugin)
-    options = plugin.Options.model_validate(table.options)
+    given = dict(table.options)
+    if "controls" in plugin.Options.model_fields:
+        given["controls"] = {**controls, **given.get("controls", {})}
+    options = plugin.Options.model_validate(given)
 
     def opened() -> Device:
         device: Device = plugin.open(options, clock)
