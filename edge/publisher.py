@@ -183,7 +183,7 @@ class Publisher:
         rng: random.Random,
         on_change: OnChange = lambda name, is_up, sentence: None,
     ) -> None:
-        self._lock_file = _only_publisher(database)
+        self._lock_file: int | None = _only_publisher(database)
         self._sinks = dict(sinks)
         self._announcements = announcements
         self._outbox = Outbox(database)
@@ -228,7 +228,10 @@ class Publisher:
         return self._outbox.status()
 
     def stop(self, drain_s: float = 2.0) -> None:
-        """Send what can be sent in that time, then close the sinks; what is left stays in the outbox."""
+        """Send what can be sent in that time, then close the sinks; what is left stays in the outbox.
+
+        Harmless when repeated.
+        """
         self._stopping.set()
         self.wake()
         deadline = time.monotonic() + drain_s
@@ -239,7 +242,9 @@ class Publisher:
         for thread in self._started():
             thread.join()
         self._outbox.close()
-        os.close(self._lock_file)
+        lock_file, self._lock_file = self._lock_file, None
+        if lock_file is not None:
+            os.close(lock_file)
 
     def _started(self) -> list[threading.Thread]:
         return [thread for thread in self._threads if thread.ident is not None]

@@ -370,6 +370,7 @@ def test_a_second_publisher_of_the_same_database_is_refused(store: Store, path: 
     with pytest.raises(StoreError, match="another gelgate process publishes"):
         publisher(path, mqtt=ScriptedSink())
     first.stop()
+    first.stop()
     publisher(path, mqtt=ScriptedSink()).stop()
 
 
