@@ -8,6 +8,7 @@ from typing import Any
 
 from edge import registry
 from edge.core.errors import ConfigError, FitError
+from edge.graphcheck import output_names
 
 __all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
 
@@ -48,7 +49,7 @@ def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
     backbone = registry.load("backbones", name)
     facts = dict(backbone.facts()) if hasattr(backbone, "facts") else {}
     usual: bytes = backbone.trunk()
-    if all(tap.encode() in usual for tap in taps):
+    if set(taps) <= set(output_names(usual)):
         return Trunk(name, usual, facts)
     asked: bytes = backbone.trunk(tuple(taps))
     return Trunk(name, asked, {**facts, "taps": list(taps)})

@@ -10,7 +10,7 @@ Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["GraphRefused", "check_graph"]
+__all__ = ["GraphRefused", "check_graph", "output_names"]
 
 STANDARD_DOMAINS = frozenset({b"", b"ai.onnx"})
 MAX_NODES = 20_000
@@ -28,6 +28,7 @@ CHILDREN: dict[str, dict[int, str]] = {
     "tensor": {},
 }
 DOMAIN_FIELD = {"opset": 1, "node": 7}
+GRAPH_OUTPUT_FIELD = 12
 EXTERNAL_DATA_FIELD, DATA_LOCATION_FIELD = 13, 14
 
 
@@ -49,6 +50,19 @@ def check_graph(data: bytes) -> None:
     if not any(number == 7 for number, _ in _fields(memoryview(data), _Budget())):
         raise GraphRefused("it holds no graph")
     _check("model", memoryview(data), _Budget(), 0)
+
+
+def output_names(data: bytes) -> list[str]:
+    """The names of a graph's outputs, without opening a session. Errors: GraphRefused."""
+    budget, names = _Budget(), []
+    for model_field, graph in _fields(memoryview(data), budget):
+        if model_field != 7 or not isinstance(graph, memoryview):
+            continue
+        for graph_field, value in _fields(graph, budget):
+            if graph_field == GRAPH_OUTPUT_FIELD and isinstance(value, memoryview):
+                found = [bytes(v) for n, v in _fields(value, budget) if n == 1 and isinstance(v, memoryview)]
+                names += [name.decode("utf-8", "replace") for name in found]
+    return names
 
 
 def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.core.errors import BundleCorrupt
-from edge.graphcheck import GraphRefused, check_graph
+from edge.graphcheck import GraphRefused, check_graph, output_names
 from edge.runtime import open_session
 
 
@@ -37,6 +37,11 @@ def test_a_plain_graph_passes() -> None:
     """The trunks and heads that gelgate writes are accepted."""
     check_graph(tiny.tiny_trunk())
     check_graph(tiny.TINY.head(tiny.tiny_grid(), tiny.tiny_bank(), tiny.TinyParameters()))
+
+
+def test_outputs_are_read_without_a_session() -> None:
+    """The taps of a trunk, by name and in order."""
+    assert output_names(tiny.tiny_trunk()) == ["layer1", "layer2"]
 
 
 def test_external_data_is_refused_although_the_file_is_there(

@@ -15,6 +15,7 @@ from edge.bundle import Bundle
 from edge.core.detector import Bank, Grid, Nominal, Progress
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.core.touch import Touch
+from edge.graphcheck import output_names
 from edge.scorer import Scorer
 
 
@@ -267,3 +268,12 @@ def test_a_trunk_comes_from_a_file_or_by_name(tmp_path: Path) -> None:
         open_trunk(str(tmp_path / "none.onnx"))
     with pytest.raises(ConfigError, match=r"no backbone is named 'renset'; known: .*random_resnet18"):
         open_trunk("renset")
+
+
+def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself() -> None:
+    """The usual trunk is kept where it has the taps, so that all parts of a line share one file."""
+    usual = open_trunk("random_resnet18")
+    assert open_trunk("random_resnet18", ("layer1", "layer3")).sha256 == usual.sha256
+    deep = open_trunk("random_resnet18", ("layer2.0",))
+    assert output_names(deep.graph) == ["layer2.0"]
+    assert deep.facts["taps"] == ["layer2.0"]
