@@ -1,0 +1,1 @@
+"""Sources of camera frames: the real sensor, the virtual one, and recordings."""
