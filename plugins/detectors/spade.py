@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
+from plugins.detectors.maths.descriptor import resampling_matrix
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.layered import emit_layered_scores
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
@@ -57,7 +58,8 @@ class SpadeParameters:
     layers: the taps compared, finest first. descriptor: what stands for a whole press: the tap `avgpool`, the spatial
     means of the layers, or the first of these that the trunk gives. image_neighbours: presses that a press's own
     score is averaged over. pixel_neighbours: presses in the gallery (the two pull in opposite directions, so
-    they are two). window_mm: how far from its own place a cell may be matched, None for anywhere. dims: leading
+    they are two). finest: layers with more cells than this tap are averaged onto its grid; None keeps all as they are.
+    window_mm: how far from its own place a cell may be matched, None for anywhere. dims: leading
     directions kept at each layer, plus the length of the rest; empty keeps all.
     is_normalised: descriptors divided by their length. is_floor_relative: the term that keeps that division finite is a
     part of the nominal length, so that scaled features give the same map, instead of the absolute 1e-6.
@@ -74,8 +76,9 @@ class SpadeParameters:
     layers: tuple[str, ...] = ("layer1", "layer2", "layer3")
     descriptor: Literal["auto", "avgpool", "means"] = "auto"
     image_neighbours: int = 5
-    pixel_neighbours: int = 5
-    window_mm: float | None = 0.25
+    pixel_neighbours: int = 20
+    finest: str | None = "layer2"
+    window_mm: float | None = 0.5
     dims: tuple[int, ...] = (16, 32, 64)
     is_normalised: bool = True
     is_floor_relative: bool = True
@@ -112,11 +115,13 @@ class SpadeParameters:
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing(_cells(grid, tap), grid.frame, sigma_px, kind)
+        return Smoothing(_cells(grid, tap, self), grid.frame, sigma_px, kind)
 
 
 PAPER = SpadeParameters(
     mode="paper",
+    pixel_neighbours=5,
+    finest=None,
     window_mm=None,
     dims=(),
     is_floor_relative=False,
@@ -183,7 +188,7 @@ class Spade:
                 f"{len(kept)} of {len(described)} presses fit into {p.bank_mb} MB; the others are left out (k-centre)"
             )
         for number, tap in enumerate(p.layers):
-            layer = nominal.features[tap][kept]
+            layer = _averaged(nominal.features[tap][kept], grid, tap, p)
             arrays |= _fit_layer(tap, layer, p.dims[number] if p.dims else None, p, rng)
             arrays[f"{tap}_weight"] = np.array([1 / len(p.layers)], np.float32)
             if p.is_balanced:
@@ -207,7 +212,7 @@ class Spade:
             raw = np.stack(
                 [
                     _search(row, near.indices[i, : p.pixel_neighbours], bank.arrays, tap, grid, p)
-                    for i, row in enumerate(_rows(features[tap], tap, bank.arrays, p))
+                    for i, row in enumerate(_rows(_averaged(features[tap], grid, tap, p), tap, bank.arrays))
                 ]
             )
             score_map += p.smoothing(grid, tap)(raw * bank.arrays[f"{tap}_weight"].astype(np.float64))
@@ -247,18 +252,42 @@ def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.
     return np.concatenate(means, axis=1)
 
 
-def _cells(grid: Grid, tap: str) -> tuple[int, int]:
-    return grid.taps[tap][1:]
+def _cells(grid: Grid, tap: str, p: SpadeParameters) -> tuple[int, int]:
+    """Rows and columns on which a layer is compared."""
+    h, w = grid.taps[tap][1:]
+    if p.finest is None or p.finest not in grid.taps:
+        return h, w
+    return min(h, grid.taps[p.finest][1]), min(w, grid.taps[p.finest][2])
+
+
+def _averaging(
+    grid: Grid, tap: str, p: SpadeParameters
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """The matrices that average a layer onto its compared cells, None where it stays as it is."""
+    own, cells = grid.taps[tap][1:], _cells(grid, tap, p)
+    if own == cells:
+        return None
+    rows, columns = (resampling_matrix(n, to, p.is_sampled) for n, to in zip(own, cells, strict=True))
+    return rows, columns
+
+
+def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
+    """A layer (n, c, h, w) on the cells on which it is compared: float64 where averaged."""
+    matrices = _averaging(grid, tap, p)
+    if matrices is None:
+        return layer
+    averaged: NDArray[np.floating] = matrices[0] @ layer @ matrices[1].T
+    return averaged
 
 
 def _window(grid: Grid, tap: str, p: SpadeParameters) -> int | None:
     """How many cells of a tap a match may be away; None for anywhere on the map."""
     if p.window_mm is None:
         return None
-    cell_px = min(size / cells for size, cells in zip(grid.frame, _cells(grid, tap), strict=True))
+    cell_px = min(size / cells for size, cells in zip(grid.frame, _cells(grid, tap, p), strict=True))
     # A hair under a whole number of cells must not become one cell more.
     cells = math.ceil(p.window_mm * grid.pixels_per_mm / cell_px - 1e-6)
-    return cells if cells < max(_cells(grid, tap)) else None
+    return cells if cells < max(_cells(grid, tap, p)) else None
 
 
 def _affordable(
@@ -270,7 +299,7 @@ def _affordable(
     itemsize = {"none": 4, "float16": 2, "int8": 1}[p.packing]
     size = 4 * described.shape[1]
     for number, tap in enumerate(p.layers):
-        channels, h, w = grid.taps[tap]
+        channels, (h, w) = grid.taps[tap][0], _cells(grid, tap, p)
         width = min(p.dims[number] + 1, channels) if p.dims else channels
         size += h * w * width * itemsize
     count = max(1, int(p.bank_mb * 1e6 / size))
@@ -280,7 +309,7 @@ def _affordable(
 
 
 def _fit_layer(
-    tap: str, layer: NDArray[np.float32], dims: int | None, p: SpadeParameters, rng: np.random.Generator
+    tap: str, layer: NDArray[np.floating], dims: int | None, p: SpadeParameters, rng: np.random.Generator
 ) -> dict[str, NDArray[Any]]:
     """The arrays of one layer from its nominal features (n, c, h, w)."""
     arrays: dict[str, NDArray[Any]] = {}
@@ -303,13 +332,13 @@ def _fit_layer(
     return arrays
 
 
-def _mean_length(layer: NDArray[np.float32]) -> float:
+def _mean_length(layer: NDArray[np.floating]) -> float:
     """The mean Euclidean length of a cell's descriptor, of features (n, c, h, w)."""
     return float(np.mean([np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]))
 
 
 def _unit(
-    press: NDArray[np.float32], floor: NDArray[np.float32] | None, cells: NDArray[np.int64] | slice = EVERY
+    press: NDArray[np.floating], floor: NDArray[np.float32] | None, cells: NDArray[np.int64] | slice = EVERY
 ) -> NDArray[np.float64]:
     """The descriptors (cells, c) of one press (c, h, w), of unit length when there is a floor."""
     rows = press.reshape(len(press), -1)[:, cells].T.astype(np.float64, order="C")
@@ -317,7 +346,7 @@ def _unit(
 
 
 def _rows(
-    layer: NDArray[np.float32], tap: str, arrays: Mapping[str, NDArray[Any]], p: SpadeParameters
+    layer: NDArray[np.floating], tap: str, arrays: Mapping[str, NDArray[Any]]
 ) -> list[NDArray[np.floating]]:
     """Each press's descriptors as the bank holds them, (cells, width)."""
     rotation = Rotation(arrays[f"{tap}_mean"], arrays.get(f"{tap}_basis"))
@@ -333,7 +362,7 @@ def _search(
     p: SpadeParameters,
 ) -> NDArray[np.float64]:
     """Distances (h, w) from one press's descriptors (cells, width) to the gallery of the named presses."""
-    h, w = _cells(grid, tap)
+    h, w = _cells(grid, tap, p)
     gallery = arrays[f"{tap}_bank"][presses]
     window = _window(grid, tap, p)
     if window is not None:
@@ -393,7 +422,13 @@ def _emit_layer(
     graph: Graph, tap: str, layer: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
 ) -> Value:
     """Weighted distances (n, h, w) of one layer to the gallery's presses (n, k)."""
-    c, h, w = grid.taps[tap]
+    c, (h, w) = grid.taps[tap][0], _cells(grid, tap, p)
+    matrices = _averaging(grid, tap, p)
+    if matrices is not None:
+        down, across = (
+            graph.constant(np.ascontiguousarray(m, np.float32)) for m in (matrices[0], matrices[1].T)
+        )
+        layer = graph.op("MatMul", down, graph.op("MatMul", layer, across))
     columns = graph.reshape(layer, 0, c, h * w)
     if p.is_normalised:
         length = graph.op("ReduceL2", columns, graph.ints(1), keepdims=1)

@@ -65,7 +65,7 @@ def test_the_window_keeps_matches_near() -> None:
         maps[..., 0, 0] = maps[..., -1, -1]
     corner = {}
     for window_mm in (0.25, None):
-        p = spade.parameters(window_mm=window_mm, layers=("layer1",), dims=(), packing="none")
+        p = spade.parameters(window_mm=window_mm, finest=None, layers=("layer1",), dims=(), packing="none")
         bank = fit(spade, p, nominal, grid())
         corner[window_mm] = spade.reference_score(moved, grid(), bank, p).score_map[0, :4, :4].max()
     assert corner[0.25] > 5 * corner[None]

@@ -21,7 +21,7 @@ from edge.core.detector import Features, Grid
 from plugins.detectors.maths.smoothing import upsampling_matrix
 from plugins.graph import Graph, Value
 
-__all__ = ["BINS", "Descriptor", "Kind", "binned_weights"]
+__all__ = ["BINS", "Descriptor", "Kind", "binned_weights", "resampling_matrix"]
 
 Kind = Literal["binned", "means"]
 
@@ -157,7 +157,7 @@ class Descriptor:
     def _resampling(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrices that draw a tap on the grid: (grid rows, tap rows) and (grid columns, tap columns)."""
         rows, columns = (
-            _resample(n, to, self.is_sampled)
+            resampling_matrix(n, to, self.is_sampled)
             for n, to in zip(grid.taps[tap][1:], self.cells(grid), strict=True)
         )
         return rows, columns
@@ -170,7 +170,7 @@ class Descriptor:
         return graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", native, right))
 
 
-def _resample(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
+def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
     """One axis: bilinear onto a finer grid; onto a coarser one the same weights turned round, so that nothing is
     skipped."""
     kind: Literal["sampled", "bilinear"] = "sampled" if is_sampled else "bilinear"
