@@ -1,0 +1,143 @@
+"""What trunks and the PaDiM and subspace heads cost, in one run: milliseconds, ratio to the bare trunk, bank bytes."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import pytest
+from presses import fitted
+
+from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.tiles import tiling
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+from plugins.backbones.tiled import tile_trunk
+from plugins.detectors.padim import padim
+from plugins.detectors.subspace import subspace
+
+pytestmark = pytest.mark.bench
+
+THREADS = 2
+PRESSES = 24
+BYTES = {"int8": 1, "float16": 2}
+
+POINTS: dict[str, tuple[Any, Any]] = {
+    "padim": (padim, padim.parameters()),
+    "padim 28x28": (padim, padim.parameters(grid_tap="layer2")),
+    "padim rank 8": (padim, padim.parameters(rank=8)),
+    "padim 128 channels": (padim, padim.parameters(channels=128)),
+    "padim 448 channels": (padim, padim.parameters(channels=448)),
+    "padim 448 channels 28x28": (padim, padim.parameters(channels=448, grid_tap="layer2")),
+    "padim exact": (padim, padim.parameters(rank=None)),
+    "padim paper": (padim, padim.parameters("paper")),
+    "subspace": (subspace, subspace.parameters()),
+}
+LARGE: dict[str, tuple[Any, Any]] = {
+    "padim 28x28 rank 8": (padim, padim.parameters(grid_tap="layer2", rank=8)),
+    "subspace": (subspace, subspace.parameters()),
+}
+
+
+def session(graph: bytes) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = THREADS
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+def best_ms(*works: Callable[[], object], repeats: int) -> list[float]:
+    """The shortest run of each, taken in turns: what the work costs where nothing else runs."""
+    best = [np.inf] * len(works)
+    for _ in range(repeats + 1):
+        for index, work in enumerate(works):
+            start = time.perf_counter()
+            work()
+            best[index] = min(best[index], (time.perf_counter() - start) * 1e3)
+    return best
+
+
+def bound(opened: onnxruntime.InferenceSession, feeds: dict[str, np.ndarray]) -> Callable[[], object]:
+    """One run with every input bound beforehand, as the scorer does it."""
+    io = opened.io_binding()
+    for name, array in feeds.items():
+        io.bind_ortvalue_input(name, onnxruntime.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(array)))
+    for output in opened.get_outputs():
+        if output.name != "raw_map":
+            io.bind_output(output.name)
+    return lambda: opened.run_with_iobinding(io)
+
+
+def stored_bytes(bank: Bank) -> int:
+    return sum(
+        array.size * BYTES.get(bank.packing.get(name, "none"), array.itemsize)
+        for name, array in bank.arrays.items()
+    )
+
+
+def frames(n: int, h: int, w: int) -> np.ndarray:
+    """Blocky pictures that differ by 10 % from press to press, uint8."""
+    rng = np.random.default_rng(0)
+    base = rng.integers(0, 256, (1, h // 8, w // 8, 3))
+    small = np.clip(base + rng.normal(0, 12, (n, h // 8, w // 8, 3)), 0, 255).astype(np.uint8)
+    rgb: np.ndarray = small.repeat(8, axis=1).repeat(8, axis=2)
+    return rgb
+
+
+def report(
+    name: str, graph: bytes, points: dict[str, tuple[Any, Any]], rgb: np.ndarray, repeats: int, grid_of: Any
+) -> None:
+    trunk = session(graph)
+    start = time.perf_counter()
+    parts = [trunk.run(None, {"frames": rgb[i : i + 1]}) for i in range(len(rgb))]
+    extraction = time.perf_counter() - start
+    taps = [output.name for output in trunk.get_outputs()]
+    features: Features = {tap: np.concatenate([part[i] for part in parts]) for i, tap in enumerate(taps)}
+    grid = grid_of({tap: value.shape[1:] for tap, value in features.items()})
+    run_trunk = bound(trunk, {"frames": rgb[:1]})
+    print(f"\n{name}: features of {len(rgb)} presses {extraction:.2f} s")
+    for label, (detector, parameters) in points.items():
+        start = time.perf_counter()
+        bank = fitted(detector, parameters, Nominal(features), grid)
+        fit = time.perf_counter() - start
+        head = session(detector.head(grid, bank, parameters))
+        feeds = {
+            i.name: features[i.name][:1] if i.name in features else bank.arrays[i.name]
+            for i in head.get_inputs()
+        }
+        bare, taken = best_ms(run_trunk, bound(head, feeds), repeats=repeats)
+        unpacked = sum(array.nbytes for array in bank.arrays.values())
+        print(
+            f"  {label:26s} trunk {bare:6.1f} ms  head {taken:6.2f} ms  ratio {(bare + taken) / bare:5.2f}  "
+            f"bank {stored_bytes(bank) / 1e6:6.1f} MB stored {unpacked / 1e6:6.1f} MB unpacked  "
+            f"fit {fit:5.2f} s = {fit / extraction:4.1f} x features"
+        )
+
+
+@pytest.mark.parametrize("topology", ["resnet18", "wide_resnet50_2"])
+def test_heads_at_224(topology: str) -> None:
+    """Per operating point: the head's time and its ratio to the trunk, bank bytes, fit time. All cells touched."""
+    graph = build_trunk(random_state(topology), topology)
+    report(
+        f"{topology} 224x224",
+        graph,
+        POINTS,
+        frames(PRESSES, 224, 224),
+        15,
+        lambda t: Grid((224, 224), t, 15.77),
+    )
+
+
+def test_high_resolution() -> None:
+    """1280x720 in one piece and in 32 tiles: what each costs with resnet18."""
+    graph = build_trunk(random_state("resnet18"), "resnet18")
+    rgb, tiles = frames(4, 720, 1280), tiling((720, 1280))
+    report("resnet18 1280x720, one piece", graph, LARGE, rgb, 3, lambda t: Grid((720, 1280), t, 63.0))
+    report(
+        "resnet18 1280x720, 32 tiles",
+        tile_trunk(graph, tiles),
+        LARGE,
+        rgb,
+        3,
+        lambda t: Grid((720, 1280), t, 63.0, tiles),
+    )
