@@ -31,9 +31,15 @@ def positions(root: Path) -> list[Path]:
 
 
 def read_paper(root: Path, resolution: Resolution, faults: Faults) -> list[Press]:
-    """The presses of every part and position at one resolution."""
+    """The presses of every part and position at one resolution.
+
+    A position that was acquired at the other resolution alone is left out, as the study's PZ1 and PZ2 have no 1280x720;
+    where none has the resolution, every file is missing.
+    """
     presses: list[Press] = []
-    for folder in positions(root):
+    name = f"rgb{_SUFFIX[resolution]}"
+    acquired = [f for f in positions(root) if (f / name).is_dir() or (f / "fault" / name).is_dir()]
+    for folder in acquired or positions(root):
         presses += _frames(folder, folder, None, resolution, faults)
         if (folder / "fault").is_dir():
             presses += _frames(folder, folder / "fault", "fault", resolution, faults)

@@ -24,10 +24,19 @@ def rotate(x: F32, y: F32, angle_rad: float) -> tuple[F32, F32]:
 
 def box(x: F32, y: F32, half_x: float, half_y: float, corner: float = 0.0) -> F32:
     """Signed distance to a rectangle about the origin, negative inside, corners rounded by a radius."""
-    dx = np.abs(x) - np.float32(half_x - corner)
-    dy = np.abs(y) - np.float32(half_y - corner)
-    outside = np.sqrt(np.maximum(dx, 0) ** 2 + np.maximum(dy, 0) ** 2)
-    return f32(outside + np.minimum(np.maximum(dx, dy), 0) - np.float32(corner))
+    # In place: at 1280x720 the temporaries cost more than the arithmetic.
+    dx, dy = np.abs(x), np.abs(y)
+    dx -= np.float32(half_x - corner)
+    dy -= np.float32(half_y - corner)
+    outside, other = np.maximum(dx, 0), np.maximum(dy, 0)
+    outside *= outside
+    other *= other
+    outside += other
+    np.sqrt(outside, out=outside)
+    inside = np.maximum(dx, dy, out=dx)
+    outside += np.minimum(inside, 0, out=inside)
+    outside -= np.float32(corner)
+    return outside
 
 
 def disc(x: F32, y: F32, radius: float) -> F32:
@@ -38,7 +47,10 @@ def disc(x: F32, y: F32, radius: float) -> F32:
 def ramp(t: ArrayLike) -> F32:
     """0 below 0, 1 above 1, and a smooth rise between: the section of a broken edge."""
     within = np.clip(f32(t), 0, 1)
-    return f32(within * within * (3 - 2 * within))
+    curve = np.float32(3) - 2 * within
+    within *= within
+    curve *= within
+    return curve
 
 
 def plateau(distance: F32, top: float, below: ArrayLike, chamfer: float = 0.12) -> F32:
