@@ -13,9 +13,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from edge.local_broker import LocalBroker
 
 __all__ = ["demo"]
 
@@ -40,7 +43,7 @@ bundle = "{bundle}"
 path = "gelgate.db"
 [[sinks]]
 plugin = "mqtt"
-options = {{ host = "{host}", port = {port} }}
+options = {{ host = "{host}", port = {port}, protocol = "{protocol}" }}
 """
 
 
@@ -52,14 +55,17 @@ def demo(
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings too, about 190 MB.")] = False,
 ) -> None:
     """Simulate a bolt, learn it, inspect it on a virtual sensor, publish over a real broker, keep the heatmaps."""
+    from edge.local_broker import LocalBroker
+
     started = time.monotonic()
     heatmaps = output / "heatmaps"
     shutil.rmtree(heatmaps, ignore_errors=True)
     heatmaps.mkdir(parents=True)
-    with _recordings_folder(output if keep else None) as folder:
+    # The broker first: where none is installed that is said before a minute of work, not after it.
+    with LocalBroker() as broker, _recordings_folder(output if keep else None) as folder:
         nominal, test = _simulated(folder, seed)
         bundle = _fitted(nominal, output / "bundle")
-        tally = _inspected(output, bundle, test, heatmaps)
+        tally = _inspected(output, bundle, test, heatmaps, broker)
     tally.show(heatmaps)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
 
@@ -148,36 +154,32 @@ class _Tally:
         typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
 
 
-def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path) -> _Tally:
+def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker: "LocalBroker") -> _Tally:
     """Run the gateway on the test recording, with a subscriber beside it."""
     from edge.cli.run import press_line
     from edge.clock import SystemClock
     from edge.config import load_config
     from edge.gateway import Gateway
-    from edge.local_broker import LocalBroker
     from edge.store import Store
 
     tally = _known_truth(recording)
     for old in folder.glob("gelgate.db*"):
         old.unlink()
     shutil.rmtree(folder / "gelgate.references", ignore_errors=True)
-    with LocalBroker() as broker:
-        typer.echo(
-            f"broker: {broker.kind} on {broker.host}:{broker.port}; inspecting on the virtual sensor\n"
-        )
-        config = folder / "gelgate.toml"
-        text = CONFIG.format(recording=recording.resolve(), bundle=bundle, host=broker.host, port=broker.port)
-        config.write_text(text, encoding="utf-8")
-        with _subscriber(broker.host, broker.port, heatmaps) as received:
-            loaded = load_config(config)
-            with Gateway.open(
-                loaded,
-                SystemClock(),
-                lambda report: tally.add(press_line(report), report.result.verdict or "error"),
-            ) as gateway:
-                gateway.run(threading.Event())
-            _await(lambda: len(received) >= len(tally.verdicts))
-            tally.received = len(received)
+    typer.echo(f"broker: {broker.kind} on {broker.host}:{broker.port}; inspecting on the virtual sensor\n")
+    config = folder / "gelgate.toml"
+    text = CONFIG.format(recording=recording.resolve(), bundle=bundle, host=broker.host, port=broker.port)
+    config.write_text(text, encoding="utf-8")
+    with _subscriber(broker, heatmaps) as received:
+        loaded = load_config(config)
+        with Gateway.open(
+            loaded,
+            SystemClock(),
+            lambda report: tally.add(press_line(report), report.result.verdict or "error"),
+        ) as gateway:
+            gateway.run(threading.Event())
+        _await(lambda: len(received) >= len(tally.verdicts))
+        tally.received = len(received)
     with Store(folder / "gelgate.db") as store:
         gel = store.gels()[-1]
         tally.gel = (
@@ -203,7 +205,7 @@ def _known_truth(recording: Path) -> _Tally:
 
 
 @contextmanager
-def _subscriber(host: str, port: int, heatmaps: Path) -> Iterator[dict[str, str]]:
+def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]]:
     """A plant's subscriber: press id to verdict, as they arrive; pictures are saved under the verdict's name."""
     from edge.mqtt import Broker, Connection, Received
 
@@ -220,7 +222,10 @@ def _subscriber(host: str, port: int, heatmaps: Path) -> Iterator[dict[str, str]
                 message.payload
             )
 
-    connection = Connection.open(Broker(host, port, "gelgate-demo-subscriber"), on_received=arrived)
+    broker = Broker(
+        local.host, local.port, "gelgate-demo-subscriber", level="5" if local.speaks_mqtt5 else "3.1.1"
+    )
+    connection = Connection.open(broker, on_received=arrived)
     try:
         connection.subscribe(f"{ROOT}/#")
         yield results

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from edge import registry
 from edge.core.errors import ConfigError
-from edge.table_faults import numbered, sentences
+from edge.table_faults import numbered, sentences, types_in
 
 __all__ = ["Config", "PluginTable", "load_config"]
 
@@ -127,6 +127,29 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping
 
 
 def _with_paths_from(folder: Path, config: Config) -> Config:
+    """The same configuration with every relative path, those in plugins' options too, taken from its own folder."""
     inspection = config.inspection.model_copy(update={"bundle": folder / config.inspection.bundle})
     store = config.store.model_copy(update={"path": folder / config.store.path})
-    return config.model_copy(update={"inspection": inspection, "store": store})
+    device = _with_options_from(folder, "devices", config.device)
+    sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]
+    return config.model_copy(
+        update={"inspection": inspection, "store": store, "device": device, "sinks": sinks}
+    )
+
+
+def _with_options_from(folder: Path, kind: str, table: PluginTable) -> PluginTable:
+    model = registry.load(kind, table.plugin).Options
+    return table.model_copy(update={"options": _rooted(folder, model, table.options)})
+
+
+def _rooted(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options in which what the model calls a path is taken from the folder, in nested tables as well."""
+    rooted = dict(options)
+    for name, field in model.model_fields.items():
+        kinds = {field.annotation, *getattr(field.annotation, "__args__", ())}
+        inner = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+        if name in rooted and Path in kinds:
+            rooted[name] = str(folder / str(rooted[name]))
+        elif name in rooted and inner is not None:
+            rooted[name] = _rooted(folder, inner, rooted[name])
+    return rooted

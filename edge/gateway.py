@@ -319,6 +319,13 @@ class Gateway:
             words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
             self._raise_alarm("outbox_full", f"unsent messages were dropped for want of room: {words}")
 
+    def _check_refused(self, refused: int) -> None:
+        if refused == 0:
+            self._publisher.announce(alarm_cleared("refused"))
+            return
+        errors = "; ".join(c.last_error for c in self._publisher.counters().values() if c.refused)
+        self._raise_alarm("refused", f"{refused} messages were refused and are kept: {errors}")
+
     def _raise_alarm(self, alarm: str, text: str, severity: str = "error") -> None:
         payload = AlarmPayload.model_validate(
             {"time_ns": self._clock.time_ns(), "alarm": alarm, "text": text, "severity": severity}
@@ -352,6 +359,7 @@ class Gateway:
         self._last_stats_ns = self._clock.monotonic_ns()
         status, outbox = self._acquisition.status, self._publisher.outbox_status()
         self._check_outbox(outbox.dropped)
+        self._check_refused(outbox.refused)
         latencies = self.summary.latencies_ms
         payload = StatsPayload(
             time_ns=self._clock.time_ns(),

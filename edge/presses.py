@@ -75,6 +75,7 @@ class Recorder:
                 error=inspection.error if verdict is None else None,
                 score=press.score,
                 threshold=press.threshold,
+                tolerance=verdict.tolerance if verdict else None,
                 method=manifest.method,
                 bundle_id=self._bundle.digest,
                 sensor_serial=self._serial,

@@ -41,6 +41,16 @@ def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
 
     assert config.inspection.bundle == tmp_path / "bundles/pz1"
     assert config.store.path == tmp_path / "gelgate.db"
+    assert config.device.options["recording"] == str(tmp_path / "presses")
+    assert config.sinks[0].options["folder"] == str(tmp_path / "out")
+
+
+def test_paths_in_a_plugin_s_nested_table_are_relative_to_the_file_too(tmp_path: Path) -> None:
+    """Certificates travel with the configuration that names them."""
+    sink = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "broker", tls = { ca = "ca.pem" } }\n'
+    config = load_config(written(tmp_path, SOUND + sink))
+
+    assert config.sinks[1].options["tls"]["ca"] == str(tmp_path / "ca.pem")
 
 
 def test_defaults_stand_in_one_place(tmp_path: Path) -> None:
