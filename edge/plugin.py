@@ -37,7 +37,11 @@ class DevicePlugin(Protocol[OptionsT]):
 
 
 class SinkPlugin(Protocol[OptionsT]):
-    """The object, often a module, behind an entry point in `gelgate.sinks`."""
+    """The object, often a module, behind an entry point in `gelgate.sinks`.
+
+    `Options` of a sink that connects to somewhere have `address() -> (host, port)`, which is tried before the start; it
+    raises ConfigError for options that can never work.
+    """
 
     @property
     def Options(self) -> type[OptionsT]: ...

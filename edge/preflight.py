@@ -4,13 +4,13 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from edge import registry
 from edge.bundle import Bundle
-from edge.config import Config
+from edge.clock import SystemClock
+from edge.config import Config, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
-from edge.core.ports import DeviceIdentity
+from edge.core.ports import Device
 from edge.scorer import Scorer
 from edge.store import Store
 
@@ -37,7 +37,10 @@ def preflight(config: Config) -> list[Finding]:
         _tried("bundle", lambda: _bundle(config)),
         _tried("sensor", lambda: _sensor(config)),
         _tried("database", lambda: _database(config)),
-        *(_tried(f"sink {sink.plugin}", partial(_reachable, sink.options)) for sink in config.sinks),
+        *(
+            _tried(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
+            for index, sink in enumerate(config.sinks)
+        ),
     ]
 
 
@@ -62,15 +65,17 @@ def _bundle(config: Config) -> str:
 def _sensor(config: Config) -> str:
     plugin = registry.load("devices", config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
-    found: list[DeviceIdentity] = plugin.find(options)
-    if not found:
+    if not plugin.find(options):
         seen = "; ".join(one.refusal for one in plugin.survey(options) if one.refusal)
         raise DeviceNotFound(
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")
         )
+    # Found is not enough: another process may hold it.
+    device: Device = plugin.open(options, SystemClock())
+    sensor = device.identity
+    device.close()
     native = Bundle.load(config.inspection.bundle).profile.native
-    sensor = found[0]
     if sensor.mode != native:
         raise BundleMismatch(
             f"sensor {sensor.serial} sends {sensor.mode[0]}x{sensor.mode[1]} frames, the bundle was made from "
@@ -88,16 +93,21 @@ def _database(config: Config) -> str:
     return "; ".join(f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels) or "new"
 
 
-def _reachable(options: dict[str, Any]) -> str:
-    host, port = options.get("host"), options.get("port", 1883)
-    if host is None:
+def _reachable(table: PluginTable, key: str) -> str:
+    """Errors: ConfigError for an address that does not exist, or files that cannot be used."""
+    options = registry.load("sinks", table.plugin).Options.model_validate(table.options)
+    if not hasattr(options, "address"):
         return "needs no connection"
+    host, port = options.address()
+    later = "results will wait in the outbox"
     try:
-        with socket.create_connection((str(host), int(port)), timeout=CONNECT_TIMEOUT_S):
+        with socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S):
             return f"{host}:{port} accepts connections"
     except socket.gaierror as error:
+        if error.errno == socket.EAI_AGAIN:  # the name server is away, as it is while a plant comes up
+            return f"{host} cannot be looked up now ({error.strerror}); {later}"
         raise ConfigError(
-            f"the address '{host}' is not known ({error.strerror}); correct sinks.options.host"
+            f"the address '{host}' is not known ({error.strerror}); correct {key}.options.host"
         ) from error
     except OSError as error:
-        return f"{host}:{port} does not answer ({error.strerror or error}); results will wait in the outbox"
+        return f"{host}:{port} does not answer ({error.strerror or error}); {later}"

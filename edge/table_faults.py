@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from edge.core.nearest import suggestion
 
-__all__ = ["numbered", "sentences"]
+__all__ = ["numbered", "sentences", "types_in"]
 
 
 def sentences(model: type[BaseModel], error: ValidationError, where: str = "") -> list[str]:
@@ -44,12 +44,16 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
     """The keys of the table at that place; indexes of lists do not change the table's kind."""
     for part in location:
         if isinstance(part, str) and part in model.model_fields:
-            model = next(_models_in(model.model_fields[part].annotation), model)
+            inner = [
+                kind for kind in types_in(model.model_fields[part].annotation) if issubclass(kind, BaseModel)
+            ]
+            model = inner[0] if inner else model
     return list(model.model_fields)
 
 
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def types_in(annotation: Any) -> Iterator[type]:
+    """The classes that an annotation such as `list[Lamp] | None` is made of."""
+    if isinstance(annotation, type):
         yield annotation
     for inner in getattr(annotation, "__args__", ()):
-        yield from _models_in(inner)
+        yield from types_in(inner)

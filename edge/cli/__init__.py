@@ -2,29 +2,47 @@
 
 A verb's module imports only typer at the top and everything heavy inside its function, so help stays instant.
 
-Exit codes: 0 done · 1 the work failed while running · 2 bad command line · 3 bad configuration, bundle, recording
-or dataset · 4 device or broker not available · 5 verdicts or verification failed · 130 interrupted.
+Exit codes: EXIT_MEANINGS. A service need not be restarted after 2 or 3: a person has to mend something first.
 """
 
+import errno
 import sys
-from typing import NoReturn
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, NoReturn
 
 import typer
 
 from edge import registry
 from edge.core import errors
 
-__all__ = ["EXIT_CODES", "build", "main"]
+__all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main"]
 
-EXIT_CODES: tuple[tuple[type[errors.GelgateError], int], ...] = (
+EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
+    {
+        0: "done",
+        1: "the work failed: database, disk, a file that cannot be written, or a press without a score",
+        2: "the command line is wrong",
+        3: "a configuration, bundle, recording, dataset or set of nominal presses is wrong",
+        4: "a sensor or broker is not available",
+        5: "`gelgate verify`: the bundle is not sound",
+        130: "interrupted with Ctrl-C",
+    }
+)
+
+EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.ConfigError, 3),
     (errors.BundleError, 3),
     (errors.RecordingError, 3),
     (errors.DatasetError, 3),
+    (errors.FitError, 3),
     (errors.DeviceError, 4),
     (errors.SinkError, 4),
     (errors.GelgateError, 1),
 )
+
+# What a disk says that takes no more; such an error names no file.
+_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def build() -> typer.Typer:
@@ -34,6 +52,7 @@ def build() -> typer.Typer:
         help="Touch inspection at the edge: score GelSight Mini presses, publish verdicts, count gel wear.",
         no_args_is_help=True,
         add_completion=False,
+        epilog="Exit codes: " + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_MEANINGS.items()),
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
@@ -48,13 +67,27 @@ def build() -> typer.Typer:
     return app
 
 
+def exit_code(error: type[errors.GelgateError]) -> int:
+    """The exit code of a refusal."""
+    return next(code for kind, code in EXIT_CODES if issubclass(error, kind))
+
+
 def main() -> NoReturn:
     """Run the command line; every refusal is one sentence on stderr and a documented exit code."""
     try:
         build()()
     except errors.GelgateError as error:
         print(f"gelgate: {error}", file=sys.stderr)
-        sys.exit(next(code for kind, code in EXIT_CODES if isinstance(error, kind)))
+        sys.exit(exit_code(type(error)))
+    except OSError as error:
+        if error.filename is None and error.errno not in _DISK:
+            raise
+        where = error.filename or "the disk"
+        print(
+            f"gelgate: {where}: {error.strerror}; check the path, its rights and the free space",
+            file=sys.stderr,
+        )
+        sys.exit(1)
     except KeyboardInterrupt:
         print("gelgate: interrupted", file=sys.stderr)
         sys.exit(130)

@@ -27,6 +27,8 @@ def devices(
         raise ConfigError("--option and --reset belong to one plugin; name it with --device")
     if reset and device is not None:
         _reset(device, option or [])
+    if device is not None:
+        registry.load("devices", device)  # a wrong name is refused; a plugin that cannot look is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
     if as_json:
         import json

@@ -83,6 +83,11 @@ class Options(BaseModel):
             raise ValueError("a password_file needs a username")
         return self
 
+    def address(self) -> tuple[str, int]:
+        """Where the broker listens. Errors: ConfigError for a password or TLS file that cannot be used."""
+        broker = self.broker("check")
+        return broker.host, broker.port
+
     def broker(self, client_id: str) -> Broker:
         """The broker to connect to. Errors: ConfigError for a password or TLS file that cannot be used."""
         return Broker(
