@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from calibration.fit import Fitted
     from edge.core.profile import SensorProfile
 
-__all__ = ["chosen_profile", "fit", "refuse_existing", "summary", "write"]
+__all__ = ["chosen_profile", "counted", "fit", "refuse_existing", "summary", "write"]
 
 
 def fit(
@@ -44,6 +44,7 @@ def fit(
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the detector.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Fixes every random choice.")] = 0,
+    folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
     threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
@@ -79,12 +80,11 @@ def fit(
         threshold=threshold,
         seed=seed,
         threads=threads,
+        folds=folds,
         with_trunk=trunk,
     )
     presses = read_presses(sources, sensor, recipe.region, no_contact=no_contact or (), resize=resize)
-    typer.echo(
-        f"{len(presses)} nominal presses, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}"
-    )
+    typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")
     with Stages() as report:
         fitted = fit_files(presses, recipe, created=datetime.date.today().isoformat(), report=report)
     write(fitted, output, overwrite)
@@ -97,6 +97,10 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
 
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+
+
+def counted(n: int) -> str:
+    return f"{n} nominal press{'' if n == 1 else 'es'}"
 
 
 def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:

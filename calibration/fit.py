@@ -50,13 +50,12 @@ T = TypeVar("T")
 
 __all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
 
-FOLDS = 5
-
 
 @dataclass(frozen=True)
 class Recipe:
     """What is to be made. overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm
-    rate asked for. threshold: a value to use instead of one found from presses. seed: fixes every random choice."""
+    rate asked for. threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted to find the
+    threshold; each costs about as much as the bank itself."""
 
     part: str
     position: str
@@ -70,10 +69,13 @@ class Recipe:
     threshold: float | None = None
     seed: int = 0
     threads: int = 2
+    folds: int = 5
     with_trunk: bool = True
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
+        if self.folds < 2:
+            raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ class _Fit:
                 "all presses are of one specimen: the threshold knows nothing of other parts"
             )
             specimens = (None,) * len(self.presses)
-        parts = folds(specimens, FOLDS, np.random.default_rng(self.recipe.seed))
+        parts = folds(specimens, self.recipe.folds, np.random.default_rng(self.recipe.seed))
         scores = np.empty(len(self.presses))
         for number, held in enumerate(parts):
             scores[held] = self._scores_without(nominal, held)

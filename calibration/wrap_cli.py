@@ -40,7 +40,7 @@ def wrap(
     """Make a bundle of someone else's detector; the threshold comes from nominal presses."""
     import datetime
 
-    from calibration.cli import chosen_profile, refuse_existing, summary, write
+    from calibration.cli import chosen_profile, counted, refuse_existing, summary, write
     from calibration.presses import read_presses
     from calibration.progress import Stages
     from calibration.wrap import WrapRecipe, wrap_files
@@ -58,7 +58,7 @@ def wrap(
     inspected = Region.parse(region, sensor.size)
     recipe = WrapRecipe(part, position, sensor, inspected, method, alpha, threshold, threads)
     presses = read_presses(sources, sensor, inspected, no_contact=no_contact or (), resize=resize)
-    typer.echo(f"{len(presses)} nominal presses, {graph.name} as '{method}', region {inspected}")
+    typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
     with Stages() as report:
         fitted = wrap_files(
             content, presses, recipe, created=datetime.date.today().isoformat(), report=report

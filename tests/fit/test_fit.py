@@ -170,6 +170,28 @@ def test_features_that_are_not_finite_are_refused() -> None:
         fit_files(presses(3), recipe(trunk=Trunk("broken", model.SerializeToString())), created="")
 
 
+def test_as_many_folds_as_presses_leave_one_out() -> None:
+    """Six folds of six presses; one fold would leave nothing to learn from."""
+    sizes: list[int] = []
+
+    class Counting(tiny.TinyDetector):
+        def fit(
+            self,
+            nominal: Nominal,
+            grid: Grid,
+            parameters: object,
+            rng: np.random.Generator,
+            progress: Progress,
+        ) -> Bank:
+            sizes.append(nominal.presses)
+            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+
+    fit_files(presses(6), recipe(detector=Counting(), folds=6), created="")
+    assert sizes == [6, 5, 5, 5, 5, 5, 5]
+    with pytest.raises(FitError, match="at least 2 folds"):
+        recipe(folds=1)
+
+
 def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
     """Everything but the times that were measured."""
     first, second = (fit_files(presses(8), recipe(), created="2026-01-01") for _ in range(2))
