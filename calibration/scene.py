@@ -149,6 +149,10 @@ class Scene(_Table):
     def _consistent(self) -> Self:
         for position in self.positions:
             _known(position, PARTS[self.part].positions, f"position of {self.part}")
+        if len(set(self.positions)) != len(self.positions):
+            raise ValueError(f"positions are different, found {list(self.positions)}")
+        if len(set(self.camera.modes)) != len(self.camera.modes):
+            raise ValueError(f"camera modes are different, found {list(self.camera.modes)}")
         if bool(self.runs) == bool(self.nominal):
             raise ValueError("a scene has either [[runs]] (recordings) or [nominal] (a dataset)")
         if self.runs and len(self.camera.modes) != 1:

@@ -54,6 +54,8 @@ def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
         (("version = 1", "version = 2"), "'version' is 2"),
         (("[nominal]\nspecimens = 2\npresses = 3\n", ""), "either [[runs]] (recordings) or [nominal]"),
         (('name = "mine"', 'name = "mine"\npositions = ["pos7"]'), "no position of PZ3 is named 'pos7'"),
+        (('name = "mine"', 'name = "mine"\npositions = ["pos1", "pos1"]'), "positions are different"),
+        (("[nominal]", "[camera]\nmodes = ['lr', 'lr']\n[nominal]"), "camera modes are different"),
         (("[nominal]", "[defects]\nseverity = [0.9, 0.1]\n[nominal]"), "[least, most]"),
         (("[nominal]", "[camera]\nmodes = ['native']\n[nominal]"), "found native"),
         (("[nominal]", "[defects]\nkinds = ['dents']\n[nominal]"), "did you mean 'dent'?"),

@@ -1,0 +1,43 @@
+"""Ctrl-C in the middle of making a dataset: whole files only, and the same bytes in the end."""
+
+import hashlib
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+
+from calibration.scene import load_scene
+from calibration.simulate import simulate_dataset
+
+COMMAND = Path(sys.executable).with_name("gelgate")
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*.*"))
+        if path.is_file()
+    }
+
+
+def test_an_interrupted_dataset_is_whole_as_far_as_it_goes_and_goes_on(tmp_path: Path) -> None:
+    """After SIGINT: exit code 130, every picture readable, no half files; given again, the bytes of an unbroken run."""
+    cut = tmp_path / "cut"
+    arguments = ["simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
+    process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < deadline and len(list(cut.rglob("*.png"))) < 6:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    pictures = list(cut.rglob("*.png"))
+    assert all(cv2.imread(str(path)) is not None for path in pictures)
+    assert [path.name for path in cut.rglob(".*")] == []
+    scene = load_scene("small")
+    resumed = digests(simulate_dataset(scene, cut, presses=12))
+    assert len(pictures) < sum(name.endswith(".png") for name in resumed)
+    assert resumed == digests(simulate_dataset(scene, tmp_path / "whole", presses=12))
