@@ -58,6 +58,31 @@ class Recipe:
     overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm rate asked for.
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
     to find the threshold; each costs about as much as the bank itself. with_trunk: False leaves it to the store.
+    """
+
+    part: str
+    position: str
+    profile: SensorProfile
+    region: Region
+    detector: Detector
+    trunk: Trunk
+    mode: Mode = "corrected"
+    overrides: Mapping[str, object] = field(default_factory=dict)
+    alpha: float = 0.05
+    threshold: float | None = None
+    seed: int = 0
+    threads: int = 2
+    folds: int = 5
+    with_trunk: bool = True
+
+    def __post_init__(self) -> None:
+        check_alpha(self.alpha)
+        if self.folds < 2:
+            raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
+
+
+@dataclass(frozen=True)
+class Fitted:
     """A fitted bundle that is not yet on disk."""
 
     manifest: Manifest
