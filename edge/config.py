@@ -86,7 +86,9 @@ def load_config(path: Path) -> Config:
             f"configuration {path} does not exist; `gelgate check --example` prints one"
         ) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"configuration {path} cannot be read: {error}") from error
+        raise ConfigError(
+            f"configuration {path} cannot be read: {error}; `gelgate check --example` prints a sound one"
+        ) from error
     faults: list[str] = []
     config = _validated(Config, table, "", faults)
     faults += _plugin_faults(table)

@@ -101,7 +101,7 @@ _ADVICE: Final = {
     sqlite3.SQLITE_BUSY: "another program holds it; end that program",
     sqlite3.SQLITE_LOCKED: "another program holds it; end that program",
     sqlite3.SQLITE_CORRUPT: "move the file away to keep it for repair; a new one is started",
-    sqlite3.SQLITE_NOTADB: "it is not a database; name another file",
+    sqlite3.SQLITE_NOTADB: "name another file",
     sqlite3.SQLITE_READONLY: "give the gateway's user the right to write it and its folder",
     sqlite3.SQLITE_CANTOPEN: "create its folder and give the gateway's user the right to write there",
 }

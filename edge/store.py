@@ -152,7 +152,7 @@ class Store:
             found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
             raise StoreError(
-                f"database {self.path} is damaged ({found}); move it away to keep it for repair; a new one is started"
+                f"database {self.path} is damaged ({' '.join(found.split())}); move it away to keep it for repair; a new one is started"
             )
 
     def close(self) -> None:

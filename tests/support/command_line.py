@@ -1,0 +1,51 @@
+"""The whole command line in this process: what `gelgate ...` prints, and the exit code it ends with."""
+
+import contextlib
+import io
+import logging
+import signal
+import sys
+from dataclasses import dataclass
+from unittest import mock
+
+from edge.cli import main
+
+__all__ = ["Outcome", "gelgate"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+    def sentence(self) -> str:
+        """What a refusal said. Errors: AssertionError when it is not one refusal without a traceback."""
+        assert "Traceback" not in self.err, self.err
+        lines = [line for line in self.err.splitlines() if line.startswith("gelgate: ")]
+        assert len(lines) == 1, self.err
+        return self.err[self.err.index("gelgate: ") + len("gelgate: ") :].rstrip("\n")
+
+
+def gelgate(*arguments: object) -> Outcome:
+    """Run one command to its end. Signal handlers and log handlers are put back as they were."""
+    out, err = io.StringIO(), io.StringIO()
+    handlers, level = logging.root.handlers[:], logging.root.level
+    signals = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with (
+            mock.patch.object(sys, "argv", ["gelgate", *map(str, arguments)]),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            main()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 1
+    finally:
+        logging.root.handlers[:] = handlers
+        logging.root.setLevel(level)
+        for number, handler in signals.items():
+            signal.signal(number, handler)
+    return Outcome(code, out.getvalue(), err.getvalue())
