@@ -56,11 +56,18 @@ def _tiles(session: ort.InferenceSession, frame: tuple[int, int]) -> Tiles | Non
 
 
 def extract(
-    session: ort.InferenceSession, frames: NDArray[np.uint8], grid: Grid, progress: Progress
+    session: ort.InferenceSession,
+    frames: NDArray[np.uint8],
+    grid: Grid,
+    progress: Progress,
+    memory_bytes: int = MEMORY_BYTES,
 ) -> Features:
-    """Tap name to float32 (n, c, h, w) for all frames, uint8 (n, h, w, 3). Errors: FitError, non-finite features."""
+    """Tap name to float32 (n, c, h, w) for all frames, uint8 (n, h, w, 3).
+
+    A tap of more than memory_bytes lies in a temporary file. Errors: FitError, non-finite features.
+    """
     taps = list(grid.taps)
-    features = {tap: _room((len(frames), *grid.taps[tap])) for tap in taps}
+    features = {tap: _room((len(frames), *grid.taps[tap]), memory_bytes) for tap in taps}
     size = BATCH if grid.tiles is None else 1  # a tiled frame is a batch of its own
     for start in range(0, len(frames), size):
         batch = frames[start : start + size]
@@ -72,9 +79,9 @@ def extract(
     return features
 
 
-def _room(shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:
     """An empty array, in a file that vanishes with it where it is large."""
-    if 4 * int(np.prod(shape)) < MEMORY_BYTES:
+    if 4 * int(np.prod(shape)) <= memory_bytes:
         return np.empty(shape, np.float32)
     with tempfile.TemporaryFile(prefix="gelgate-features-") as file:
         return np.memmap(file, np.float32, "w+", shape=shape)
