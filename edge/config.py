@@ -147,11 +147,11 @@ def _with_options_from(folder: Path, kind: str, table: PluginTable) -> PluginTab
 def _rooted(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
     """Options in which what the model calls a path is taken from the folder, in nested tables as well."""
     rooted = dict(options)
-    for name, field in model.model_fields.items():
-        kinds = {field.annotation, *getattr(field.annotation, "__args__", ())}
-        inner = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
-        if name in rooted and Path in kinds:
-            rooted[name] = str(folder / str(rooted[name]))
-        elif name in rooted and inner is not None:
-            rooted[name] = _rooted(folder, inner, rooted[name])
+    for name, value in options.items():
+        kinds = set(types_in(model.model_fields[name].annotation))
+        inner = next((kind for kind in kinds if issubclass(kind, BaseModel)), None)
+        if Path in kinds and isinstance(value, str):
+            rooted[name] = str(folder / value)
+        elif inner is not None and isinstance(value, dict):
+            rooted[name] = _rooted(folder, inner, value)
     return rooted

@@ -151,8 +151,9 @@ class Store:
         with self._database.reading("checking") as connection:
             found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
+            damage = " ".join(str(found).split())  # SQLite says it in several lines
             raise StoreError(
-                f"database {self.path} is damaged ({' '.join(found.split())}); move it away to keep it for repair; a new one is started"
+                f"database {self.path} is damaged ({damage}); move it away to keep it for repair; a new one is started"
             )
 
     def close(self) -> None:
