@@ -49,6 +49,10 @@ SIGMA_MM = PAPER_SIGMA_PX / 15.77
 class PadimParameters:
     """Every choice of PaDiM; the defaults are the corrected mode's default operating point.
 
+    Measured on three simulated parts with random ResNet-18 weights, mean AU-PRO up to 1 % false positives: the paper's
+    mode 0.15, all three taps 0.19, layer1 and layer2 0.34, from 96 to 192 channels and rank 16 to exact alike within
+    0.003; with neighbours 0.40 (up where parts are placed by hand, down where a fixture holds them).
+
     ridge: added to the covariance's diagonal; in units of the mean nominal variance where the taps are balanced.
     is_ridge_twice: add it again at prediction, as the seed paper's scripts do. rank: directions kept per location
     (None: all, exact). neighbours: 0, or 1 to fit each location on its 3x3 neighbourhood (tolerates small shifts).
@@ -57,10 +61,10 @@ class PadimParameters:
     """
 
     mode: Mode = "corrected"
-    taps: tuple[str, ...] = ("layer1", "layer2", "layer3")
+    taps: tuple[str, ...] = ("layer1", "layer2")
     grid_tap: str = "layer1"
     projection: Projection = "semi_orthogonal"
-    channels: int | None = 200
+    channels: int | None = 128
     is_balanced: bool = True
     is_sampled: bool = True
     ridge: float = 0.1
@@ -107,6 +111,7 @@ class PadimParameters:
 
 PAPER = PadimParameters(
     mode="paper",
+    taps=("layer1", "layer2", "layer3"),
     projection="random",
     channels=PAPER_CHANNELS,
     is_balanced=False,

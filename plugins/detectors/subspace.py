@@ -42,10 +42,10 @@ class SubspaceParameters:
     """
 
     mode: Mode = "corrected"
-    taps: tuple[str, ...] = ("layer1", "layer2", "layer3")
+    taps: tuple[str, ...] = ("layer1", "layer2")
     grid_tap: str = "layer2"
     projection: Projection = "semi_orthogonal"
-    channels: int | None = 384
+    channels: int | None = 256
     is_balanced: bool = True
     is_sampled: bool = True
     variance: float = 0.99
@@ -81,6 +81,7 @@ ROUNDING = 1e-12
 # As published: every channel as it is, 99 %. The seed paper has no such method.
 PAPER = SubspaceParameters(
     mode="paper",
+    taps=("layer1", "layer2", "layer3"),
     projection="all",
     channels=None,
     is_balanced=False,

@@ -17,6 +17,7 @@ from plugins.detectors.padim import PadimParameters, padim
 
 QUERY = features(3, seed=7)
 EXACT = padim.parameters("corrected", projection="all", rank=None, packing="none")
+DEEP = ("layer1", "layer2", "layer3")
 TOUCHED = np.zeros((48, 48), bool)
 TOUCHED[20:26, 22:30] = True
 
@@ -59,6 +60,7 @@ def test_the_paper_mode_is_the_textbooks_padim(n: int) -> None:
     "choice",
     [
         {},
+        {"taps": ("layer1", "layer2")},
         {"rank": None},
         {"rank": 3, "neighbours": 1},
         {"projection": "all"},
@@ -75,7 +77,7 @@ def test_the_paper_mode_is_the_textbooks_padim(n: int) -> None:
 @pytest.mark.parametrize("n", [1, 2, 30])
 def test_the_graph_equals_the_oracle(n: int, choice: dict[str, Any], touched: np.ndarray | None) -> None:
     """Map and score within 1e-4 of float64 (found: below 2e-6), for every choice, also from one or two presses."""
-    parameters = padim.parameters("corrected", **choice)
+    parameters = padim.parameters("corrected", **{"taps": DEEP, **choice})
     nominal = Nominal(features(n, seed=1), touched, features(2, seed=2))
     bank = fitted(padim, parameters, nominal)
     oracle = padim.reference_score(QUERY, LIKE_RESNET, bank, parameters)
@@ -181,8 +183,8 @@ def test_repair_balance_between_taps() -> None:
         a, b = (padim.reference_score(each, LIKE_RESNET, bank, parameters) for each in (odd, query))
         return float((a.score_map / b.score_map).max())
 
-    assert rise(padim.parameters()) > 1.3
-    assert rise(padim.parameters(is_balanced=False)) < 1.01
+    assert rise(padim.parameters(taps=DEEP)) > 1.3
+    assert rise(padim.parameters(taps=DEEP, is_balanced=False)) < 1.01
 
 
 def test_repair_physical_blur() -> None:
@@ -281,12 +283,12 @@ def test_unfit_presses_are_refused() -> None:
     }
     for says, nominal in cases.items():
         with pytest.raises(FitError, match=says):
-            fitted(padim, padim.parameters(), nominal)
+            fitted(padim, padim.parameters(taps=DEEP), nominal)
 
 
 def test_the_oracle_refuses_features_that_are_not_finite() -> None:
     """NaN in a press: NotScorable."""
-    parameters = padim.parameters()
+    parameters = padim.parameters(taps=DEEP)
     bank = fitted(padim, parameters, Nominal(features(4, seed=1)))
     spoilt = {tap: value.copy() for tap, value in QUERY.items()}
     spoilt["layer3"][0, 0, 0, 0] = np.inf

@@ -50,7 +50,7 @@ def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> N
     touched = np.zeros((48, 48), bool)
     touched[20:30, 20:30] = True
     bank = fitted(detector, parameters, Nominal(features(6, seed=1), touched))
-    for tap, place in (("layer1", (0, 0)), ("layer1", (6, 6)), ("layer3", (2, 2))):
+    for tap, place in (("layer1", (0, 0)), ("layer1", (6, 6)), ("layer2", (5, 5))):
         query = {name: value.copy() for name, value in QUERY.items()}
         query[tap][0, 0, *place] = bad
         found = head_scores(detector, parameters, query, bank)
