@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from calibration.backbone import checkpoint as checkpoints
+from calibration.backbone.ahead import draw_step, drawn_ahead
 from calibration.backbone.checkpoint import Checkpoint
 from calibration.backbone.figure import draw_losses
 from calibration.backbone.losses import Losses, cell_distances, changed_cells, losses, separation
@@ -41,7 +42,8 @@ class Run:
     """How a run is carried out, which does not change what is learnt.
 
     folder: where checkpoints, log and figure go. resume: a run to carry on, None to start. minutes: stop and save after
-    so long, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 leaves torch's choice.
+    so long, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice;
+    where others use the cores as well, 1 is several times faster than 2. is_drawn_ahead: draw in a second process.
     """
 
     folder: Path
@@ -52,6 +54,7 @@ class Run:
     validate_every: int = 500
     device: str = "auto"
     threads: int = 0
+    is_drawn_ahead: bool = False
 
 
 def learning_rate(recipe: Recipe, step: int) -> float:
@@ -71,8 +74,8 @@ class _Learner:
         torch.manual_seed(recipe.seed)
         self.trunk = Trunk().to(device)
         self.heads = heads().to(device)
+        self.trunk = self.trunk.to(memory_format=torch.channels_last)
         if device.type == "cuda":
-            self.trunk = self.trunk.to(memory_format=torch.channels_last)
             torch.backends.cudnn.benchmark = True
         self.model = nn.ModuleDict({"trunk": self.trunk, "heads": self.heads})
         decayed = [p for p in self.model.parameters() if p.ndim > 1]
@@ -81,18 +84,13 @@ class _Learner:
         self.optimiser = torch.optim.AdamW(groups, lr=recipe.max_rate, weight_decay=recipe.weight_decay)
         self.step = 0
 
-    def learn(self) -> Losses:
-        """One step on the batch that belongs to its number."""
+    def draw(self, step: int) -> Pairs:
+        return draw_step(self.recipe, step, self.device)
+
+    def learn(self, draw: Callable[[int], Pairs] | None = None) -> Losses:
+        """One step on the batch that belongs to its number. draw: step to batch, here and now by default."""
         recipe = self.recipe
-        batch = draw_pairs(
-            recipe.seed,
-            "train",
-            self.step,
-            pairs=recipe.pairs,
-            side=recipe.side,
-            device=self.device,
-            high_resolution=recipe.high_resolution,
-        )
+        batch = (draw or self.draw)(self.step)
         self.model.train()
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(recipe, self.step)
@@ -105,9 +103,7 @@ class _Learner:
         return found
 
     def _maps(self, batch: Pairs) -> list[Tensor]:
-        frames = batch.frames
-        if self.device.type == "cuda":
-            frames = frames.contiguous(memory_format=torch.channels_last)
+        frames = batch.frames.contiguous(memory_format=torch.channels_last)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.precision == "bfloat16"):
             maps: list[Tensor] = self.trunk(frames)
         return maps
@@ -187,9 +183,11 @@ def train(
     started, since, since_step = time.monotonic(), time.monotonic(), learner.step
     say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
-    with _stop_asked() as is_stopped:
+    is_ahead = run.is_drawn_ahead and device.type == "cpu"
+    source = drawn_ahead(recipe, learner.step) if is_ahead else nullcontext(learner.draw)
+    with _stop_asked() as is_stopped, source as draw:
         while learner.step < recipe.steps:
-            found = learner.learn()
+            found = learner.learn(draw)
             advance(learner.step)
             is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
             is_last = learner.step == recipe.steps or is_late
@@ -288,6 +286,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--validate-every", type=int, default=500)
     parser.add_argument("--device", default="auto")
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument(
+        "--ahead", action="store_true", dest="is_drawn_ahead", help="draw in a second process"
+    )
     for name, kind in Recipe.kinds().items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=argparse.SUPPRESS)
     given = vars(parser.parse_args(words))
