@@ -89,6 +89,12 @@ def main() -> NoReturn:
         )
         sys.exit(1)
     except KeyboardInterrupt:
-        print("gelgate: interrupted", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(_interrupted())
+    except SystemExit as end:
+        sys.exit(_interrupted() if end.code == 130 else end.code)  # typer ends silently on Ctrl-C
     sys.exit(0)
+
+
+def _interrupted() -> int:
+    print("gelgate: interrupted", file=sys.stderr)
+    return 130

@@ -1,0 +1,230 @@
+"""Every other verb on bad input: a sentence, the documented exit code, no traceback."""
+
+import errno
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from command_line import gelgate
+from small_recordings import write_recording
+from spoilable_station import Bench
+
+from edge import cli, local_broker, registry
+
+
+def picture(path: Path, width: int, height: int) -> None:
+    path.parent.mkdir(exist_ok=True)
+    rng = np.random.default_rng(width)
+    cv2.imwrite(str(path), rng.integers(0, 255, (height, width, 3), dtype=np.uint8))
+
+
+def record_over_something(bench: Bench) -> list[object]:
+    write_recording(bench.folder / "old", 1)
+    options = ["recording=presses", "pace=0"]
+    return ["record", "old", "--device", "recorded", *(x for o in options for x in ("--option", o))]
+
+
+def fit_empty(bench: Bench) -> list[object]:
+    (bench.folder / "empty").mkdir()
+    return fit("empty")
+
+
+def fit_mixed(bench: Bench) -> list[object]:
+    picture(bench.folder / "mixed/a.png", 320, 240)
+    picture(bench.folder / "mixed/b.png", 100, 90)
+    return fit("mixed")
+
+
+def fit_unreadable(bench: Bench) -> list[object]:
+    picture(bench.folder / "torn/a.png", 320, 240)
+    content = (bench.folder / "torn/a.png").read_bytes()
+    (bench.folder / "torn/b.png").write_bytes(content[: len(content) // 2])
+    (bench.folder / "torn/c.jpg").write_bytes(b"a letter")
+    return fit("torn")
+
+
+def fit(source: str, *more: object) -> list[object]:
+    return ["fit", source, "-o", "made", "--part", "bolt", *more]
+
+
+def verify_changed(bench: Bench) -> list[object]:
+    array = next((bench.bundle("changed") / "bank").iterdir())
+    array.write_bytes(array.read_bytes()[:-1] + b"\x01")
+    return ["verify", "changed"]
+
+
+def verify_other_scores(bench: Bench) -> list[object]:
+    """Hashes agree, golden frames do not."""
+    import tiny
+
+    from edge.bundle import GoldenFrame, write_bundle
+
+    golden = GoldenFrame(tiny.presses(1)[0], "a press", 9.0, tuple((9.0,) * 8 for _ in range(8)))
+    write_bundle(bench.folder / "off", tiny.tiny_files(golden=[golden])[1])
+    return ["verify", "off"]
+
+
+def database(bench: Bench) -> list[object]:
+    (bench.folder / "letter.db").write_bytes(b"dear reader " * 900)
+    return ["gel", "show", "--database", "letter.db"]
+
+
+REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]] = {
+    "record over something": (record_over_something, 3, ("old is not an empty folder", "never written over")),
+    "record from nothing": (
+        lambda _: ["record", "new", "--device", "recorded", "--option", "recording=absent"],
+        3, ("absent does not exist", "gelgate record"),
+    ),
+    "record without a sensor's name": (lambda _: ["record", "new"], 3, ("--device", "--from-images")),
+    "record from no images": (
+        lambda _: ["record", "new", "--from-images", "absent"], 3, ("absent is not a folder of press images",),
+    ),
+    "record where nothing can be made": (
+        lambda _: ["record", "/proc/no", "--device", "recorded", "--option", "recording=presses"],
+        1, ("/proc/no cannot be started", "choose another folder"),
+    ),
+    "a wrong option": (
+        lambda _: ["record", "new", "--device", "recorded", "--option", "recordng=presses"],
+        3, ("'recordng' is not known; did you mean 'recording'?", "it takes: recording, pace, loop"),
+    ),
+    "devices of no plugin": (
+        lambda _: ["devices", "--device", "usb_mok"], 3, ("'usb_mok'", "did you mean 'usb_mock'?"),
+    ),
+    "fit from an empty folder": (fit_empty, 3, ("empty is neither a recording", ".png", "name the folder")),
+    "fit from nothing": (lambda _: fit("absent"), 3, ("there is nothing at absent", "check the path")),
+    "fit from mixed sizes": (
+        fit_mixed, 3, ("1 of 2 pictures", "b.png: is 100x90", "takes 3280x2464 (camera) or 320x240"),
+    ),
+    "fit from unreadable pictures": (
+        fit_unreadable, 3, ("2 of 3 pictures", "b.png", "IEND", "c.jpg: is neither a JPEG nor a PNG"),
+    ),
+    "fit over a bundle": (
+        lambda _: ["fit", "presses", "-o", "bundle", "--part", "x"], 3, ("bundle exists already", "--overwrite"),
+    ),
+    "fit with an unknown method": (lambda _: fit("presses", "--method", "padin"), 3, ("did you mean 'padim'?",)),
+    "fit with an unknown parameter": (
+        lambda _: fit("presses", "--set", "rnk=3"), 3, ("padim has no parameter 'rnk'; did you mean 'rank'?",),
+    ),
+    "fit of a region outside": (
+        lambda _: fit("presses", "--region", "300,0,64x64", "--profile", "cropped_lr"),
+        3, ("outside the picture of 320x240", "move or shrink it"),
+    ),
+    "verify of nothing": (lambda _: ["verify", "absent"], 5, ("no bundle at absent", "gelgate fit")),
+    "verify of a recording": (lambda _: ["verify", "presses"], 5, ("presses: manifest.json is missing",)),
+    "verify of a changed bank": (verify_changed, 5, ("has SHA-256", "copy the whole bundle again")),
+    "verify of other scores": (verify_other_scores, 5, ("golden frame 0 (a press) scores", "9")),
+    "inspect of nothing": (lambda _: ["inspect", "absent"], 3, ("no bundle at absent",)),
+    "gels of no database": (lambda _: ["gel", "show", "--database", "absent.db"], 3, ("absent.db does not exist",)),
+    "gels of a letter": (database, 1, ("letter.db", "file is not a database", "name another file")),
+    "gels of nobody": (lambda _: ["gel", "show"], 3, ("--database or --config",)),
+    "watch without a broker": (
+        lambda _: ["watch", "--host", "127.0.0.1", "--port", "1", "--timeout", "1"],
+        4, ("no broker answers at 127.0.0.1:1", "correct host and port"),
+    ),
+    "a scene that is none": (
+        lambda _: ["simulate", "dmeo", "-o", "out"], 3, ("no scene is named 'dmeo'; did you mean 'demo'?",),
+    ),
+    "evaluate on nothing": (lambda _: ["evaluate", "bundle", "absent"], 3, ("'absent' is not a folder",)),
+    "a demo where nothing can be written": (lambda _: ["demo", "-o", "/proc/no"], 1, ("/proc/no", "check the path")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("spoil", "code", "words"), REFUSED.values(), ids=REFUSED)
+def test_bad_input_is_a_sentence(
+    bench: Bench, spoil: Callable[[Bench], list[object]], code: int, words: tuple[str, ...]
+) -> None:
+    """One sentence that names the thing, what was found and what to do; one exit code."""
+    ended = gelgate(*spoil(bench))
+
+    assert ended.code == code, ended.err
+    sentence = ended.sentence()
+    assert [word for word in words if word not in sentence] == [], sentence
+    assert not (bench.folder / "made").exists()
+
+
+def test_a_demo_without_a_broker_says_so_before_it_works(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither mosquitto nor amqtt: exit code 4 and what to install, and nothing was simulated."""
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr(local_broker.shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr(local_broker, "find_spec", lambda _: None)
+    ended = gelgate("demo", "-o", "out")
+
+    assert ended.code == 4
+    assert ended.sentence() == (
+        "no MQTT broker is installed here (wanted: mosquitto or amqtt); install mosquitto, or pip install amqtt"
+    )
+    assert ended.out == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["rnu"], "No such command 'rnu'"),
+        (["run", "--presess", "3"], "--presses"),
+        (["run", "--presses", "many"], "Invalid value for '--presses'"),
+        (["fit", "presses", "-o", "x"], "Missing option '--part'"),
+    ],
+)
+def test_a_wrong_command_line_ends_with_2(arguments: list[str], words: str) -> None:
+    """Usage faults are told apart from faults of the input."""
+    ended = gelgate(*arguments)
+
+    assert ended.code == 2
+    assert words in ended.err
+    assert "Traceback" not in ended.err
+
+
+def ending_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verb `topics` now fails in that way."""
+
+    def verb() -> None:
+        raise error
+
+    app = typer.Typer()
+    app.callback()(lambda: None)
+    app.command("topics")(verb)
+    monkeypatch.setattr(cli, "build", lambda: app)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (KeyboardInterrupt(), 130, "gelgate: interrupted\n"),
+        (PermissionError(errno.EACCES, "Permission denied", "/etc/x"), 1, "gelgate: /etc/x: Permission denied; "),
+        (OSError(errno.ENOSPC, "No space left on device"), 1, "gelgate: the disk: No space left on device; "),
+    ],
+)  # fmt: skip
+def test_how_else_a_verb_may_end(
+    error: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C, a path that refuses and a full disk are told in a line, whatever the verb."""
+    ending_with(error, monkeypatch)
+    ended = gelgate("topics")
+
+    assert ended.code == code
+    assert ended.err.strip().startswith(said.strip())
+
+
+def test_a_fault_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is not the operator's, the machine's or the broker's doing is not dressed up as such."""
+    ending_with(OSError(errno.EINVAL, "Invalid argument"), monkeypatch)
+
+    with pytest.raises(OSError, match="Invalid argument"):
+        gelgate("topics")
+
+
+def test_a_plugin_whose_package_is_missing_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An entry point whose module cannot be imported is a sentence, not an ImportError."""
+    from importlib.metadata import EntryPoint
+
+    broken = EntryPoint("lamp", "no_such_package.lamp:plugin", "gelgate.devices")
+    monkeypatch.setattr(registry, "_group", lambda kind: {"lamp": broken})
+    with pytest.raises(
+        cli.errors.ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_package.*pip install"
+    ):
+        registry.load("devices", "lamp")
