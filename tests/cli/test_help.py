@@ -1,0 +1,78 @@
+"""`gelgate --help` and `gelgate VERB --help`: complete, quick, and without anything heavy."""
+
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import typer
+from command_line import gelgate
+
+from edge.cli import EXIT_MEANINGS, build
+
+# An eighth of this is usual; what a gateway's slow processor takes is still no wait.
+CPU_S = 0.9
+
+
+def commands(command: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command and group with its path."""
+    command = command or typer.main.get_command(build())
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, (*path, name))
+
+
+ALL = dict(commands())
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: "gelgate " + " ".join(path))
+def test_help_names_every_option_and_argument(path: tuple[str, ...]) -> None:
+    """What a command takes is in its help, and it ends with 0."""
+    ended = gelgate(*path, "--help")
+
+    assert ended.code == 0, ended.err
+    missing = [
+        name
+        for one in ALL[path].params
+        for name in one.opts
+        if name.startswith("-") and name not in ended.out
+    ]
+    assert missing == []
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: "gelgate " + " ".join(path))
+def test_every_command_option_and_argument_has_a_help_text(path: tuple[str, ...]) -> None:
+    """Nothing has to be guessed."""
+    command = ALL[path]
+
+    assert command.help
+    assert [one.name for one in command.params if not (one.help or "").strip()] == []
+
+
+def test_the_first_page_tells_the_exit_codes() -> None:
+    """A script's author finds them where the verbs are."""
+    words = " ".join(gelgate("--help").out.split())
+
+    assert [code for code, meaning in EXIT_MEANINGS.items() if f"{code} {meaning}" not in words] == []
+
+
+def test_help_loads_nothing_heavy() -> None:
+    """Neither arrays nor pictures, runtimes nor models are imported to print a page of text, and it costs little."""
+    code = (
+        "import sys; from edge.cli import main\n"
+        "sys.argv = ['gelgate', '--help']\n"
+        "try: main()\n"
+        "finally: print('loaded:', *sorted(sys.modules))\n"
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    loaded = set(done.stdout.rpartition("loaded:")[2].split())
+
+    assert (
+        loaded & {"numpy", "cv2", "onnxruntime", "onnx", "torch", "pydantic", "paho", "usb", "sqlite3"}
+        == set()
+    )
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
