@@ -8,12 +8,9 @@ import logging
 import queue
 import random
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from importlib.metadata import version
-from statistics import median
 from typing import Any, Final, Self
 
 from edge import registry
@@ -26,30 +23,18 @@ from edge.core.contact import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
 from edge.core.frames import CameraFrame
-from edge.core.gel import GelState
-from edge.core.ports import Clock, Device, DeviceIdentity, Sink
+from edge.core.ports import Clock, Device, Sink
 from edge.core.station import Station, topic_root
 from edge.core.tracker import ContactTracker
 from edge.core.wear import wear
 from edge.inspection import Inspection, Inspector
 from edge.ledger import GelRecord
-from edge.messages import (
-    AlarmPayload,
-    GelPayload,
-    InfoPayload,
-    StatePayload,
-    StatsPayload,
-    alarm_cleared,
-    alarm_message,
-    gel_message,
-    info_message,
-    state_message,
-    stats_message,
-)
+from edge.messages import StatePayload, state_message
 from edge.outbox import Bounds
 from edge.presses import PressReport, PressTaker, Recorder
 from edge.publisher import Publisher
 from edge.references import ReferenceFolder
+from edge.reporter import Reporter, Summary
 from edge.scorer import Scorer
 from edge.store import Store
 
@@ -64,24 +49,8 @@ STATS_EVERY_S: Final = 10.0
 GAP_S: Final = 0.27
 # How long a store that refuses writes is left alone before it is tried again.
 STORE_RETRY_S: Final = 1.0
-LATENCIES_KEPT: Final = 1000
 
 OnPress = Callable[[PressReport], None]
-
-
-@dataclass
-class Summary:
-    """What a run did. verdicts: word to number, `error` for a press without a verdict."""
-
-    presses: int = 0
-    verdicts: Counter[str] = field(default_factory=Counter)
-    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
-
-    def add(self, report: PressReport) -> None:
-        self.presses += 1
-        self.verdicts[report.result.verdict or "error"] += 1
-        if "total" in report.result.latency_ms:
-            self.latencies_ms.append(report.result.latency_ms["total"])
 
 
 class Gateway:
@@ -98,13 +67,11 @@ class Gateway:
         self._on_press = on_press
         self._parts = ExitStack()
         self._requests: queue.SimpleQueue[Callable[[], list[Inspection]]] = queue.SimpleQueue()
-        self._started_ns = clock.monotonic_ns()
         self._last_frame_ns: int | None = None
-        self._last_stats_ns = self._started_ns
+        self._last_stats_ns = clock.monotonic_ns()
         self._taker: PressTaker | None = None
         self._recorder: Recorder | None = None
-        self._identity: DeviceIdentity | None = None
-        self._drops_seen: Mapping[str, int] = {}
+        self._gel: GelRecord | None = None
 
     @classmethod
     def open(cls, config: Config, clock: Clock, on_press: OnPress = lambda report: None) -> Self:
@@ -126,7 +93,7 @@ class Gateway:
                 self._turn(stop)
         except RecordingEnded as end:
             log.info("%s", end)
-        self._announce_stats()
+        self._say_stats()
         return self.summary
 
     @property
@@ -158,8 +125,9 @@ class Gateway:
         self._publisher = Publisher(
             config.store.path, self._open_sinks(), self._announcements, self._clock, random.Random()
         )
+        self._reporter = Reporter(self._publisher.announce, self._clock)
         self._parts.callback(self._stop_publishing)
-        self._say_state("starting", "waiting for the sensor")
+        self._reporter.state("starting", "waiting for the sensor")
         self._acquisition = Acquisition(
             _device_opener(config.device, bundle.profile.controls, self._clock),
             self._clock,
@@ -194,7 +162,7 @@ class Gateway:
         }
 
     def _stop_publishing(self) -> None:
-        self._say_state("stopped", None)
+        self._reporter.state("stopped")
         self._publisher.stop()
 
     # The loop
@@ -206,7 +174,7 @@ class Gateway:
         if frame is not None:
             self._look_at(frame, stop)
         if self._clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
-            self._announce_stats()
+            self._say_stats()
 
     def _look_at(self, frame: CameraFrame, stop: threading.Event) -> None:
         taker = self._taker or self._begin()
@@ -228,15 +196,13 @@ class Gateway:
                 "use a bundle made for this sensor's mode"
             )
         settings = ContactSettings(is_external=self._config.inspection.trigger == "command")
-        self._identity = identity
-        gel = self._store.gel(identity.serial, self._clock.time_ns())
+        self._gel = gel = self._store.gel(identity.serial, self._clock.time_ns())
         stored = self._references.load(identity.serial, gel.gel_id, "last")
         tracker = ContactTracker(settings, stored)
         self._taker = PressTaker(tracker, self._inspector, self._clock, self._contact_said)
         self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
-        self._publisher.announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
-        self._publisher.announce(info_message(self._info(identity)))
-        self._check_gel(gel)
+        self._reporter.gel(gel)
+        self._reporter.info(self._inspector.bundle, identity)
         return self._taker
 
     def _record_all(self, inspections: list[Inspection], stop: threading.Event) -> None:
@@ -255,17 +221,18 @@ class Gateway:
             except StoreError as error:
                 if not has_failed:
                     log.error("%s", error)
-                    self._raise_alarm("store", str(error))
-                    self._say_state("halted", str(error))
+                    self._reporter.alarm("store", str(error))
+                    self._reporter.state("halted", str(error))
                 has_failed = True
                 if stop.wait(STORE_RETRY_S):
                     raise
         if has_failed:
-            self._publisher.announce(alarm_cleared("store"))
-            self._say_state("ready", None)
+            self._reporter.clear("store")
+            self._reporter.state("ready")
         self._publisher.wake()
         self.summary.add(report)
-        self._check_gel(report.gel)
+        self._gel = report.gel
+        self._reporter.gel_wear(report.gel)
         self._on_press(report)
 
     # What is announced
@@ -274,13 +241,13 @@ class Gateway:
         """Called from the reader thread, once per change."""
         if status.state is AcquisitionState.STREAMING:
             log.info("sensor %s delivers frames", status.identity.serial if status.identity else "?")
-            self._publisher.announce(alarm_cleared("device"))
-            self._say_state("ready", None)
+            self._reporter.clear("device")
+            self._reporter.state("ready")
         elif status.state is AcquisitionState.FAULT:
             reason = status.fault or "the sensor stopped without saying why"
             log.warning("%s", reason)
-            self._raise_alarm("device", reason)
-            self._say_state("halted", reason)
+            self._reporter.alarm("device", reason)
+            self._reporter.state("halted", reason)
 
     def _contact_said(self, event: Event) -> None:
         log.debug("%s", event)
@@ -293,90 +260,25 @@ class Gateway:
     def _see_wear(self) -> None:
         """The free gel was seen: keep its picture, and compare it with the first of this gel."""
         reference = self._taker.tracker.reference if self._taker else None
-        if reference is None or self._identity is None or self._recorder is None:
+        if reference is None or self._gel is None or self._recorder is None:
             return
-        serial = self._identity.serial
-        gel_id = self._store.gel(serial, self._clock.time_ns()).gel_id
+        serial, gel_id = self._gel.serial, self._gel.gel_id
         self._references.save(serial, gel_id, reference)
         first = self._references.load(serial, gel_id, "first")
         if first is not None and first.view.shape == reference.view.shape:
             self._recorder.wear_index = wear(first.view, reference.view).index
 
-    def _check_gel(self, gel: GelRecord) -> None:
-        if gel.state is GelState.GOOD:
-            self._publisher.announce(alarm_cleared("gel"))
-            return
-        word = "must be replaced" if gel.state is GelState.REPLACE else "is due"
-        text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
-        self._raise_alarm("gel", text, severity="warning" if gel.state is GelState.DUE else "error")
-
-    def _check_outbox(self, dropped: Mapping[str, int]) -> None:
-        """Drops since this process started are an alarm; older ones were told before."""
-        if not self._drops_seen:
-            self._drops_seen = dict(dropped)
-        new = {kind: n - self._drops_seen.get(kind, 0) for kind, n in dropped.items()}
-        if any(new.values()):
-            words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
-            self._raise_alarm("outbox_full", f"unsent messages were dropped for want of room: {words}")
-
-    def _check_refused(self, refused: int) -> None:
-        if refused == 0:
-            self._publisher.announce(alarm_cleared("refused"))
-            return
-        errors = "; ".join(c.last_error for c in self._publisher.counters().values() if c.refused)
-        self._raise_alarm("refused", f"{refused} messages were refused and are kept: {errors}")
-
-    def _raise_alarm(self, alarm: str, text: str, severity: str = "error") -> None:
-        payload = AlarmPayload.model_validate(
-            {"time_ns": self._clock.time_ns(), "alarm": alarm, "text": text, "severity": severity}
-        )
-        self._publisher.announce(alarm_message(payload))
-
-    def _say_state(self, state: str, reason: str | None) -> None:
-        payload = StatePayload.model_validate(
-            {"time_ns": self._clock.time_ns(), "state": state, "reason": reason}
-        )
-        self._publisher.announce(state_message(payload))
-
-    def _info(self, identity: DeviceIdentity) -> InfoPayload:
-        bundle = self._inspector.bundle
-        manifest = bundle.manifest
-        return InfoPayload(
-            time_ns=self._clock.time_ns(),
-            gelgate_version=version("gelgate"),
-            sensor_product=identity.product,
-            sensor_serial=identity.serial,
-            sensor_profile=manifest.profile.name,
-            part=manifest.part,
-            position=manifest.position,
-            method=manifest.method,
-            backbone=manifest.backbone.id if manifest.backbone else None,
-            bundle_id=bundle.digest,
-            threshold=manifest.threshold.value,
-        )
-
-    def _announce_stats(self) -> None:
+    def _say_stats(self) -> None:
         self._last_stats_ns = self._clock.monotonic_ns()
-        status, outbox = self._acquisition.status, self._publisher.outbox_status()
-        self._check_outbox(outbox.dropped)
-        self._check_refused(outbox.refused)
-        latencies = self.summary.latencies_ms
-        payload = StatsPayload(
-            time_ns=self._clock.time_ns(),
-            uptime_s=(self._last_stats_ns - self._started_ns) / 1e9,
-            frames=status.frames,
-            frames_corrupt=status.corrupt + (self._taker.corrupt if self._taker else 0),
-            delivered_fps=status.fps,
-            presses=self.summary.presses,
-            verdicts=dict(self.summary.verdicts),
-            reconnects=status.reconnects,
-            latency_ms_p50=median(latencies) if latencies else None,
-            latency_ms_max=max(latencies, default=None),
-            outbox_rows=outbox.rows,
-            outbox_bytes=outbox.bytes,
-            dropped=dict(outbox.dropped),
-        )
-        self._publisher.announce(stats_message(payload))
+        try:
+            outbox = self._publisher.outbox_status()
+        except StoreError as error:
+            self._reporter.alarm("store", str(error))
+            return
+        corrupt = self._taker.corrupt if self._taker else 0
+        self._reporter.stats(self.summary, self._acquisition.status, outbox, corrupt)
+        errors = [c.last_error for c in self._publisher.counters().values() if c.refused]
+        self._reporter.refused(outbox.refused, errors)
 
     # Commands: they arrive on a sink's thread and are done by the loop's
 
@@ -391,12 +293,10 @@ class Gateway:
         unknown = set(arguments) - {"gel_id", "limit_presses", "note"}
         if unknown:
             raise ValueError(f"unknown arguments {sorted(unknown)}; gel_id, limit_presses and note are known")
-        if self._identity is None:
+        if self._gel is None:
             raise DeviceNotFound("no sensor has been seen yet, so it is not known whose gel was replaced")
-        now_ns = self._clock.time_ns()
-        gel = self._store.replace_gel(self._identity.serial, now_ns, **arguments)
-        self._publisher.announce(gel_message(GelPayload.of(gel, now_ns)))
-        self._check_gel(gel)
+        self._gel = gel = self._store.replace_gel(self._gel.serial, self._clock.time_ns(), **arguments)
+        self._reporter.gel(gel)
         self._asked(lambda taker: taker.relearn())
         return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
 
