@@ -27,54 +27,67 @@ class _Table(BaseModel):
 
 
 class PluginTable(_Table):
-    """`plugin` names it; `options` is that plugin's own table."""
+    """One plugin, chosen by name."""
 
-    plugin: str
-    options: dict[str, Any] = Field(default_factory=dict)
+    plugin: str = Field(description="its name")
+    options: dict[str, Any] = Field(default_factory=dict, description="that plugin's own table")
 
 
 class StationTable(_Table):
     """Where this gateway stands in the plant; the levels of its MQTT topics."""
 
-    prefix: Segment = "gelgate"
-    site: Segment = "site"
-    line: Segment = "line"
-    station: Segment = "station"
+    prefix: Segment = Field(default="gelgate", description="first level of every topic")
+    site: Segment = Field(default="site", description="second level: the plant")
+    line: Segment = Field(default="line", description="third level: the production line")
+    station: Segment = Field(default="station", description="fourth level: this gateway, unique on its line")
 
 
 class InspectionTable(_Table):
-    """What is inspected. `trigger`: `automatic` scores every press, `command` only one that was asked for."""
+    """What is inspected."""
 
-    bundle: Path
-    threads: int = Field(default=2, ge=1, le=64)
-    trigger: Literal["automatic", "command"] = "automatic"
+    bundle: Path = Field(description="folder or .zip made by `gelgate fit`")
+    threads: int = Field(default=2, ge=1, le=64, description="threads that score one press")
+    trigger: Literal["automatic", "command"] = Field(
+        default="automatic",
+        description="automatic: every press is scored; command: only one that `cmd/trigger` asks for",
+    )
 
 
 class GelTable(_Table):
-    """When the gel is due. `limit_presses`: the maker's figure for coins; sharp parts cut faster (datasheet)."""
+    """When the gel is due."""
 
-    limit_presses: int = Field(default=1000, ge=1)
-    warn_fraction: float = Field(default=0.8, gt=0, le=1)
+    limit_presses: int = Field(
+        default=1000,
+        ge=1,
+        description="presses after which it must be replaced: the maker's figure for coins; sharp parts cut faster",
+    )
+    warn_fraction: float = Field(
+        default=0.8, gt=0, le=1, description="part of the limit at which a new gel should be ordered"
+    )
 
 
 class StoreTable(_Table):
     """The database of presses, gels and unsent messages, and how much room unsent messages may take."""
 
-    path: Path = Path("gelgate.db")
-    outbox_mb: float = Field(default=512, gt=0)
-    outbox_days: float = Field(default=30, gt=0)
+    path: Path = Field(default=Path("gelgate.db"), description="the SQLite file; its folder must exist")
+    outbox_mb: float = Field(
+        default=512,
+        gt=0,
+        description="room for unsent messages; beyond it heatmaps are dropped first, passes next, fails last",
+    )
+    outbox_days: float = Field(default=30, gt=0, description="unsent messages older than this are dropped")
 
 
 class Config(_Table):
-    """The whole file. `version` is the version of this format."""
+    """The whole file."""
 
-    version: Literal[1]
+    version: Literal[1] = Field(description="the version of this format")
     station: StationTable = StationTable()
-    device: PluginTable
+    device: PluginTable = Field(description="the sensor")
     inspection: InspectionTable
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
-    sinks: Annotated[list[PluginTable], Field(min_length=1)]
+    sinks: list[PluginTable] = Field(min_length=1, description="where results go; one table each")
 
 
 def load_config(path: Path) -> Config:

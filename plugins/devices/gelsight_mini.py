@@ -26,17 +26,23 @@ __all__ = ["GelsightMini", "GelsightMiniOptions", "plugin"]
 
 
 class GelsightMiniOptions(BaseModel):
-    """serial: which sensor, where several are plugged in; the product's tail without its dash.
-
-    stream: `v4l2` through the kernel, `uvc` through libusb (takes the sensor from the kernel while open).
-    controls: camera controls to pin, V4L2 names (old or new) to values; usually the bundle's sensor profile has them.
-    """
+    """Which sensor, and how it is read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    serial: str | None = Field(default=None, pattern="^[A-Z0-9]{8}$")
-    stream: Literal["v4l2", "uvc"] = "v4l2"
-    controls: dict[str, int] = Field(default_factory=dict)
+    serial: str | None = Field(
+        default=None,
+        pattern="^[A-Z0-9]{8}$",
+        description="which sensor, where several are plugged in: the product's tail without its dash",
+    )
+    stream: Literal["v4l2", "uvc"] = Field(
+        default="v4l2",
+        description="v4l2: through the kernel; uvc: through libusb, which takes the sensor from the kernel while open",
+    )
+    controls: dict[str, int] = Field(
+        default_factory=dict,
+        description="camera controls to pin, V4L2 names (old or new) to values; usually the sensor profile has them",
+    )
 
 
 class GelsightMini:

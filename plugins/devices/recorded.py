@@ -18,13 +18,17 @@ __all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
 
 
 class RecordedOptions(BaseModel):
-    """recording: the folder. pace: 1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read."""
+    """Which recording, and how it is played."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    recording: Path
-    pace: float = Field(default=1.0, ge=0)
-    loop: bool = False
+    recording: Path = Field(description="the folder to play, made by `gelgate record` or `gelgate simulate`")
+    pace: float = Field(
+        default=1.0,
+        ge=0,
+        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read",
+    )
+    loop: bool = Field(default=False, description="start over at the end")
 
 
 class RecordedSensor:

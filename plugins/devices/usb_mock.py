@@ -38,23 +38,29 @@ def _fault(value: object) -> object:
 
 
 class UsbMockOptions(BaseModel):
-    """The TOML table of a virtual sensor. One options value is one bus: opened again, it goes on where it was.
-
-    recording: the folder to play. serial: instead of the recorded one. pace: 1 is real time (0.75 of the nominal
-    rate, as on the real sensor), 2 twice as fast, 0 as fast as frames are read. loop: start over at the end.
-    faults: such as "drop@12", "stall@40:2.5", "unplug@80:1". with_webcam: plug the unrelated webcam in, too.
-    controls: pinned as on the real sensor; they change nothing in a recorded picture.
-    """
+    """The TOML table of a virtual sensor. One options value is one bus: opened again, it goes on where it was."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    recording: Path
-    serial: str | None = None
-    pace: float = Field(default=1.0, ge=0)
-    loop: bool = False
-    faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = ()
-    with_webcam: bool = True
-    controls: dict[str, int] = Field(default_factory=dict)
+    recording: Path = Field(description="the folder to play, made by `gelgate record` or `gelgate simulate`")
+    serial: str | None = Field(default=None, description="instead of the recorded one")
+    pace: float = Field(
+        default=1.0,
+        ge=0,
+        description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
+        "frames are read",
+    )
+    loop: bool = Field(default=False, description="start over at the end")
+    faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(
+        default=(), description='texts such as "drop@12", "stall@40:2.5", "unplug@80:1": kind, frame, seconds'
+    )
+    with_webcam: bool = Field(
+        default=True, description="plug in, too, an unrelated webcam with the same USB id"
+    )
+    controls: dict[str, int] = Field(
+        default_factory=dict,
+        description="pinned as on the real sensor; they change nothing in a recorded picture",
+    )
 
     _bench: "Bench | None" = PrivateAttr(default=None)
 

@@ -11,7 +11,7 @@ import os
 import threading
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
@@ -23,11 +23,11 @@ _SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 class Options(BaseModel):
-    """folder: made at first use; holds `messages.jsonl` and the pictures."""
+    """Where to."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    folder: Path
+    folder: Path = Field(description="made at first use; holds `messages.jsonl` and the pictures")
 
 
 class JsonlSink:

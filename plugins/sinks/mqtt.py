@@ -40,13 +40,15 @@ WAITING_COMMANDS: Final = 16
 
 
 class TlsOptions(BaseModel):
-    """ca: PEM of the authorities to trust, the system's if left out. cert, key: this gateway's own, for mutual TLS."""
+    """The files of an encrypted connection; an empty table means encryption with the system's authorities."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
+    ca: Path | None = Field(
+        default=None, description="PEM of the authorities to trust, the system's if left out"
+    )
+    cert: Path | None = Field(default=None, description="PEM of this gateway's own, for mutual TLS")
+    key: Path | None = Field(default=None, description="PEM of its key, if not in `cert`")
 
     @model_validator(mode="after")
     def _key_with_cert(self) -> Self:
@@ -60,15 +62,17 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    host: str = Field(default="localhost", min_length=1)
+    host: str = Field(default="localhost", min_length=1, description="the broker's name or address")
     port: int | None = Field(default=None, ge=1, le=65535, description="1883, or 8883 with TLS, if left out")
-    protocol: Literal["auto", "5", "3.1.1"] = "auto"
+    protocol: Literal["auto", "5", "3.1.1"] = Field(
+        default="auto", description="MQTT level; auto: 5, or 3.1.1 where the broker does not speak it"
+    )
     client_id: str | None = Field(
         default=None, min_length=1, description="unique in the plant; from the station if left out"
     )
-    username: str | None = None
-    password_file: Path | None = None
-    tls: TlsOptions | None = None
+    username: str | None = Field(default=None, description="user name at the broker")
+    password_file: Path | None = Field(default=None, description="file that holds the password alone")
+    tls: TlsOptions | None = Field(default=None, description="encrypt the connection; a table of its own")
     keepalive_s: int = Field(
         default=15, ge=1, le=3600, description="a silent broker is noticed within 1.5 times this"
     )
