@@ -78,12 +78,19 @@ def test_a_region_of_another_size_is_refused() -> None:
 
 
 def test_neighbours_end_at_a_tile() -> None:
-    """A 3x3 neighbourhood across two tiles would mix places: refused."""
+    """The 3x3 neighbourhood of a cell at a seam repeats it instead of reaching into the next tile, another place."""
     trunk = session(tile_trunk(PLAIN, TILES))
-    grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
-    features = extract(trunk, frames(1), grid, lambda fraction: None)
-    with pytest.raises(FitError, match="tiles do not know"):
-        fitted(padim, padim.parameters(neighbours=1), Nominal(features), grid)
+    grid = trunk_grid(trunk, TAPS[:2], (96, 160), 15.77)
+    train = {
+        tap: value.copy() for tap, value in extract(trunk, frames(5), grid, lambda fraction: None).items()
+    }
+    parameters = padim.parameters(neighbours=1, is_balanced=False, projection="all", is_sampled=False)
+    before = fitted(padim, parameters, Nominal(train), grid)
+    train["layer1"][:, :, :, :16] += 100
+    after = fitted(padim, parameters, Nominal(train), grid)
+    moved = np.abs(after.arrays["mean"] - before.arrays["mean"])[:, :64].max(axis=1).reshape(32, 64)
+    assert (moved[:, :16] > 99).all()
+    assert (moved[:, 16:] == 0).all()
 
 
 def test_only_a_plain_trunk_is_tiled() -> None:

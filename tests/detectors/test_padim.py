@@ -183,8 +183,8 @@ def test_repair_balance_between_taps() -> None:
         a, b = (padim.reference_score(each, LIKE_RESNET, bank, parameters) for each in (odd, query))
         return float((a.score_map / b.score_map).max())
 
-    assert rise(padim.parameters(taps=DEEP)) > 1.3
-    assert rise(padim.parameters(taps=DEEP, is_balanced=False)) < 1.01
+    assert rise(padim.parameters(taps=DEEP, neighbours=0)) > 1.3
+    assert rise(padim.parameters(taps=DEEP, neighbours=0, is_balanced=False)) < 1.15
 
 
 def test_repair_physical_blur() -> None:
@@ -238,7 +238,9 @@ def test_neighbours_tolerate_a_shift() -> None:
         return padim.reference_score(shifted, LIKE_RESNET, bank, parameters).score_map[:, 12:36, 12:36].mean()
 
     exact: dict[str, Any] = {"rank": None, "ridge": 0.05}
-    assert score(padim.parameters(neighbours=1, **exact)) < 0.7 * score(padim.parameters(**exact))
+    assert score(padim.parameters(neighbours=1, **exact)) < 0.7 * score(
+        padim.parameters(neighbours=0, **exact)
+    )
 
 
 # --- what is refused
@@ -309,3 +311,19 @@ def test_the_fit_is_reproducible() -> None:
         for name in first.arrays
         if "channels" in name
     )
+
+
+def test_neighbours_are_nine_times_the_samples() -> None:
+    """Mean and covariance of the 3x3 neighbourhood, from nine cells' moments, are those of all their samples."""
+    parameters = padim.parameters(taps=("layer1",), projection="all", is_balanced=False, rank=None)
+    train = {"layer1": features(4, seed=1)["layer1"]}
+    bank = fitted(padim, parameters, Nominal(train), Grid((48, 48), {"layer1": (8, 12, 12)}, 15.77))
+    padded = np.pad(train["layer1"].astype(np.float64), ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
+    for row, column in ((0, 0), (5, 7), (11, 3)):
+        samples = padded[:, :, row : row + 3, column : column + 3].transpose(0, 2, 3, 1).reshape(-1, 8)
+        place = row * 12 + column
+        np.testing.assert_allclose(bank.arrays["mean"][place], samples.mean(axis=0), rtol=1e-5)
+        basis, values = bank.arrays["basis"][place], 1 / bank.arrays["weights"][place] - parameters.ridge
+        np.testing.assert_allclose(
+            basis.T * values @ basis, np.cov(samples, rowvar=False), rtol=1e-3, atol=1e-5
+        )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RELATIVE_CUT", "Spectrum", "mahalanobis_squared", "spectrum"]
+__all__ = ["RELATIVE_CUT", "Spectrum", "covariance_spectrum", "mahalanobis_squared", "spectrum"]
 
 # Eigenvalues below this part of the largest are rounding noise of float64 sums (centring makes one of them zero).
 RELATIVE_CUT = 1e-10
@@ -56,17 +56,24 @@ def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int =
     if keep == 0:
         return Spectrum(mean, np.zeros((*x.shape[:-2], 0)), np.zeros((*x.shape[:-2], 0, d)))
     x /= np.sqrt(max(n - ddof, 1))
-    if n <= d:
-        values, vectors = _leading(x @ np.swapaxes(x, -1, -2), keep)
-        directions = np.swapaxes(vectors, -1, -2) @ x
-    else:
-        values, vectors = _leading(np.swapaxes(x, -1, -2) @ x, keep)
-        directions = np.swapaxes(vectors, -1, -2).copy()
+    if n > d:
+        return covariance_spectrum(mean, np.swapaxes(x, -1, -2) @ x, keep)
+    values, vectors = _leading(x @ np.swapaxes(x, -1, -2), keep)
+    return _cut(mean, values, np.swapaxes(vectors, -1, -2) @ x)
+
+
+def covariance_spectrum(mean: NDArray[np.float64], covariance: NDArray[np.float64], rank: int) -> Spectrum:
+    """The same from covariances (..., d, d) that are known already. rank: at most so many directions, at least 1."""
+    values, vectors = _leading(covariance, rank)
+    return _cut(mean, values, np.swapaxes(vectors, -1, -2).copy())
+
+
+def _cut(mean: NDArray[np.float64], values: NDArray[np.float64], directions: NDArray[np.float64]) -> Spectrum:
+    """Directions (..., r, d) made unit vectors, those of rounding noise made zero."""
     alive = values > RELATIVE_CUT * np.maximum(values[..., :1], np.finfo(np.float64).tiny)
-    values = np.where(alive, values, 0.0)
     norms = np.linalg.norm(directions, axis=-1)
     basis = np.where(alive[..., None], directions / np.where(norms > 0, norms, 1.0)[..., None], 0.0)
-    return Spectrum(mean, values, basis)
+    return Spectrum(mean, np.where(alive, values, 0.0), basis)
 
 
 def _leading(gram: NDArray[np.float64], keep: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
