@@ -1,0 +1,58 @@
+"""H4, searched in groups: the product form makes the shortlist and never the score.
+
+Guards: `shortlist.emit_group_nearest` measures its winners again as sums of squared differences, and every head
+subtracts the bank's mean before. Checked by removal: with the distance read back from the product the first test
+finds up to 0.4 in place of 0.01; with the mean left in (a bank mean of zeros) the second fails for FAPM and PatchCore.
+"""
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+from heads import fit, grid, presses_of, run_head
+
+from plugins.detectors.fapm import fapm
+from plugins.detectors.inreach import inreach
+from plugins.detectors.maths.shortlist import emit_group_nearest
+from plugins.detectors.patchcore import patchcore
+from plugins.detectors.spade import spade
+from plugins.graph import Graph
+
+
+def group_distances(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
+    graph = Graph("groups")
+    width = bank.shape[2]
+    found = emit_group_nearest(
+        graph, graph.input("q", ("g", "q", width)), graph.input("bank", ("g", "m", width)), width
+    )
+    graph.output("d", found, ("g", "q", 1))
+    session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}
+    (distances,) = session.run(None, feed)
+    return np.asarray(distances)[:, :, 0]
+
+
+def test_a_small_distance_between_long_vectors() -> None:
+    """Three groups, vectors of length 100, true distance 0.01: found within a percent, never negative, never NaN."""
+    rng = np.random.default_rng(0)
+    bank = rng.normal(size=(3, 40, 64))
+    bank *= 100 / np.linalg.norm(bank, axis=2, keepdims=True)
+    step = rng.normal(size=(3, 20, 64))
+    queries = bank[:, :20] + 0.01 * step / np.linalg.norm(step, axis=2, keepdims=True)
+    np.testing.assert_allclose(group_distances(queries, bank), 0.01, rtol=1e-2)
+    assert (group_distances(bank, bank) == 0).all()
+
+
+@pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
+def test_features_far_from_zero_score_as_near_zero(detector: object) -> None:
+    """All features raised by 300, a thousand times what they vary: the graph keeps the oracle's map to 0.1 %."""
+    nominal, asked = _raised(presses_of(12)), _raised(presses_of(2, 1))
+    switches = {"is_normalised": False} if detector is spade else {}
+    p = detector.parameters(**switches)  # type: ignore[attr-defined]
+    bank = fit(detector, p, nominal, grid())  # type: ignore[arg-type]
+    found = run_head(detector.head(grid(), bank, p), asked, bank)["score_map"]  # type: ignore[attr-defined]
+    expected = detector.reference_score(asked, grid(), bank, p).score_map  # type: ignore[attr-defined]
+    assert np.abs(found - expected).max() < 1e-3 * expected.max()
+
+
+def _raised(features: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {tap: maps + np.float32(300) for tap, maps in features.items()}
