@@ -72,7 +72,7 @@ class InreachParameters:
     mode: Mode = "corrected"
     taps: tuple[str, ...] = ("layer1", "layer2", "layer3")
     grid_tap: str = "layer2"
-    descriptor: Kind = "means"
+    descriptor: Kind = "binned"
     dims: int | None = 64
     is_balanced: bool = True
     position_weight: float = 0.0
@@ -140,7 +140,6 @@ PAPER = InreachParameters(
     mode="paper",
     taps=PAPER_TAPS,
     grid_tap="layer1.0",
-    descriptor="binned",
     dims=None,
     is_balanced=False,
     is_index_right=False,

@@ -36,7 +36,8 @@ SIGMA_MM = PAPER_SIGMA_PX / 15.77
 class PatchcoreParameters:
     """What PatchCore can be told; every repair is a switch of its own.
 
-    descriptor: see maths/descriptor.py. dims: leading directions kept, plus the length of the rest; None keeps all.
+    layers, grid_tap, descriptor: see maths/descriptor.py; layer1, not in the publication, shows small faults. dims:
+    leading directions kept, plus the length of the rest; None keeps all.
     is_balanced: each tap is divided by its nominal deviation, so that none rules by its scale.
     coreset_fraction: patches kept; at most most_rows of them (None: no limit). is_coreset_exact: k-centre over the
     descriptors themselves from one start, instead of over a random projection with ten random points as
@@ -46,9 +47,9 @@ class PatchcoreParameters:
     """
 
     mode: Mode = "corrected"
-    layers: tuple[str, ...] = ("layer2", "layer3")
+    layers: tuple[str, ...] = ("layer1", "layer2", "layer3")
     grid_tap: str = "layer2"
-    descriptor: Kind = "means"
+    descriptor: Kind = "binned"
     dims: int | None = 64
     is_balanced: bool = True
     coreset_fraction: float = 0.1
@@ -88,7 +89,7 @@ class PatchcoreParameters:
 
 PAPER = PatchcoreParameters(
     mode="paper",
-    descriptor="binned",
+    layers=("layer2", "layer3"),
     dims=None,
     is_balanced=False,
     coreset_fraction=0.01,

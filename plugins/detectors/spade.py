@@ -26,6 +26,7 @@ from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.layered import emit_layered_scores
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import (
+    PRODUCT_LIMIT,
     Blocks,
     emit_group_nearest,
     emit_window_nearest,
@@ -47,8 +48,6 @@ EVERY = slice(None)
 SCALE_PRESSES = 12
 # The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
 SIGMA_MM = PAPER_SIGMA_PX / 15.77
-# Rows of distances to the whole gallery that the graph holds at once: 64 MB of float32 at most.
-PRODUCT_LIMIT = 16 * 2**20
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ Two kinds. `binned` is that of PatchCore and InReaCh: the window is unfolded cha
 averaged to a fixed number of bins per tap, the taps laid end to end and averaged again to that number. All of it is
 linear and acts on channels alone, so it is one sparse 3x3 convolution per tap at the tap's own size and then an
 interpolation: 12.8 MB where the plain order needs 1.13 GB (Wide-ResNet-50-2, 13 taps, 56x56). `means` is the plain
-mean of each channel over the window, all channels of all taps.
+mean of each channel over the window, all channels of all taps. A tap finer than the grid, which the publications do not
+have, is averaged onto it before its windows are taken.
 
 Written twice, for NumPy and as a graph, from the same weights.
 """
@@ -95,22 +96,29 @@ class Descriptor:
         columns = np.zeros((n, self.width(grid), *self.cells(grid)), dtype)
         at = 0
         for number, tap in enumerate(self.taps):
-            native = self._native(features[tap].astype(dtype) * dtype(scales.get(tap, 1.0)), number)
-            rows, across = self._resampling(grid, tap)
+            down, across = (matrix.astype(dtype) for matrix in self._resampling(grid, tap))
+            x = features[tap].astype(dtype) * dtype(scales.get(tap, 1.0))
+            if self._is_finer(grid, tap):
+                part = self._native(down @ x @ across.T, number)
+            else:
+                part = down @ self._native(x, number) @ across.T
             if self.kind == "binned":
                 at = number * BINS // len(self.taps)
-            columns[:, at : at + native.shape[1]] += rows.astype(dtype) @ native @ across.T.astype(dtype)
-            at += native.shape[1]
+            columns[:, at : at + part.shape[1]] += part
+            at += part.shape[1]
         return np.swapaxes(columns.reshape(n, len(columns[0]), -1), 1, 2)
 
     def emit(self, graph: Graph, grid: Grid, scales: Value | None) -> Value:
         """The same in a graph: inputs for the taps; descriptors as columns (n, width, cells). scales: (taps,)."""
         parts: list[Value] = []
         for number, tap in enumerate(self.taps):
-            native = self._emit_native(graph, graph.input(tap, ("n", *grid.taps[tap])), grid, number)
+            x = graph.input(tap, ("n", *grid.taps[tap]))
             if scales is not None:
-                native = graph.op("Mul", native, graph.op("Gather", scales, graph.ints(number), axis=0))
-            part = self._emit_resampled(graph, native, grid, tap)
+                x = graph.op("Mul", x, graph.op("Gather", scales, graph.ints(number), axis=0))
+            if self._is_finer(grid, tap):
+                part = self._emit_native(graph, self._emit_resampled(graph, x, grid, tap), grid, number)
+            else:
+                part = self._emit_resampled(graph, self._emit_native(graph, x, grid, number), grid, tap)
             if parts and self.kind == "binned" and number * BINS % len(self.taps):
                 parts[-1], part = _emit_shared_row(graph, parts[-1], part)
             parts.append(part)
@@ -153,6 +161,9 @@ class Descriptor:
             weights = graph.constant(band.weights.astype(np.float32))
             parts.append(graph.op("Conv", chosen, weights, pads=[1, 1, 1, 1]))
         return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+
+    def _is_finer(self, grid: Grid, tap: str) -> bool:
+        return grid.taps[tap][1] > self.cells(grid)[0]
 
     def _resampling(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The matrices that draw a tap on the grid: (grid rows, tap rows) and (grid columns, tap columns)."""

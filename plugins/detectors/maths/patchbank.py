@@ -15,7 +15,7 @@ from edge.core.detector import Bank, Features, Grid
 from plugins.detectors.maths.descriptor import Descriptor
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
-from plugins.detectors.maths.shortlist import emit_group_nearest
+from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest
 from plugins.graph import Graph, Value
 
 __all__ = ["PatchBank"]
@@ -25,8 +25,6 @@ SAMPLE_PRESSES = 16
 SAMPLE_CELLS = 4096
 # A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
 DEVIATION_FLOOR = 1e-2
-# Distances that the graph holds at once: 64 MB of float32.
-PRODUCT_LIMIT = 16 * 2**20
 
 
 @dataclass(frozen=True)

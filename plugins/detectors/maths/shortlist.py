@@ -11,13 +11,23 @@ from numpy.typing import NDArray
 
 from plugins.graph import Graph, Value
 
-__all__ = ["FORBIDDEN", "SHORTLIST", "Blocks", "emit_group_nearest", "emit_window_nearest", "window_nearest"]
+__all__ = [
+    "FORBIDDEN",
+    "PRODUCT_LIMIT",
+    "SHORTLIST",
+    "Blocks",
+    "emit_group_nearest",
+    "emit_window_nearest",
+    "window_nearest",
+]
 
 # Added to the squared distance of a row that a query may not use: far above any feature distance, far below the end
 # of float32.
 FORBIDDEN = 1e30
 # Rows measured exactly for each query.
 SHORTLIST = 4
+# Distances that one product may hold: a search over a large bank asks for so many rows at a time (64 MB of float32).
+PRODUCT_LIMIT = 16 * 2**20
 # Cells along one side of a block: small enough that a window around it is little larger, large enough for a product.
 BLOCK = 4
 
