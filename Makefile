@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench test-hardware kernel-lab clean
+.PHONY: demo test lint docs bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -16,6 +16,10 @@ lint: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Pages that are printed from the program; the tests compare them.
+docs: $(VENV)/.test
+	$(BIN)/python docs/generate.py
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s

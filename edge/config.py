@@ -34,7 +34,10 @@ class PluginTable(_Table):
 
 
 class StationTable(_Table):
-    """Where this gateway stands in the plant; the levels of its MQTT topics."""
+    """Where this gateway stands in the plant; the levels of its MQTT topics.
+
+    Each has 1 to 64 characters, no space, and none of + # / $.
+    """
 
     prefix: Segment = Field(default="gelgate", description="first level of every topic")
     site: Segment = Field(default="site", description="second level: the plant")

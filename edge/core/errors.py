@@ -1,25 +1,25 @@
-"""Every error that gelgate raises, drawn as a tree; each leaf says whose fault it is and what comes next.
+"""Every error that gelgate raises, drawn as a tree; each says whose fault it is and what comes next.
 
 GelgateError
 ├── ConfigError        operator · fix the configuration; the gateway does not start
-├── BundleError        operator · re-export or replace the bundle; the gateway does not start
-│   ├── BundleCorrupt      a hash, a shape or a golden frame differs from the manifest
-│   └── BundleMismatch     a sound bundle for another sensor profile, or from a newer program
-├── RecordingError     operator · the folder is not a recording, or a frame in it is missing
-├── DatasetError       operator · files are missing, misnamed or wrongly sized
+├── BundleError        operator · replace the bundle; the gateway does not start
+│   ├── BundleCorrupt      operator · copy the whole bundle again, or make it again
+│   └── BundleMismatch     operator · use the bundle made for this sensor, or update the program
+├── RecordingError     operator · name another folder, or record again
+├── DatasetError       operator · repair or remove the files that are listed
 ├── DeviceError        device · counted, published, retried with back-off
-│   ├── DeviceNotFound     nothing that is the configured sensor is plugged in
-│   ├── DeviceBusy         another process or driver holds it
-│   ├── DeviceLost         it was there and is gone: unplugged, or it stopped answering
-│   ├── DeviceStalled      it is there, but no new frame arrived before the deadline (a TimeoutError)
-│   ├── FrameCorrupt       one frame is broken; the next may be good
-│   └── RecordingEnded     a recording was played to its end
+│   ├── DeviceNotFound     operator · plug it in; a running gateway waits for it
+│   ├── DeviceBusy         operator · end the process that holds it; a running gateway waits for it
+│   ├── DeviceLost         device · opened again as soon as it is back
+│   ├── DeviceStalled      device · opened again (it is a TimeoutError, too)
+│   ├── FrameCorrupt       device · counted; the next frame may be good
+│   └── RecordingEnded     nobody · the run ends
 ├── SinkError          broker · the row stays in the outbox and is sent again
-│   ├── SinkUnavailable    not connected, or no acknowledgement in time
-│   └── SinkRejected       the broker refused this message; it is set aside and offered again later
-├── StoreError         machine · disk full or database damaged; inspection halts, nothing is published as pass
-├── NotScorable        press · this press has no score (NaN, saturated, empty bank); never a pass
-└── FitError           operator · the nominal presses do not allow a bank (none, mixed sizes, all identical)
+│   ├── SinkUnavailable    broker · sent again when it is back
+│   └── SinkRejected       broker · set aside, told as an alarm, offered again at the next start
+├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
+├── NotScorable        press · published as an error with its reason, never as a pass; press again
+└── FitError           operator · give other or more nominal presses
 """
 
 __all__ = [

@@ -23,7 +23,7 @@ _SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 class Options(BaseModel):
-    """Where to."""
+    """Every message becomes a line of a file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

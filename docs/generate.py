@@ -1,0 +1,304 @@
+"""Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
+
+cli.md from the commands, config.md from the configuration's models and the plugins' options, errors.md from the error
+tree, mqtt.md from the payload models.
+"""
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType
+from typing import Any, Final, get_args, get_origin, get_type_hints
+
+import typer
+from pydantic import BaseModel
+
+from edge import registry
+from edge.cli import EXIT_MEANINGS, exit_code
+from edge.cli.run import EXAMPLE
+from edge.config import Config
+from edge.core import errors
+from edge.mqtt_reference import reference
+
+FOLDER: Final = Path(__file__).parent
+NOTICE: Final = "<!-- Printed from the program by `make docs`; change the program, not this page. -->\n"
+
+
+# The command line
+
+
+def cli_page() -> str:
+    """Every verb with its arguments, options and defaults, and the exit codes."""
+    sections = (_section(path, verb) for path, verb in verbs())
+    return "\n".join([NOTICE, "# Command line\n", *_exit_codes(), *sections])
+
+
+def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
+    """Every command with its words, such as `gelgate gel show`."""
+    for name in registry.names("commands"):
+        verb = registry.load("commands", name)
+        if isinstance(verb, typer.Typer):
+            for one in verb.registered_commands:
+                if one.callback is not None:
+                    yield (
+                        f"gelgate {name} {one.name or one.callback.__name__.replace('_', '-')}",
+                        one.callback,
+                    )
+        else:
+            yield f"gelgate {name}", verb
+
+
+def _exit_codes() -> Iterator[str]:
+    yield "Every refusal is one sentence on the standard error output. Results go to the standard output.\n"
+    yield "| exit code | meaning |\n| --- | --- |"
+    yield from (f"| {code} | {meaning} |" for code, meaning in EXIT_MEANINGS.items())
+    yield "\n[errors.md](errors.md) says which error gives which code.\n"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One argument or option of a verb, from its signature."""
+
+    names: tuple[str, ...]
+    value: str
+    default: str
+    help: str
+    is_argument: bool
+
+    @classmethod
+    def of(cls, name: str, annotation: Any, default: Any) -> "Parameter":
+        kind, info = get_args(annotation)[:2]
+        is_argument = isinstance(info, typer.models.ArgumentInfo)
+        is_flag = kind is bool
+        # Inside Annotated, typer takes the first declared name for a default.
+        declared = (*([info.default] if isinstance(info.default, str) else []), *(info.param_decls or ()))
+        dashed = name.replace("_", "-")
+        names = declared or (f"--{dashed}", *([f"--no-{dashed}"] if is_flag else []))
+        if is_argument:
+            names = (info.metavar or name.upper(),)
+        value = "" if is_flag or is_argument else info.metavar or _type_words(kind, info)
+        return cls(names, value, _default(default), info.help or "", is_argument)
+
+
+def parameters(verb: Callable[..., None]) -> list[Parameter]:
+    """What a verb takes, arguments first."""
+    hints = get_type_hints(verb, include_extras=True)
+    found = [
+        Parameter.of(name, hints[name], one.default)
+        for name, one in inspect.signature(verb).parameters.items()
+    ]
+    return sorted(found, key=lambda one: not one.is_argument)
+
+
+def _section(path: str, verb: Callable[..., None]) -> str:
+    taken = parameters(verb)
+    words = [path, *(one.names[0] for one in taken if one.is_argument)]
+    words += ["[OPTIONS]"] * any(not one.is_argument for one in taken)
+    lines = [f"## {path}\n\n{_paragraphs(inspect.getdoc(verb))}\n\n```\n{' '.join(words)}\n```\n"]
+    if taken:
+        lines.append("| option | default | what it is |\n| --- | --- | --- |")
+        for one in taken:
+            names = ", ".join(f"`{name}`" for name in one.names)
+            lines.append(_row(f"{names} {one.value}", one.default, one.help))
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _type_words(kind: Any, info: Any) -> str:
+    """What may follow an option, in words."""
+    kinds = {one for one in (kind, *get_args(kind)) if isinstance(one, type)} - {NoneType}
+    inner = {one for given in get_args(kind) for one in get_args(given)} | kinds
+    words = next(word for one, word in _WORDS.items() if one in inner)
+    bounds = [f"at least {info.min}"] * (info.min is not None) + [f"at most {info.max}"] * (
+        info.max is not None
+    )
+    is_list = list in {get_origin(one) for one in (kind, *get_args(kind))}
+    return ", ".join([words, *bounds, *(["repeatable"] if is_list else [])])
+
+
+_WORDS: Final = {Path: "path", int: "whole number", float: "number", str: "text"}
+
+
+def _default(value: Any) -> str:
+    if value is inspect.Parameter.empty:
+        return "required"
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "" if value in (None, "") else f"`{value}`"
+
+
+# The configuration
+
+
+def config_page() -> str:
+    """Every key of the configuration, and every option of every plugin that comes with the product."""
+    return "\n".join([NOTICE, *_config(), *_plugins("devices", "device"), *_plugins("sinks", "sinks")])
+
+
+def _config() -> Iterator[str]:
+    yield (
+        "# Configuration\n\n"
+        "One TOML file describes a station. It is read once, at the start; an unknown key is refused with the nearest\n"
+        "known name, and every fault is told in one report (`gelgate check`). Relative paths, those in plugin options\n"
+        "too, are taken from the file's own folder. `gelgate check --example` prints this one:\n\n"
+        f"```toml\n{EXAMPLE}```\n"
+    )
+    schema = Config.model_json_schema()
+    yield "## The whole file\n"
+    yield from _table(schema, schema["$defs"], skip=_tables(schema))
+    for name, model in _tables(schema).items():
+        inner = schema["$defs"][model]
+        yield f"## [{name}]\n\n{_paragraphs(inner['description'])}\n"
+        yield from _table(inner, schema["$defs"])
+    yield "## [device] and [[sinks]]\n\nOne plugin each, chosen by name, with its own options below.\n"
+    yield from _table(schema["$defs"]["PluginTable"], schema["$defs"])
+
+
+def _tables(schema: Mapping[str, Any]) -> dict[str, str]:
+    """Keys that are tables of their own, with the definition that describes each."""
+    return {
+        name: field["$ref"].rpartition("/")[2]
+        for name, field in schema["properties"].items()
+        if "$ref" in field and not field["$ref"].endswith("/PluginTable")
+    }
+
+
+def _plugins(kind: str, key: str) -> Iterator[str]:
+    for name in registry.names(kind):
+        options: type[BaseModel] = registry.load(kind, name).Options
+        schema = options.model_json_schema()
+        yield f"## {key}: {name}\n\n{_paragraphs(schema['description'])}\n"
+        if schema["properties"]:
+            yield from _table(schema, schema.get("$defs", {}))
+        for field, value in schema["properties"].items():
+            for inner in _table_options(value, schema.get("$defs", {})):
+                yield f"`{field}` is a table. {inner['description']}\n"
+                yield from _table(inner, schema["$defs"], prefix=f"{field}.")
+
+
+def _table_options(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    for choice in (field, *field.get("anyOf", ())):
+        if "$ref" in choice:
+            yield definitions[choice["$ref"].rpartition("/")[2]]
+
+
+def _table(
+    schema: Mapping[str, Any],
+    definitions: Mapping[str, Any],
+    prefix: str = "",
+    skip: Mapping[str, str] | None = None,
+) -> Iterator[str]:
+    yield "| key | value | default | what it is |\n| --- | --- | --- | --- |"
+    for name, field in schema["properties"].items():
+        if name not in (skip or {}):
+            default = "required" if name in schema.get("required", ()) else _written(field.get("default"))
+            yield f"| `{prefix}{name}` | {_value(field)} | {default} | {_cell(field['description'])} |"
+    yield ""
+
+
+def _value(field: Mapping[str, Any]) -> str:
+    """What may stand there, in words."""
+    if "anyOf" in field:
+        return " or ".join(_value(choice) for choice in field["anyOf"] if choice.get("type") != "null")
+    if "enum" in field:
+        return " or ".join(_written(value) for value in field["enum"])
+    if "const" in field:
+        return _written(field["const"])
+    if field.get("format") == "path":
+        return "path"
+    if field.get("type") == "array":
+        return f"list of {'texts' if field['items'].get('$ref', '').endswith('/Fault') else 'tables'}"
+    names = {
+        "integer": "whole number",
+        "number": "number",
+        "string": "text",
+        "boolean": "true or false",
+        "object": "table",
+    }
+    return names[field.get("type", "object")] + _range(field)
+
+
+def _range(field: Mapping[str, Any]) -> str:
+    bounds = {
+        "minimum": "at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
+    said = [f"{word} {field[key]:g}" for key, word in bounds.items() if key in field]
+    if "pattern" in field:
+        said.append("matching `" + field["pattern"].replace("|", "\\|") + "`")
+    return ", " + ", ".join(said) if said else ""
+
+
+def _written(value: object) -> str:
+    """A value as TOML writes it."""
+    if value is None or value in ({}, []):
+        return ""
+    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else value
+    return f'`"{text}"`' if isinstance(value, str) else f"`{text}`"
+
+
+# Errors
+
+
+def errors_page() -> str:
+    """Every error: what it means, whose fault it is, what comes next, and the exit code."""
+    return "\n".join([NOTICE, *_errors()])
+
+
+_ABOUT_ERRORS: Final = """\
+# Errors
+
+Each error is one sentence with the thing, what was found, what was expected and what to do. Before the start it ends
+the command with the exit code given here. While the gateway runs, what the sensor, the broker or the disk does is no
+end: it is announced (`state`, `alarm`), counted, and tried again.
+
+| error | what it means | whose fault | what comes next | exit code |
+| --- | --- | --- | --- | --- |"""
+
+
+def _errors() -> Iterator[str]:
+    yield _ABOUT_ERRORS
+    for kind, whose, following in tree():
+        mark = "" if errors.GelgateError in kind.__bases__ else "· "
+        meaning = (kind.__doc__ or "").partition("\n")[0]
+        yield _row(f"{mark}`{kind.__name__}`", meaning, whose, following, str(exit_code(kind)))
+    yield ""
+
+
+def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
+    """(error, whose fault, what comes next) in the order of the tree at the top of edge/core/errors.py."""
+    for name, whose, following in re.findall(r"[├└]── (\w+) +(\w+) · (.*)", errors.__doc__ or ""):
+        yield getattr(errors, name), whose, _cell(following)
+
+
+# Writing
+
+
+def _paragraphs(text: str | None) -> str:
+    """A docstring as Markdown: lines that belong together joined."""
+    return "\n\n".join(" ".join(part.split()) for part in (text or "").split("\n\n"))
+
+
+def _row(*cells: str | None) -> str:
+    return "| " + " | ".join(_cell(cell) for cell in cells) + " |"
+
+
+def _cell(text: str | None) -> str:
+    return " ".join((text or "").replace("|", "\\|").split())
+
+
+PAGES: Final[Mapping[str, Callable[[], str]]] = {
+    "cli.md": cli_page,
+    "config.md": config_page,
+    "errors.md": errors_page,
+    "mqtt.md": reference,
+}
+
+if __name__ == "__main__":
+    for name, page in PAGES.items():
+        (FOLDER / name).write_text(page(), encoding="utf-8")
+        print(f"docs/{name}")

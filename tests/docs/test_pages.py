@@ -1,0 +1,156 @@
+"""Documentation that cannot lie: printed pages are the program's, and what has a name is explained in docs/."""
+
+import importlib.util
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, UnionType
+from typing import Any, Union, get_args, get_origin
+
+import pytest
+import typer
+from pydantic import BaseModel
+
+from edge import registry
+from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
+from edge.cli.run import EXAMPLE
+from edge.config import Config, load_config
+from edge.core import errors
+from edge.mqtt_reference import TOPICS
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+
+def generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("docs_generate", DOCS / "generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+GENERATE = generator()
+PRINTED = {name: (DOCS / name).read_text(encoding="utf-8") for name in GENERATE.PAGES}
+
+
+@pytest.mark.parametrize("name", GENERATE.PAGES)
+def test_a_printed_page_is_the_programs(name: str) -> None:
+    """Whoever changes a command, key, error or topic prints the pages again: `make docs`."""
+    assert PRINTED[name] == GENERATE.PAGES[name](), "run `make docs`"
+
+
+def test_every_command_is_in_the_manual_with_its_options() -> None:
+    """Taken from the built application, not from the generator."""
+    missing = []
+    for path, command in commands(typer.main.get_command(build())):
+        section = PRINTED["cli.md"].partition(f"\n## {path}\n")[2].partition("\n## ")[0]
+        names = [
+            name for one in command.params if one.name != "help" for name in one.opts if name.startswith("-")
+        ]
+        missing += (
+            [path] if not section else [f"{path} {name}" for name in names if f"`{name}`" not in section]
+        )
+
+    assert missing == []
+
+
+def commands(command: Any, path: str = "gelgate") -> Iterator[tuple[str, Any]]:
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield path, command
+    for name, one in (inner or {}).items():
+        yield from commands(one, f"{path} {name}")
+
+
+def test_every_key_of_the_configuration_is_in_the_manual() -> None:
+    """Keys of the file, and options of every plugin in its own section."""
+    page = PRINTED["config.md"]
+    missing = [key for key in keys(Config) if f"`{key}`" not in page and f"## [{key}]" not in page]
+    ]
+    for kind, place in (("devices", "device"), ("sinks", "sinks")):
+        for name in registry.names(kind):
+            section = page.partition(f"## {place}: {name}\n")[2].partition("\n## ")[0]
+            assert section, name
+            options = registry.load(kind, name).Options
+            missing += [
+                f"{name}.{key}" for key in keys(options) if not re.search(rf"`(\w+\.)?{key}`", section)
+            ]
+
+    assert missing == []
+
+
+def keys(model: type[BaseModel]) -> Iterator[str]:
+    """Every key of a table and of the tables in it."""
+    for name, field in model.model_fields.items():
+        yield name
+        for inner in models(field.annotation):
+            yield from keys(inner)
+
+
+def models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    if get_origin(annotation) in (Union, UnionType, list, tuple):
+        for inner in get_args(annotation):
+            yield from models(inner)
+
+
+def test_every_key_says_what_it_means() -> None:
+    """No cell of a table of keys is empty where the meaning stands."""
+    rows = [line for line in PRINTED["config.md"].splitlines() if line.startswith("| `")]
+
+    assert len(rows) > 30
+    assert [row for row in rows if re.search(r"\|\s*\|$", row)] == []
+
+
+def test_every_topic_is_in_the_manual() -> None:
+    """Topics stand in one table in the program and in one on the page."""
+    assert [topic for topic, *_ in TOPICS if f"`{topic}`" not in PRINTED["mqtt.md"]] == []
+
+
+def test_every_error_is_in_the_manual_and_in_the_tree() -> None:
+    """The tree names each class once, below its own base, and says whose fault it is and what comes next."""
+    drawn = [kind for kind, _, _ in GENERATE.tree()]
+
+    assert sorted(kind.__name__ for kind in drawn) == sorted(set(errors.__all__) - {"GelgateError"})
+    above: dict[int, type] = {0: errors.GelgateError}
+    for line in (errors.__doc__ or "").splitlines():
+        found = re.match(r"([│ ]*)[├└]── (\w+)", line)
+        if found:
+            depth = len(found[1]) // 4 + 1
+            kind = getattr(errors, found[2])
+            assert above[depth - 1] in kind.__bases__, line
+            above[depth] = kind
+    assert [kind.__name__ for kind in drawn if f"`{kind.__name__}`" not in PRINTED["errors.md"]] == []
+
+
+def test_every_exit_code_is_in_the_manual() -> None:
+    """Every code that a refusal can have is explained, and every explained code is printed."""
+    assert {code for _, code in EXIT_CODES} <= set(EXIT_MEANINGS)
+    assert [
+        code for code, meaning in EXIT_MEANINGS.items() if f"| {code} | {meaning} |" not in PRINTED["cli.md"]
+    ] == []
+
+
+def test_the_example_is_a_sound_configuration_with_every_table(tmp_path: Path) -> None:
+    """What `gelgate check --example` prints can be read, and shows every table."""
+    (tmp_path / "gelgate.toml").write_text(EXAMPLE, encoding="utf-8")
+    config = load_config(tmp_path / "gelgate.toml")
+
+    assert config.model_fields_set == set(Config.model_fields)
+    assert config.station.model_fields_set == set(type(config.station).model_fields)
+
+
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.name
+)
+def test_links_lead_somewhere(page: Path) -> None:
+    """Every relative link of a page names a file or folder that is there."""
+    links = [link for link in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link]
+
+    assert [link for link in links if not (page.parent / link).exists()] == []
