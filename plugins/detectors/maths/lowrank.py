@@ -24,7 +24,7 @@ RELATIVE_CUT = 1e-10
 # rotation within nearly equal eigenvalues; the term off the span stays exact for whatever span was found.
 DIRECT_SIZE = 64
 OVERSAMPLING = 8
-ITERATIONS = 3
+ITERATIONS = 2
 
 
 class Spectrum(NamedTuple):
