@@ -18,9 +18,15 @@ def train_backbone(
     geometry: Annotated[float, typer.Option(help="weight of reading slopes and depth", min=0)] = 1.0,
     pair: Annotated[float, typer.Option(help="weight of pulling and pushing pairs", min=0)] = 1.0,
     rank: Annotated[float, typer.Option(help="weight of ranking changes above one per cent", min=0)] = 0.5,
+    max_rate: Annotated[float, typer.Option(help="peak of the one-cycle learning rate")] = 2e-3,
+    high_resolution: Annotated[
+        float, typer.Option(help="share of batches at the spacing of 1280x720", min=0, max=1)
+    ] = 0.25,
     precision: Annotated[str, typer.Option(help="bfloat16 or float32")] = "bfloat16",
     minutes: Annotated[float, typer.Option(help="stop and save after so long, 0 for never", min=0)] = 0.0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
+    threads: Annotated[int, typer.Option(help="of the CPU, for learning; 0 for torch's choice", min=0)] = 1,
+    ahead: Annotated[bool, typer.Option(help="on a CPU, draw the next presses in a second process")] = True,
     package: Annotated[
         Path | None, typer.Option(help="when done, write the ONNX trunks and the card here")
     ] = None,
@@ -47,9 +53,18 @@ def train_backbone(
         "geometry_weight": geometry,
         "pair_weight": pair,
         "rank_weight": rank,
+        "max_rate": max_rate,
+        "high_resolution": high_resolution,
         "precision": precision,
     }
-    run = Run(out, resume=out if resume else None, minutes=minutes, device=device)
+    run = Run(
+        out,
+        resume=out if resume else None,
+        minutes=minutes,
+        device=device,
+        threads=threads,
+        is_drawn_ahead=ahead,
+    )
     recipe = Recipe(**settings)
     if sys.stderr.isatty():
         with progress("training", steps) as advance:

@@ -69,15 +69,20 @@ def test_same_seed_same_weights_other_seed_others(whole: Path, tmp_path: Path) -
     assert not torch.equal(weights(whole)["trunk.conv1.weight"], weights(other)["trunk.conv1.weight"])
 
 
+def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
+    """With batches from a second process the weights are the same bits."""
+    train(SMALL, Run(tmp_path, threads=1, device="cpu", is_drawn_ahead=True))
+    found = weights(tmp_path)
+    assert all(torch.equal(value, found[name]) for name, value in weights(whole).items())
+
+
 def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve steps on one batch halve the geometry loss."""
     from calibration.backbone import train as module
 
     recipe = Recipe(steps=12, pairs=2, side=64, precision="float32", warm_up=0.0)
-    original = module.draw_pairs
-    monkeypatch.setattr(
-        module, "draw_pairs", lambda seed, purpose, step, **k: original(seed, purpose, 0, **k)
-    )
+    original = module.draw_step
+    monkeypatch.setattr(module, "draw_step", lambda recipe, step, device: original(recipe, 0, device))
     torch.set_num_threads(1)
     learner = module._Learner(recipe, torch.device("cpu"))
     found = [learner.learn() for _ in range(12)]
