@@ -23,19 +23,22 @@ THREADS = 2
 PRESSES = 24
 BYTES = {"int8": 1, "float16": 2}
 
+ALL = ("layer1", "layer2", "layer3")
 POINTS: dict[str, tuple[Any, Any]] = {
     "padim": (padim, padim.parameters()),
     "padim 28x28": (padim, padim.parameters(grid_tap="layer2")),
-    "padim rank 8": (padim, padim.parameters(rank=8)),
-    "padim 128 channels": (padim, padim.parameters(channels=128)),
-    "padim 448 channels": (padim, padim.parameters(channels=448)),
-    "padim 448 channels 28x28": (padim, padim.parameters(channels=448, grid_tap="layer2")),
+    "padim layer1": (padim, padim.parameters(taps=("layer1",), channels=64)),
     "padim exact": (padim, padim.parameters(rank=None)),
+    "padim 448 rank 16": (padim, padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0)),
+    "padim 448 rank 16 28x28": (
+        padim,
+        padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0, grid_tap="layer2"),
+    ),
     "padim paper": (padim, padim.parameters("paper")),
     "subspace": (subspace, subspace.parameters()),
 }
 LARGE: dict[str, tuple[Any, Any]] = {
-    "padim 28x28 rank 8": (padim, padim.parameters(grid_tap="layer2", rank=8)),
+    "padim 28x28 rank 16": (padim, padim.parameters(grid_tap="layer2", rank=16)),
     "subspace": (subspace, subspace.parameters()),
 }
 
