@@ -1,18 +1,21 @@
-"""The model card, written from the facts beside the packaged trunks and, where it exists, from their evaluation.
+"""The model card and the page about the backbone, written from the facts and the evaluation beside the trunks.
 
-Nothing is typed in by hand: `tactile_resnet18.json` comes from the training run, `tactile_resnet18_evaluation.json`
-from the evaluation, and a number that is in neither is not in the card.
+`python3 -m calibration.backbone.card FOLDER --page docs/backbone.md` writes both. Nothing is typed in by hand:
+`tactile_resnet18.json` comes from the training run, `tactile_resnet18_evaluation.json` from the evaluation, and a
+number that is in neither is not in the card.
 """
 
+import argparse
 import json
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from calibration.backbone.package import NAME
 from edge.core.errors import ConfigError
 
-__all__ = ["card", "write_card"]
+__all__ = ["card", "main", "page", "write_card"]
 
 _LIMITS = (
     "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
@@ -23,19 +26,61 @@ _LIMITS = (
 )
 
 
+# Settings of a recipe that the verb takes as options.
+_OPTIONS = ("steps", "pairs", "side", "seed", "max_rate", "high_resolution", "precision")
+
+
 def write_card(folder: Path) -> Path:
     """Write `<name>.md` beside the facts; gives its path. Errors: ConfigError when the facts are missing or broken."""
+    path = folder / f"{NAME}.md"
+    path.write_text(_text(folder, card))
+    return path
+
+
+def page(folder: Path) -> str:
+    """The documentation's page: how the weights are made again, then the card. Errors: as `write_card`."""
+    return _text(folder, _page)
+
+
+def _text(folder: Path, write: Callable[[dict[str, Any], dict[str, Any] | None], str]) -> str:
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text())
         evaluation_file = folder / f"{NAME}_evaluation.json"
         evaluation = json.loads(evaluation_file.read_text()) if evaluation_file.is_file() else None
-        text = card(facts, evaluation)
+        return write(facts, evaluation)
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
-    path = folder / f"{NAME}.md"
-    path.write_text(text)
-    return path
+
+
+def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
+    options = " ".join(f"--{name.replace('_', '-')} {facts['recipe'][name]}" for name in _OPTIONS)
+    title, rest = card(facts, evaluation).split("\n", 1)
+    return "\n".join(
+        [
+            "<!-- Printed from the facts and the evaluation beside the weights by calibration.backbone.card. -->",
+            "",
+            "# The backbone made for touch",
+            "",
+            "Features of pictures are no features of touch, and no weights can be fetched where this product runs. So",
+            "it brings its own: a small network that has learnt, on simulated presses, to read slopes and depth from",
+            "the light, to give two presses of one part the same features, and to tell damage from the pose.",
+            "",
+            "Make it again, judge it, and write this page:",
+            "",
+            "```",
+            f"gelgate train-backbone RUN {options} --package plugins/backbones",
+            f"python3 -m calibration.backbone.evaluation --out plugins/backbones random=random_resnet18 trained={NAME}",
+            "python3 -m calibration.backbone.card plugins/backbones --page docs/backbone.md",
+            "```",
+            "",
+            "Training goes on with `--resume` after an interruption, and a resumed run gives the same weights as one",
+            "that was left alone on the same CPU. On a CPU that other programs use, keep to `--threads 1`.",
+            "",
+            f"## {title.removeprefix('# ')}",
+            rest.replace("\n### ", "\n#### ").replace("\n## ", "\n### "),
+        ]
+    )
 
 
 def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
@@ -131,3 +176,23 @@ def _number(value: float | str) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """The command line; 0 when done, else the sentence and its exit code."""
+    parser = argparse.ArgumentParser(prog="calibration.backbone.card", description="Write the model card.")
+    parser.add_argument("folder", type=Path, help="where the facts lie")
+    parser.add_argument("--page", type=Path, help="the documentation's page, written as well")
+    given = parser.parse_args(words)
+    try:
+        write_card(given.folder)
+        if given.page:
+            given.page.write_text(page(given.folder))
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
