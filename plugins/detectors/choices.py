@@ -10,7 +10,7 @@ import numpy as np
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
 
-__all__ = ["choose", "repaired", "require_fittable", "require_scorable"]
+__all__ = ["bank_bytes", "choose", "repaired", "require_fittable", "require_scorable"]
 
 P = TypeVar("P")
 
@@ -32,6 +32,17 @@ def choose(detector: str, defaults: P, overrides: Mapping[str, Any]) -> P:
         return dataclasses.replace(defaults, **values)  # type: ignore[type-var]
     except (TypeError, ValueError) as error:
         raise FitError(f"{detector}: {error}") from error
+
+
+# The area of the region for which a bank's size is stated, and how many times more a larger frame may have: 16 MB at
+# 224x224 are 64 MB at 1280x720.
+STATED_AREA, MOST_TIMES = 224 * 224, 4.0
+
+
+def bank_bytes(bank_mb: float, grid: Grid) -> int:
+    """Bytes that a bank may have as stored: `bank_mb` megabytes at 224x224, up to four times that for larger frames."""
+    times = grid.frame[0] * grid.frame[1] / STATED_AREA
+    return int(1e6 * bank_mb * min(max(times, 1.0), MOST_TIMES))
 
 
 def repaired(parameters: Any, paper: Any, switches: tuple[str, ...]) -> list[str]:

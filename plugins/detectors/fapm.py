@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import greedy_from_distances
 from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, tile_grid
 from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, emit_scores
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
 from plugins.graph import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
@@ -59,7 +60,8 @@ class FapmParameters:
     is_softmax_stable: the weight survives distances above 88. is_single_unweighted: no weight where there is but one
     neighbour, instead of the weight 0.
     sigma: the blur, in `sigma_unit`. is_sampled: a cell's distance is drawn where its convolution looks, its top left
-    pixel. packing: of the prototypes; `auto` is the finest that stays within bank_mb megabytes.
+    pixel. packing: of the prototypes; `auto` is the finest that stays within bank_mb
+    megabytes (at 224x224, up to four times as many for larger frames).
     """
 
     mode: Mode = "corrected"
@@ -106,7 +108,8 @@ class FapmParameters:
     def smoothing(self, grid: Grid) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
         cells = grid.taps[self.layers[0]][1:]
-        return Smoothing(cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear")
+        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
+        return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)
 
 
 PAPER = FapmParameters(
@@ -174,19 +177,19 @@ class Fapm:
         then far; `<tap>_near_groups`, `<tap>_far_groups`; `<tap>_weight` (h * w,) where calibrated. Errors: FitError.
         """
         p = parameters
-        require_fittable(self.name, nominal, grid, p.layers)
+        require_fittable(self.name, nominal, grid, p.layers, is_tileable=True)
         _require_halved(grid, p)
         # One start for every group: a share of the set, so that it means the same at every size.
         start = float(rng.random())
         arrays: dict[str, NDArray[Any]] = {}
         facts: dict[str, Any] = {"start": start, "repairs": repaired(p, PAPER, REPAIRS), "warnings": []}
         for number, tap in enumerate(p.layers):
-            layer, learnt = _fit_layer(nominal.features[tap], _layout(grid, tap, p), start, p)
+            layer, learnt = _fit_layer(_pooled(nominal.features[tap], grid), _layout(grid, tap, p), start, p)
             arrays |= {f"{tap}_{name}": array for name, array in layer.items()}
             facts |= {f"{tap}_{name}": value for name, value in learnt.items()}
             progress((number + 1) / len(p.layers))
         names = [f"{tap}_{kind}" for tap in p.layers for kind in ("near", "far") if f"{tap}_{kind}" in arrays]
-        packing = _packing(sum(arrays[name].size for name in names), p, facts["warnings"])
+        packing = _packing(sum(arrays[name].size for name in names), grid, p, facts["warnings"])
         if p.weighting != "none" and _fewest(arrays, p) < 2:
             facts["warnings"].append(
                 "one prototype per group: there is no second neighbour to weight a score by"
@@ -200,11 +203,15 @@ class Fapm:
         p = parameters
         require_scorable(self.name, features, p.layers)
         fine, coarse = (
-            _layer_distances(features[tap], tap, _layout(grid, tap, p), bank.arrays, p) for tap in p.layers
+            _layer_distances(
+                _pooled(features[tap].astype(np.float64), grid), tap, _layout(grid, tap, p), bank.arrays, p
+            )
+            for tap in p.layers
         )
         fused = fine + coarse[:, _coarse_of_fine(grid, p)]
         smoothing = p.smoothing(grid)
-        maps = smoothing.score_maps(fused[:, :, 0].reshape(-1, *smoothing.cells))
+        cells = tile_grid(grid).taps[p.layers[0]][1:]
+        maps = smoothing.score_maps(join(fused[:, :, 0].reshape(-1, *cells), grid))
         if p.weighting == "none":
             return maps
         top = fused[:, :, 0].argmax(axis=1)
@@ -226,15 +233,24 @@ class Fapm:
             top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
             neighbours = graph.op("GatherND", fused, top, batch_dims=1)
             score = _emit_weighted(graph, neighbours, _fewest(bank.arrays, p), p)
-        emit_scores(graph, graph.reshape(nearest_of, -1, *smoothing.cells), smoothing, score)
+        cells = tile_grid(grid).taps[p.layers[0]][1:]
+        emit_scores(
+            graph, emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid), smoothing, score
+        )
         return graph.serialise()
 
 
 fapm = Fapm()
 
 
+def _shape(grid: Grid, tap: str) -> tuple[int, int]:
+    """Rows and columns of a tap's sub-patches, tiles one under the other."""
+    _, h, w = tile_grid(grid).taps[tap]
+    return math.prod(layout(grid)) * h, w
+
+
 def _require_halved(grid: Grid, p: FapmParameters) -> None:
-    fine, coarse = (grid.taps[tap][1:] for tap in p.layers)
+    fine, coarse = (tile_grid(grid).taps[tap][1:] for tap in p.layers)
     if tuple(-(-n // 2) for n in fine) != coarse:
         raise FitError(
             f"fapm: '{p.layers[1]}' is {coarse}, half of '{p.layers[0]}' would be {tuple(-(-n // 2) for n in fine)}; "
@@ -248,7 +264,7 @@ def _side(tap: str, p: FapmParameters) -> int:
 
 
 def _layout(grid: Grid, tap: str, p: FapmParameters) -> Layout:
-    h, w = grid.taps[tap][1:]
+    h, w = _shape(grid, tap)
     side = _side(tap, p)
     rows, columns = -(-h // side), -(-w // side)
     cell = (np.arange(h)[:, None] // side * columns + np.arange(w)[None] // side).ravel()
@@ -261,7 +277,7 @@ def _layout(grid: Grid, tap: str, p: FapmParameters) -> Layout:
 
 def _coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
     """Which coarse sub-patch each fine one gets: int64 (fine h * w,)."""
-    (fine_h, fine_w), (coarse_h, coarse_w) = (grid.taps[tap][1:] for tap in p.layers)
+    (fine_h, fine_w), (coarse_h, coarse_w) = (_shape(grid, tap) for tap in p.layers)
     y, x = np.indices((fine_h, fine_w)).reshape(2, -1)
     if p.fusion == "quadrants":
         row, column = y // 2, x // 2
@@ -274,22 +290,23 @@ def _coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
     return flat
 
 
-def _pooled(layer: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Means over 3x3 cells, zeros beyond the border counted: (n, c, h, w) to rows (n, h * w, c)."""
-    padded = np.pad(layer, ((0, 0), (0, 0), (1, 1), (1, 1)))
-    h, w = layer.shape[2:]
-    rows = padded[:, :, :h] + padded[:, :, 1 : h + 1] + padded[:, :, 2:]
-    sums = rows[..., :w] + rows[..., 1 : w + 1] + rows[..., 2:]
-    return np.swapaxes(sums.reshape(*layer.shape[:2], -1) / sums.dtype.type(9), 1, 2)
+def _pooled(layer: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
+    """Means over 3x3 cells, zeros beyond the border of a tile counted: (n, c, H, W) to rows (n, sub-patches, c)."""
+    maps = split(layer, grid)
+    h, w = maps.shape[2:]
+    padded = np.pad(maps, ((0, 0), (0, 0), (1, 1), (1, 1)))
+    down = padded[:, :, :h] + padded[:, :, 1 : h + 1] + padded[:, :, 2:]
+    sums = down[..., :w] + down[..., 1 : w + 1] + down[..., 2:]
+    rows: NDArray[np.floating] = np.swapaxes(sums.reshape(*maps.shape[:2], -1) / sums.dtype.type(9), 1, 2)
+    return rows.reshape(len(layer), -1, rows.shape[2])
 
 
 def _fit_layer(
-    layer: NDArray[np.float32], layout: Layout, start: float, p: FapmParameters
+    rows: NDArray[np.floating], places: Layout, start: float, p: FapmParameters
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The arrays of one layer from its nominal features (n, c, h, w), and what was learnt."""
-    rows = _pooled(layer)
+    """The arrays of one layer from its averaged sub-patches (n, h * w, c), and what was learnt."""
     n, _, c = rows.shape
-    groups, s = layout.groups.shape
+    groups, s = places.groups.shape
     near = max(1, int(p.near_fraction * n * s))
     far = min(max(near, int(p.far_factor * near)), n * s)
     mean = np.empty((groups, c), np.float32)
@@ -300,7 +317,7 @@ def _fit_layer(
     for first in range(0, groups, step):
         part = slice(first, first + step)
         # (groups, presses * sub-patches, c), press by press.
-        x = rows[:, layout.groups[part]].swapaxes(0, 1).reshape(-1, n * s, c)
+        x = rows[:, places.groups[part]].swapaxes(0, 1).reshape(-1, n * s, c)
         mean[part] = x.mean(axis=1, dtype=np.float64)
         x = x - mean[part, None]
         lengths, squared = _pairwise(x)
@@ -311,8 +328,8 @@ def _fit_layer(
         press = np.arange(n * s) // s
         distances[press[:, None] == press[picks][:, None, :]] = np.inf
         apart[0, part], apart[1, part] = distances[:, :, :near].min(axis=2), distances.min(axis=2)
-    cell_of_group = layout.cell[layout.groups[:, 0]]
-    cells = int(layout.cell.max()) + 1
+    cell_of_group = places.cell[places.groups[:, 0]]
+    cells = int(places.cell.max()) + 1
     reach = np.bincount(cell_of_group, radius.mean(axis=1), cells) / np.bincount(
         cell_of_group, minlength=cells
     )
@@ -326,7 +343,7 @@ def _fit_layer(
             arrays[kind] = np.ascontiguousarray(chosen[members, :count])
     if p.is_calibrated:
         own = np.where(is_far[:, None], apart[1], apart[0])
-        arrays["weight"] = _cell_weights(own, cell_of_group, cells)[layout.cell]
+        arrays["weight"] = _cell_weights(own, cell_of_group, cells)[places.cell]
     return arrays, {"near_prototypes": near, "far_prototypes": far, "far_groups": int(is_far.sum())}
 
 
@@ -370,15 +387,16 @@ def _cell_weights(
     return (1 / np.maximum(scale, np.quantile(known, SCALE_FLOOR_QUANTILE))).astype(np.float32)
 
 
-def _packing(numbers: int, p: FapmParameters, warnings: list[str]) -> Packing:
+def _packing(numbers: int, grid: Grid, p: FapmParameters, warnings: list[str]) -> Packing:
     """How the prototypes are stored."""
     if p.packing != "auto":
         return p.packing
-    if 2e-6 * numbers <= p.bank_mb:
+    room = bank_bytes(p.bank_mb, grid)
+    if 2 * numbers <= room:
         return "float16"
-    if 1e-6 * numbers > p.bank_mb:
+    if numbers > room:
         warnings.append(
-            f"{1e-6 * numbers:.0f} MB of prototypes in int8, more than bank_mb {p.bank_mb}; lower near_fraction"
+            f"{numbers} bytes of prototypes in int8, more than the {room} that bank_mb allows; lower near_fraction"
         )
     return "int8"
 
@@ -390,20 +408,19 @@ def _fewest(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> int:
 
 
 def _layer_distances(
-    layer: NDArray[np.floating],
+    rows: NDArray[np.floating],
     tap: str,
-    layout: Layout,
+    places: Layout,
     arrays: Mapping[str, NDArray[Any]],
     p: FapmParameters,
 ) -> NDArray[np.float64]:
     """Distances (n, h * w, neighbours) to each sub-patch's nearest prototypes, the last one repeated to the number."""
-    rows = _pooled(layer.astype(np.float64))
     distances = np.empty((*rows.shape[:2], p.neighbours))
     for kind in ("near", "far"):
         for bank, group in zip(
             arrays.get(f"{tap}_{kind}", ()), arrays.get(f"{tap}_{kind}_groups", ()), strict=True
         ):
-            where = np.unique(layout.groups[group])
+            where = np.unique(places.groups[group])
             asked = rows[:, where] - arrays[f"{tap}_mean"][group]
             found = nearest(asked.reshape(-1, rows.shape[2]), bank, p.neighbours).distances
             repeated = found[:, np.minimum(np.arange(p.neighbours), found.shape[1] - 1)]
@@ -427,18 +444,15 @@ def _weight(neighbours: NDArray[np.float64], fewest: int, p: FapmParameters) -> 
 
 def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameters) -> Value:
     """Distances (n, h * w, neighbours) of one layer."""
-    layout = _layout(grid, tap, p)
-    c, h, w = grid.taps[tap]
-    groups, s = layout.groups.shape
-    pooled = graph.op(
-        "AveragePool",
-        graph.input(tap, ("n", c, h, w)),
-        kernel_shape=[3, 3],
-        pads=[1, 1, 1, 1],
-        count_include_pad=1,
-    )
-    rows = graph.transpose(graph.reshape(pooled, 0, c, h * w), 2, 0, 1)
-    rows = graph.op("Gather", rows, graph.constant(layout.groups), axis=0)
+    places = _layout(grid, tap, p)
+    c, h, w = tile_grid(grid).taps[tap]
+    tiles = math.prod(layout(grid))
+    groups, s = places.groups.shape
+    maps = emit_split(graph, graph.input(tap, ("n", *grid.taps[tap])), grid.taps[tap], grid)
+    pooled = graph.op("AveragePool", maps, kernel_shape=[3, 3], pads=[1, 1, 1, 1], count_include_pad=1)
+    rows = graph.transpose(graph.reshape(pooled, -1, tiles, c, h * w), 1, 3, 0, 2)
+    rows = graph.reshape(rows, tiles * h * w, -1, c)
+    rows = graph.op("Gather", rows, graph.constant(places.groups), axis=0)
     rows = graph.reshape(rows, groups, -1, c)
     asked = graph.op(
         "Sub", rows, graph.op("Unsqueeze", graph.input(f"{tap}_mean", (groups, c)), graph.ints(1))
@@ -455,9 +469,9 @@ def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameter
     distances = graph.op("Gather", distances, graph.input(f"{tap}_order", (groups,), "int64"), axis=0)
     distances = graph.transpose(graph.reshape(distances, groups, s, -1, p.neighbours), 2, 0, 1, 3)
     distances = graph.reshape(distances, 0, groups * s, p.neighbours)
-    distances = graph.op("Gather", distances, graph.constant(layout.back), axis=1)
+    distances = graph.op("Gather", distances, graph.constant(places.back), axis=1)
     if p.is_calibrated:
-        weight = graph.op("Unsqueeze", graph.input(f"{tap}_weight", (h * w,)), graph.ints(1))
+        weight = graph.op("Unsqueeze", graph.input(f"{tap}_weight", (tiles * h * w,)), graph.ints(1))
         distances = graph.op("Mul", distances, weight)
     return distances
 

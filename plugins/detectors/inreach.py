@@ -23,7 +23,9 @@ from edge.core.errors import FitError
 from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import Descriptor, Kind
+from plugins.detectors.maths.mosaic import layout
 from plugins.detectors.maths.patchbank import PatchBank
+from plugins.detectors.maths.shortlist import PRODUCT_LIMIT
 from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
 from plugins.graph import Graph
 
@@ -126,7 +128,8 @@ class InreachParameters:
 
     def smoothing(self, grid: Grid) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
-        return Smoothing(grid.taps[self.grid_tap][1:], grid.frame, sigma_px, self.upsampling)
+        cells = grid.taps[self.grid_tap][1:]
+        return Smoothing(cells, grid.frame, sigma_px, self.upsampling, grid.tiles)
 
     def shortest(self, presses: int) -> int:
         """Elements that a channel needs when there are so many presses."""
@@ -208,9 +211,11 @@ class Inreach:
         Errors: FitError, also for an empty bank where there is no fallback.
         """
         p = parameters
-        require_fittable(self.name, nominal, grid, p.taps)
+        require_fittable(self.name, nominal, grid, p.taps, is_tileable=True)
         arrays, rows = p.rows.learn(nominal.features, grid, rng)
-        channels = associate(rows, p, lambda fraction: progress(0.9 * fraction))
+        channels = _associate_tiles(
+            rows, math.prod(layout(grid)), p, lambda fraction: progress(0.9 * fraction)
+        )
         kept = prune(rows, channels, p)
         members = rows[kept.press, kept.patch]
         facts: dict[str, Any] = {
@@ -276,6 +281,20 @@ class Match(NamedTuple):
     is_mutual: NDArray[np.bool_]
 
 
+def _associate_tiles(
+    rows: NDArray[np.float32], tiles: int, p: InreachParameters, progress: Progress
+) -> Channels:
+    """Channels tile by tile: a patch is looked for in its own tile alone, as if each tile were a model of its own."""
+    n, cells = rows.shape[0], rows.shape[1] // tiles
+    found = []
+    for tile in range(tiles):
+        part = rows[:, tile * cells : (tile + 1) * cells]
+        channels = associate(part, p)
+        progress((tile + 1) / tiles)
+        found.append(Channels(channels.key + tile * n * cells, channels.press, channels.patch + tile * cells))
+    return Channels(*(np.concatenate(fields) for fields in zip(*found, strict=True)))
+
+
 def associate(
     rows: NDArray[np.float32], p: InreachParameters, progress: Progress = lambda fraction: None
 ) -> Channels:
@@ -292,8 +311,8 @@ def associate(
         best = np.full(cells, np.inf, np.float32)
         opener, is_joined = np.zeros(cells, np.int64), np.zeros(cells, bool)
         for seed in range(min(press, p.realisations)):
-            there = _nearest(asking[press] @ asked_of[seed].T, rows[press], rows[seed], p.is_tie_local)
-            back = _nearest(asking[seed] @ asked_of[press].T, rows[seed], rows[press], p.is_tie_local)
+            there = _nearest(asking[press], asked_of[seed], rows[press], rows[seed], p.is_tie_local)
+            back = _nearest(asking[seed], asked_of[press], rows[seed], rows[press], p.is_tie_local)
             found = _match(rows[press], rows[seed], there, back)
             is_better = found.squared < best
             if p.is_mutual_sought:
@@ -337,10 +356,17 @@ def _match(
 
 
 def _nearest(
-    gap: NDArray[np.float32], asked: NDArray[np.float32], seed: NDArray[np.float32], is_tie_local: bool
+    asking: NDArray[np.float32],
+    asked_of: NDArray[np.float32],
+    asked: NDArray[np.float32],
+    seed: NDArray[np.float32],
+    is_tie_local: bool,
 ) -> NDArray[np.int64]:
-    """The row of `seed` with the smallest gap for each of `asked`; at equal distance its own place, if so wanted."""
-    found: NDArray[np.int64] = gap.argmin(axis=1)
+    """The row of `seed` nearest to each of `asked`; at equal distance its own place, if so wanted."""
+    found = np.empty(len(asked), np.int64)
+    step = max(1, PRODUCT_LIMIT // len(seed))
+    for first in range(0, len(asked), step):
+        found[first : first + step] = (asking[first : first + step] @ asked_of.T).argmin(axis=1)
     if is_tie_local:
         away, here = (np.einsum("pc,pc->p", d, d) for d in (asked - seed[found], asked - seed))
         found = np.where(here <= away * (1 + EQUAL), np.arange(len(asked)), found)

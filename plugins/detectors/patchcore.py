@@ -20,7 +20,7 @@ from plugins.detectors.choices import choose, repaired, require_fittable, requir
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import Descriptor, Kind
 from plugins.detectors.maths.patchbank import PatchBank
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, emit_scores
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
 from plugins.graph import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
@@ -84,7 +84,8 @@ class PatchcoreParameters:
     def smoothing(self, grid: Grid) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
         cells = grid.taps[self.grid_tap][1:]
-        return Smoothing(cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear")
+        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
+        return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)
 
 
 PAPER = PatchcoreParameters(
@@ -130,7 +131,7 @@ class Patchcore:
     ) -> Bank:
         """Keep the coreset: `bank` (rows, width), beside `mean`, `basis` and `scales`. Errors: FitError."""
         p = parameters
-        require_fittable(self.name, nominal, grid, p.layers)
+        require_fittable(self.name, nominal, grid, p.layers, is_tileable=True)
         arrays, rows = p.rows.learn(nominal.features, grid, rng)
         progress(0.5)
         points = rows.reshape(-1, rows.shape[2])

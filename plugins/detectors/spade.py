@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import resampling_matrix
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.layered import emit_layered_scores
+from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, stacked, tile_grid
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import (
     PRODUCT_LIMIT,
@@ -68,7 +69,7 @@ class SpadeParameters:
     image neighbours. is_squared: those distances squared, as SPADE-fast has them.
     sigma: the blur, in `sigma_unit`. is_sampled: a cell's distance is drawn where its convolution looks, its top left
     pixel, instead of at the middle of a square. packing: of the stored cells. bank_mb: presses are left out (k-centre)
-    beyond this many megabytes as stored; None keeps all.
+    beyond this many megabytes as stored at 224x224, up to four times as many for larger frames; None keeps all.
     """
 
     mode: Mode = "corrected"
@@ -78,7 +79,7 @@ class SpadeParameters:
     pixel_neighbours: int = 20
     finest: str | None = "layer2"
     window_mm: float | None = 0.5
-    dims: tuple[int, ...] = (16, 32, 64)
+    dims: tuple[int, ...] = (32, 64, 128)
     is_normalised: bool = True
     is_floor_relative: bool = True
     is_gallery_whole: bool = True
@@ -88,7 +89,7 @@ class SpadeParameters:
     sigma: float = SIGMA_MM
     sigma_unit: Literal["mm", "px"] = "mm"
     is_sampled: bool = True
-    packing: Packing = "float16"
+    packing: Packing = "int8"
     bank_mb: float | None = 16.0
 
     def __post_init__(self) -> None:
@@ -114,7 +115,8 @@ class SpadeParameters:
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:
         sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing(_cells(grid, tap, self), grid.frame, sigma_px, kind)
+        (h, w), (down, across) = _cells(grid, tap, self), layout(grid)
+        return Smoothing((down * h, across * w), grid.frame, sigma_px, kind, grid.tiles)
 
 
 PAPER = SpadeParameters(
@@ -166,7 +168,11 @@ class Spade:
         """
         p = parameters
         require_fittable(
-            self.name, nominal, grid, tuple(dict.fromkeys((*p.layers, *_descriptor_taps(grid, p))))
+            self.name,
+            nominal,
+            grid,
+            tuple(dict.fromkeys((*p.layers, *_descriptor_taps(grid, p)))),
+            is_tileable=True,
         )
         described = _describe(nominal.features, grid, p)
         start = int(rng.integers(len(described)))
@@ -184,7 +190,7 @@ class Spade:
         }
         if len(kept) < len(described):
             facts["warnings"].append(
-                f"{len(kept)} of {len(described)} presses fit into {p.bank_mb} MB; the others are left out (k-centre)"
+                f"{len(kept)} of {len(described)} presses fit into bank_mb; the others are left out (k-centre)"
             )
         for number, tap in enumerate(p.layers):
             layer = _averaged(nominal.features[tap][kept], grid, tap, p)
@@ -208,13 +214,15 @@ class Spade:
         near = nearest(described, bank.arrays["press_descriptors"], count)
         score_map = np.zeros((len(described), *grid.frame))
         for tap in p.layers:
-            raw = np.stack(
+            raw = np.concatenate(
                 [
                     _search(row, near.indices[i, : p.pixel_neighbours], bank.arrays, tap, grid, p)
                     for i, row in enumerate(_rows(_averaged(features[tap], grid, tap, p), tap, bank.arrays))
                 ]
             )
-            score_map += p.smoothing(grid, tap)(raw * bank.arrays[f"{tap}_weight"].astype(np.float64))
+            score_map += p.smoothing(grid, tap)(
+                join(raw, grid) * bank.arrays[f"{tap}_weight"].astype(np.float64)
+            )
         if p.image_score == "map":
             return ScoreMaps(score_map, score_map.max(axis=(1, 2)))
         distances = near.distances[:, : p.image_neighbours]
@@ -252,18 +260,19 @@ def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.
 
 
 def _cells(grid: Grid, tap: str, p: SpadeParameters) -> tuple[int, int]:
-    """Rows and columns on which a layer is compared."""
-    h, w = grid.taps[tap][1:]
-    if p.finest is None or p.finest not in grid.taps:
+    """Rows and columns on which a layer is compared, of one tile where there are tiles."""
+    taps = tile_grid(grid).taps
+    h, w = taps[tap][1:]
+    if p.finest is None or p.finest not in taps:
         return h, w
-    return min(h, grid.taps[p.finest][1]), min(w, grid.taps[p.finest][2])
+    return min(h, taps[p.finest][1]), min(w, taps[p.finest][2])
 
 
 def _averaging(
     grid: Grid, tap: str, p: SpadeParameters
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """The matrices that average a layer onto its compared cells, None where it stays as it is."""
-    own, cells = grid.taps[tap][1:], _cells(grid, tap, p)
+    own, cells = tile_grid(grid).taps[tap][1:], _cells(grid, tap, p)
     if own == cells:
         return None
     rows, columns = (resampling_matrix(n, to, p.is_sampled) for n, to in zip(own, cells, strict=True))
@@ -271,19 +280,22 @@ def _averaging(
 
 
 def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
-    """A layer (n, c, h, w) on the cells on which it is compared: float64 where averaged."""
+    """A layer on the cells on which it is compared, tiles one under the other: (n, c, tiles * h, w)."""
     matrices = _averaging(grid, tap, p)
     if matrices is None:
-        return layer
-    averaged: NDArray[np.floating] = matrices[0] @ layer @ matrices[1].T
-    return averaged
+        return stacked(layer, grid)
+    tiles = matrices[0] @ split(layer, grid) @ matrices[1].T
+    under = tiles.reshape(len(layer), -1, *tiles.shape[1:]).swapaxes(1, 2)
+    return under.reshape(len(layer), tiles.shape[1], -1, tiles.shape[3])
 
 
 def _window(grid: Grid, tap: str, p: SpadeParameters) -> int | None:
     """How many cells of a tap a match may be away; None for anywhere on the map."""
     if p.window_mm is None:
         return None
-    cell_px = min(size / cells for size, cells in zip(grid.frame, _cells(grid, tap, p), strict=True))
+    cell_px = min(
+        size / cells for size, cells in zip(tile_grid(grid).frame, _cells(grid, tap, p), strict=True)
+    )
     # A hair under a whole number of cells must not become one cell more.
     cells = math.ceil(p.window_mm * grid.pixels_per_mm / cell_px - 1e-6)
     return cells if cells < max(_cells(grid, tap, p)) else None
@@ -300,8 +312,8 @@ def _affordable(
     for number, tap in enumerate(p.layers):
         channels, (h, w) = grid.taps[tap][0], _cells(grid, tap, p)
         width = min(p.dims[number] + 1, channels) if p.dims else channels
-        size += h * w * width * itemsize
-    count = max(1, int(p.bank_mb * 1e6 / size))
+        size += math.prod(layout(grid)) * h * w * width * itemsize
+    count = max(1, bank_bytes(p.bank_mb, grid) // size)
     if count >= len(described):
         return np.arange(len(described))
     return np.sort(k_centre(described, count, start).rows)
@@ -360,14 +372,20 @@ def _search(
     grid: Grid,
     p: SpadeParameters,
 ) -> NDArray[np.float64]:
-    """Distances (h, w) from one press's descriptors (cells, width) to the gallery of the named presses."""
+    """Distances (tiles, h, w) from one press's descriptors (cells, width) to the gallery of the named presses."""
     h, w = _cells(grid, tap, p)
-    gallery = arrays[f"{tap}_bank"][presses]
+    tiles = rows.reshape(-1, h, w, rows.shape[1])
+    gallery = arrays[f"{tap}_bank"][presses].reshape(len(presses), *tiles.shape)
     window = _window(grid, tap, p)
     if window is not None:
-        return window_nearest(rows.reshape(h, w, -1), gallery.reshape(len(presses), h, w, -1), window)
-    flat = gallery.reshape(-1, rows.shape[1])
-    return nearest(rows, flat[: _searched(len(flat), p)]).distances.reshape(h, w)
+        return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
+    found = []
+    for t, tile in enumerate(tiles):
+        flat = gallery[:, t].reshape(-1, rows.shape[1])
+        found.append(
+            nearest(tile.reshape(h * w, -1), flat[: _searched(len(flat), p)]).distances.reshape(h, w)
+        )
+    return np.stack(found)
 
 
 def _searched(cells: int, p: SpadeParameters) -> int:
@@ -420,8 +438,10 @@ def _emit_press_order(
 def _emit_layer(
     graph: Graph, tap: str, layer: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
 ) -> Value:
-    """Weighted distances (n, h, w) of one layer to the gallery's presses (n, k)."""
+    """Weighted distances (n, rows, columns) of one layer to the gallery's presses (n, k)."""
     c, (h, w) = grid.taps[tap][0], _cells(grid, tap, p)
+    tiles = math.prod(layout(grid))
+    layer = emit_split(graph, layer, grid.taps[tap], grid)
     matrices = _averaging(grid, tap, p)
     if matrices is not None:
         down, across = (
@@ -438,22 +458,30 @@ def _emit_layer(
     rows = emit_rotation(
         graph, columns, mean, None if basis is None else graph.input(f"{tap}_basis", basis.shape)
     )
-    presses = graph.input(f"{tap}_bank", ("presses", h * w, width))
+    rows = graph.reshape(rows, -1, tiles * h * w, width)
+    presses = graph.input(f"{tap}_bank", ("presses", tiles * h * w, width))
     window = _window(grid, tap, p)
     if window is None:
-        distances = _emit_whole_search(graph, rows, presses, gallery, (h * w, width), p)
+        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h * w, width), p)
     else:
-        distances = emit_window_nearest(graph, rows, presses, gallery, Blocks((h, w), window), width)
+        blocks = Blocks((h, w), window, tiles)
+        distances = emit_window_nearest(graph, rows, presses, gallery, blocks, width, p.pixel_neighbours)
     weight = graph.input(f"{tap}_weight", (1,))
-    return graph.op("Mul", graph.reshape(distances, -1, h, w), weight)
+    weighted = graph.op("Mul", graph.reshape(distances, -1, h, w), weight)
+    return emit_join(graph, weighted, (h, w), grid)
 
 
 def _emit_whole_search(
-    graph: Graph, rows: Value, presses: Value, gallery: Value, size: tuple[int, int], p: SpadeParameters
+    graph: Graph, rows: Value, presses: Value, gallery: Value, size: tuple[int, int, int], p: SpadeParameters
 ) -> Value:
-    """Distances (n, cells, 1) to any cell of the gallery, so many rows at a time that memory stays bounded."""
-    cells, width = size
-    bank = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, -1, width)
+    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, so many rows at a time that memory stays
+    bounded. size: tiles, cells of one, width."""
+    tiles, cells, width = size
+    count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
+    found = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
+    shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
+    bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
+    rows = graph.reshape(rows, -1, cells, width)
     if not p.is_gallery_whole:
         total = graph.op("Shape", bank, start=1, end=2)
         whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))

@@ -153,9 +153,9 @@ def test_cells_are_drawn_where_they_look() -> None:
 def test_the_bank_stays_within_its_size() -> None:
     """Presses are left out until the bank fits, the most different ones stay, and the bundle says so."""
     nominal = presses_of(20)
-    whole = fit(spade, spade.parameters(), nominal, grid())
+    whole = fit(spade, spade.parameters(packing="float16"), nominal, grid())
     size = sum(whole.arrays[f"{tap}_bank"].nbytes // 2 for tap in SMALL) / 20e6
-    small = fit(spade, spade.parameters(bank_mb=8 * size), nominal, grid())
+    small = fit(spade, spade.parameters(bank_mb=8 * size, packing="float16"), nominal, grid())
     assert 5 <= len(small.arrays["layer1_bank"]) <= 8
     assert "left out" in small.facts["warnings"][0]
     assert len(small.facts["presses"]) == len(small.arrays["layer1_bank"])

@@ -15,7 +15,7 @@ from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 CASES = {
-    "spade": (spade, "corrected", {"bank_mb": 0.006}, "start"),
+    "spade": (spade, "corrected", {"bank_mb": 0.003}, "start"),
     "fapm": (fapm, "corrected", {}, "start"),
     "inreach": (inreach, "corrected", {"most_rows": 20}, "start"),
     "patchcore": (patchcore, "corrected", {}, "start"),

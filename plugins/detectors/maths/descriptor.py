@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid
+from plugins.detectors.maths.mosaic import emit_split, split, tile_grid
 from plugins.detectors.maths.smoothing import upsampling_matrix
 from plugins.graph import Graph, Value
 
@@ -77,8 +78,8 @@ class Descriptor:
             raise ValueError(f"a descriptor is binned or means, found '{self.kind}'")
 
     def cells(self, grid: Grid) -> tuple[int, int]:
-        """Rows and columns of the grid."""
-        return grid.taps[self.grid_tap][1:]
+        """Rows and columns of the grid, of one tile where there are tiles."""
+        return tile_grid(grid).taps[self.grid_tap][1:]
 
     def width(self, grid: Grid) -> int:
         """Numbers per descriptor."""
@@ -91,13 +92,15 @@ class Descriptor:
         scales: Mapping[str, float],
         dtype: type[np.floating] = np.float64,
     ) -> NDArray[np.floating]:
-        """Descriptors (n, cells, width) of n presses. scales: tap to the factor of its features, 1 where absent."""
-        n = len(features[self.taps[0]])
+        """Descriptors (n * tiles, cells, width) of n presses. scales: tap to its features' factor, 1 if absent."""
+        maps = {tap: split(features[tap], grid) for tap in self.taps}
+        grid = tile_grid(grid)
+        n = len(maps[self.taps[0]])
         columns = np.zeros((n, self.width(grid), *self.cells(grid)), dtype)
         at = 0
         for number, tap in enumerate(self.taps):
             down, across = (matrix.astype(dtype) for matrix in self._resampling(grid, tap))
-            x = features[tap].astype(dtype) * dtype(scales.get(tap, 1.0))
+            x = maps[tap].astype(dtype) * dtype(scales.get(tap, 1.0))
             if self._is_finer(grid, tap):
                 part = self._native(down @ x @ across.T, number)
             else:
@@ -109,10 +112,15 @@ class Descriptor:
         return np.swapaxes(columns.reshape(n, len(columns[0]), -1), 1, 2)
 
     def emit(self, graph: Graph, grid: Grid, scales: Value | None) -> Value:
-        """The same in a graph: inputs for the taps; descriptors as columns (n, width, cells). scales: (taps,)."""
+        """The same in a graph: inputs for the taps; descriptors as columns (n * tiles, width, cells).
+
+        scales: (taps,).
+        """
         parts: list[Value] = []
+        whole, grid = grid, tile_grid(grid)
         for number, tap in enumerate(self.taps):
-            x = graph.input(tap, ("n", *grid.taps[tap]))
+            x = graph.input(tap, ("n", *whole.taps[tap]))
+            x = emit_split(graph, x, whole.taps[tap], whole)
             if scales is not None:
                 x = graph.op("Mul", x, graph.op("Gather", scales, graph.ints(number), axis=0))
             if self._is_finer(grid, tap):

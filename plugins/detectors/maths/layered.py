@@ -33,8 +33,12 @@ def emit_layered_scores(
 
 
 def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The matrices that draw one grid on the finest."""
-    rows, columns = (upsampling_matrix(n, to, s.upsampling) for n, to in zip(s.cells, finest, strict=True))
+    """The matrices that draw one grid on the finest, tile by tile."""
+    tiles = (1, 1) if s.tiles is None else (len(s.tiles.rows), len(s.tiles.columns))
+    rows, columns = (
+        np.kron(np.eye(count), upsampling_matrix(n // count, to // count, s.upsampling)).astype(np.float64)
+        for n, to, count in zip(s.cells, finest, tiles, strict=True)
+    )
     return rows, columns
 
 

@@ -1,9 +1,11 @@
 """One bank of patch descriptors for the whole grid: what PatchCore and InReaCh score with, however they fill it.
 
 A descriptor is centred, turned onto its leading directions with the length of the rest beside them (or kept whole),
-and measured against its nearest row of the bank, wherever on the part that row came from.
+and measured against its nearest row of the bank, wherever on the part that row came from. On tiles each tile is an
+image of its own, and all share the bank.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid
 from plugins.detectors.maths.descriptor import Descriptor
 from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.mosaic import emit_join, join, layout, split
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest
 from plugins.graph import Graph, Value
@@ -44,7 +47,7 @@ class PatchBank:
     def learn(
         self, features: Features, grid: Grid, rng: np.random.Generator
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32]]:
-        """`scales` (taps,), `mean` (c,) and `basis` (dims, c), and the rows (n, cells, width) of n presses."""
+        """`scales` (taps,), `mean` (c,) and `basis` (dims, c), and the rows (n, cells of all tiles, width)."""
         arrays: dict[str, NDArray[Any]] = {}
         taps = self.descriptor.taps
         if self.is_balanced:
@@ -58,18 +61,16 @@ class PatchBank:
         arrays["mean"] = rotation.mean
         if rotation.basis is not None:
             arrays["basis"] = rotation.basis
-        rows = [
-            self._placed(rotation(self._described(features, grid, k, arrays), np.float32), grid)
-            for k in range(n)
-        ]
-        return arrays, np.stack(rows).astype(np.float32)
+        rows = np.stack([rotation(self._described(features, grid, k, arrays), np.float32) for k in range(n)])
+        return arrays, self._placed(rows, grid).astype(np.float32)
 
     def rows(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.floating]:
-        """Rows (n, cells, width) of presses to be scored, in float64."""
+        """Rows (n, cells of all tiles, width) of presses to be scored, in float64."""
         rotation = Rotation(arrays["mean"], arrays.get("basis"))
-        return self._placed(rotation(self.descriptor.numpy(features, grid, self._scales(arrays))), grid)
+        rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays)))
+        return self._placed(rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2]), grid)
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
@@ -77,7 +78,8 @@ class PatchBank:
         """The oracle: distances (n, grid rows, grid columns) to the nearest row of `bank` (m, width), in float64."""
         rows = self.rows(features, grid, arrays)
         found = nearest(rows.reshape(-1, rows.shape[2]), arrays["bank"]).distances
-        return (found**2 if is_squared else found).reshape(-1, *self.descriptor.cells(grid))
+        raw = (found**2 if is_squared else found).reshape(-1, *self.descriptor.cells(grid))
+        return join(raw, grid)
 
     def emit(self, graph: Graph, grid: Grid, bank: Bank, is_squared: bool) -> Value:
         """The same in a graph; the number of rows in the bank is free."""
@@ -87,15 +89,21 @@ class PatchBank:
         basis = None if dims is None else graph.input("basis", dims.shape)
         rows = emit_rotation(graph, columns, graph.input("mean", (width,)), basis)
         if self.position_weight:
-            place = graph.constant(self._places(grid)[None].astype(np.float32))
-            leading = graph.op("Shape", rows, start=0, end=1)
-            shape = graph.op("Concat", leading, graph.ints(*self._places(grid).shape), axis=0)
-            rows = graph.op("Concat", rows, graph.op("Expand", place, shape), axis=2)
+            rows = self._emit_placed(graph, rows, grid)
         memory = bank.arrays["bank"]
         distances = self._emit_search(
             graph, rows, graph.input("bank", ("rows", memory.shape[1])), memory.shape, grid
         )
         return graph.op("Mul", distances, distances) if is_squared else distances
+
+    def _emit_placed(self, graph: Graph, rows: Value, grid: Grid) -> Value:
+        """Rows (n * tiles, cells, width) with their places beside them."""
+        tiles, cells = math.prod(layout(grid)), math.prod(self.descriptor.cells(grid))
+        place = graph.constant(self._places(grid).reshape(1, tiles, cells, 2).astype(np.float32))
+        count = graph.op("Div", graph.op("Shape", rows, start=0, end=1), graph.ints(tiles))
+        shape = graph.op("Concat", count, graph.ints(tiles, cells, 2), axis=0)
+        places = graph.reshape(graph.op("Expand", place, shape), -1, cells, 2)
+        return graph.op("Concat", rows, places, axis=2)
 
     def _emit_search(
         self, graph: Graph, rows: Value, memory: Value, size: tuple[int, ...], grid: Grid
@@ -112,17 +120,16 @@ class PatchBank:
                 asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
             found = emit_group_nearest(graph, graph.reshape(asked, 1, -1, size[1]), bank, size[1])
             parts.append(graph.reshape(found, -1, count))
-        return graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
+        raw = graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
+        return emit_join(graph, raw, (h, w), grid)
 
     def _described(
         self, features: Features, grid: Grid, press: int, arrays: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.floating]:
         """Descriptors (cells, c) of one press, float32."""
         one = {tap: features[tap][press : press + 1] for tap in self.descriptor.taps}
-        described: NDArray[np.floating] = self.descriptor.numpy(one, grid, self._scales(arrays), np.float32)[
-            0
-        ]
-        return described
+        described: NDArray[np.floating] = self.descriptor.numpy(one, grid, self._scales(arrays), np.float32)
+        return described.reshape(-1, described.shape[2])
 
     def _scales(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, float]:
         return (
@@ -132,8 +139,15 @@ class PatchBank:
         )
 
     def _places(self, grid: Grid) -> NDArray[np.float64]:
+        """The weighted place of every cell in the frame: (cells of all tiles, 2), in the order of the rows."""
         h, w = self.descriptor.cells(grid)
-        return np.asarray(self.position_weight * np.indices((h, w)).reshape(2, -1).T / (h, w))
+        if grid.tiles is None:
+            down, across = (np.arange(n) / n for n in (h, w))
+        else:
+            edges = grid.tiles.edges((h, w))
+            down, across = (edge / size for edge, size in zip(edges, grid.frame, strict=True))
+        places = split(np.stack(np.meshgrid(down, across, indexing="ij"))[None], grid)
+        return np.asarray(self.position_weight * places.transpose(0, 2, 3, 1).reshape(-1, 2))
 
     def _placed(self, rows: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
         if not self.position_weight:

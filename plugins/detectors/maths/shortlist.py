@@ -79,14 +79,15 @@ class Blocks:
 
     cells: (h, w). window: how many cells a query may look away from its own, in both directions. Cells beyond the
     edge are clamped onto it: clamping never brings a cell into a window that it was outside of, and a cell met
-    twice changes no nearest distance.
+    twice changes no nearest distance. tiles: so many such grids, one after the other, none reaching into another.
     """
 
-    def __init__(self, cells: tuple[int, int], window: int) -> None:
+    def __init__(self, cells: tuple[int, int], window: int, tiles: int = 1) -> None:
         if min(cells) < 1 or window < 0:
             raise ValueError(f"blocks need cells and a window of at least 0, found {cells} and {window}")
         self.cells = cells
         self.window = window
+        self.tiles = tiles
         self.side = tuple(_side(n) for n in cells)
         self.count = tuple(-(-n // side) for n, side in zip(cells, self.side, strict=True))
 
@@ -99,11 +100,12 @@ class Blocks:
         return self._table(self.window)
 
     def back(self) -> NDArray[np.int64]:
-        """Where each cell of the grid, row-major, stands in the flattened `queries`: (h * w,)."""
+        """Where each cell of the grid, row-major, stands in the flattened `queries`: (tiles * h * w,)."""
         (bh, bw), columns = self.side, self.count[1]
         y, x = np.indices(self.cells).reshape(2, -1)
         place = (y // bh * columns + x // bw) * (bh * bw) + y % bh * bw + x % bw
-        return np.asarray(place, np.int64)
+        size = bh * bw * self.count[0] * columns
+        return (np.arange(self.tiles)[:, None] * size + place).reshape(-1).astype(np.int64)
 
     def bias(self) -> NDArray[np.float32]:
         """0 where a query of a block may use a cell reached and `FORBIDDEN` outside its window, (queries, reached)."""
@@ -121,8 +123,10 @@ class Blocks:
             reach = np.arange(count)[:, None] * side + np.arange(-margin, side + margin)[None, :]
             axes.append(np.clip(reach, 0, n - 1))
         rows, columns = axes
-        table: NDArray[np.int64] = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
-        return table.reshape(self.count[0] * self.count[1], -1)
+        one = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
+        first = np.arange(self.tiles) * self.cells[0] * self.cells[1]
+        table: NDArray[np.int64] = first[:, None, None, None, None] + one
+        return table.reshape(self.tiles * self.count[0] * self.count[1], -1)
 
 
 def _side(cells: int) -> int:
@@ -133,32 +137,33 @@ def _side(cells: int) -> int:
 
 
 def emit_window_nearest(
-    graph: Graph, rows: Value, presses: Value, gallery: Value, blocks: Blocks, width: int
+    graph: Graph, rows: Value, presses: Value, gallery: Value, blocks: Blocks, width: int, most: int
 ) -> Value:
     """Plain distances (n, cells, 1) from each cell's descriptor to the gallery's within its window, block by block.
 
-    rows: (n, cells, width). presses: (m, cells, width), all that there are. gallery: int64 (n, k), which of them.
+    rows: (n, cells, width). presses: (m, cells, width), all that there are. gallery: int64 (n, k), which of them, at
+    most `most`. So many blocks at a time that memory stays bounded.
     """
     queries, reached = blocks.queries(), blocks.gallery()
-    cells = blocks.cells[0] * blocks.cells[1]
-    asked = graph.op("Gather", rows, graph.constant(queries.reshape(-1)), axis=1)
-    asked = graph.reshape(asked, -1, queries.shape[1], width)
-    # Row numbers (n, blocks, k, reached) into all presses laid end to end.
-    first = graph.op("Mul", graph.op("Unsqueeze", gallery, graph.ints(1, 3)), graph.ints(cells))
-    numbers = graph.op("Add", first, graph.constant(reached[None, :, None, :]))
-    found = graph.op("Gather", graph.reshape(presses, -1, width), numbers, axis=0)
+    step = max(1, PRODUCT_LIMIT // (queries.shape[1] * reached.shape[1] * most))
     per_block = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(reached.shape[1]))
     shape = graph.op("Concat", graph.ints(-1), per_block, graph.ints(width), axis=0)
     bias = graph.op("Tile", graph.constant(blocks.bias()[None]), _repeats(graph, gallery))
-    distances = emit_group_nearest(
-        graph,
-        asked,
-        graph.op("Reshape", found, shape),
-        width,
-        bias=bias,
-    )
-    flat = graph.reshape(distances, -1, queries.size, 1)
-    return graph.op("Gather", flat, graph.constant(blocks.back()), axis=1)
+    cells = blocks.tiles * blocks.cells[0] * blocks.cells[1]
+    first = graph.op("Mul", graph.op("Unsqueeze", gallery, graph.ints(1, 3)), graph.ints(cells))
+    flat = graph.reshape(presses, -1, width)
+    parts = []
+    for start in range(0, len(queries), step):
+        part = slice(start, start + step)
+        asked = graph.op("Gather", rows, graph.constant(queries[part].reshape(-1)), axis=1)
+        asked = graph.reshape(asked, -1, queries.shape[1], width)
+        # Row numbers (n, blocks, k, reached) into all presses laid end to end.
+        numbers = graph.op("Add", first, graph.constant(reached[part][None, :, None, :]))
+        found = graph.op("Reshape", graph.op("Gather", flat, numbers, axis=0), shape)
+        distances = emit_group_nearest(graph, asked, found, width, bias=bias)
+        parts.append(graph.reshape(distances, -1, queries[part].size, 1))
+    whole = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    return graph.op("Gather", whole, graph.constant(blocks.back()), axis=1)
 
 
 def _repeats(graph: Graph, gallery: Value) -> Value:
