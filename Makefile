@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# What the tests install; `make test EXTRAS=test,train` adds torch, and with it the tests of backbone training.
+EXTRAS ?= test
 
 .PHONY: demo test lint docs bench test-hardware kernel-lab clean
 
@@ -41,7 +43,7 @@ $(VENV)/.demo: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet -e '.[test]'
+	$(BIN)/python -m pip install --quiet -e '.[$(EXTRAS)]'
 	touch $@ $(VENV)/.demo
 
 # The real broker for the tests; where apt or root is missing they fall back to amqtt and say so.
