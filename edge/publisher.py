@@ -81,6 +81,8 @@ class Lane:
         self._has_changed = False  # whether `on_change` was ever called
         self._said = 0  # version of the announcements that this sink has
         self._passed = 0  # every row up to this one is settled with this sink
+        self._taken: int | None = None  # the row that the sink took last; the store may not know it yet
+        self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
         self._offered_ns: int | None = None
@@ -88,19 +90,23 @@ class Lane:
     def step(self) -> float:
         """Send what has changed and at most one batch of rows; gives seconds until the next step, 0 for at once.
 
-        Never raises a SinkError or a StoreError: both are counted, told through `on_change`, and retried.
+        Never raises a SinkError or a StoreError: both are counted and retried. A sink's is told through `on_change`;
+        while the store refuses, a row that the sink has taken is not sent again, only noted again.
         """
+        has_failed = self._backoff.failures > 0
         try:
-            if self._backoff.failures:
+            self._say()  # first: what is true now needs no store
+            if has_failed:
                 self._late_up_to = self._outbox.newest()
             self._offer_refused()
-            self._say()
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
             for row in rows:
                 self._send(row)
                 self._passed = row.row_id
-        except (SinkError, StoreError) as error:
+        except SinkError as error:
             return self._failed(error)
+        except StoreError as error:
+            return self._unrecorded(error)
         return 0.0 if len(rows) == BATCH_ROWS else IDLE_S
 
     def broken(self) -> float:
@@ -110,9 +116,9 @@ class Lane:
     def _offer_refused(self) -> None:
         now_ns = self._clock.monotonic_ns()
         if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
-            self._offered_ns = now_ns
             if self._outbox.offer_refused(self.name):
                 self._passed = 0
+            self._offered_ns = now_ns
 
     def _say(self) -> None:
         for version, message in self._announcements.since(self._said):
@@ -125,15 +131,20 @@ class Lane:
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to
         message = as_replayed(row.message) if is_late else row.message
-        try:
-            self._deliver(message)
-        except SinkRejected as error:
-            self._outbox.refuse(row.row_id, self.name, str(error))
-            self._refused(row.message.topic, error)
-            return
+        if (
+            row.row_id != self._taken
+        ):  # else only its acknowledgement found no room: nothing is sent twice for that
+            try:
+                self._deliver(message)
+            except SinkRejected as error:
+                self._outbox.refuse(row.row_id, self.name, str(error))
+                self._refused(row.message.topic, error)
+                return
+            self._taken = row.row_id
         if message.retain:
             self._announcements.remember(message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)
+        self._recorded()
         self.counters = replace(
             self.counters,
             sent=self.counters.sent + 1,
@@ -148,7 +159,21 @@ class Lane:
             self.counters = replace(self.counters, is_up=True, last_error="")
             self._change(True, f"sink {self.name} takes messages")
 
-    def _failed(self, error: SinkError | StoreError) -> float:
+    def _recorded(self) -> None:
+        self._backoff.succeeded()
+        if self._is_store_failing:
+            self._is_store_failing = False
+            log.info("what sink %s takes is noted again", self.name)
+
+    def _unrecorded(self, error: StoreError) -> float:
+        """The database refused: the sink is not to blame, so announcements go on. Said once."""
+        self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
+        if not self._is_store_failing:
+            self._is_store_failing = True
+            log.error("what sink %s takes cannot be noted: %s", self.name, error)
+        return self._backoff.failed()
+
+    def _failed(self, error: SinkError) -> float:
         is_news = self.counters.is_up or not self._has_changed
         self.counters = replace(
             self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)

@@ -138,6 +138,51 @@ def test_a_sink_that_is_away_loses_nothing(
     assert one.counters.failed == 6
 
 
+class FullOutbox(Outbox):
+    """Its disk may be full: then nothing can be noted."""
+
+    is_full = False
+
+    def acknowledge(self, row_id: int, sink: str) -> None:
+        if self.is_full:
+            raise StoreError("database or disk is full")
+        super().acknowledge(row_id, sink)
+
+
+def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
+    store: Store,
+    path: Path,
+    make_press: MakePress,
+    messages_of: MessagesOf,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Acknowledgements that find no room are noted later; the pauses grow, the log says it once, the state is told.
+
+    Without the memory of what was taken, a result went out again at every attempt, as long as the disk was full.
+    """
+    sink, changes, announcements = ScriptedSink(), [], Announcements()
+    with FullOutbox(path) as outbox:
+        outbox.register(["mqtt"])
+        record(store, messages_of, make_press(1), make_press(2))
+        one = lane(outbox, sink, announcements=announcements, changes=changes)
+        outbox.is_full = True
+        pauses = [one.step() for _ in range(8)]
+        announcements.announce(state_message(StatePayload(time_ns=1, state="halted", reason="full")))
+        one.step()
+
+        assert len(sink.results()) == 1
+        assert sink.topics()[-1] == "state"
+        assert pauses[-1] > 10 * pauses[0]
+        assert [record.levelname for record in caplog.records] == ["ERROR"]
+        assert [is_up for is_up, _ in changes] == [True]
+
+        outbox.is_full = False
+        drain(one)
+        assert [r["press_id"] for r in sink.results()] == [make_press(n).press_id for n in (1, 2)]
+        assert outbox.status().rows == 0
+        assert one.counters.sent == len([m for m in sink.taken if m.topic != "state" and m.payload])
+
+
 def test_rows_that_waited_are_marked_as_replayed(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
