@@ -59,5 +59,5 @@ class ReferenceFolder:
 
 
 def _as_name(text: str) -> str:
-    """A file name for any id: what is not a letter, a digit, `-` or `_` becomes its code, so no id leaves the folder."""
+    """A file name for any id: whatever is not a letter, a digit, `-` or `_` becomes its code."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else f"%{ord(c):x}" for c in text)

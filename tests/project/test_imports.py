@@ -4,7 +4,19 @@ import json
 import subprocess
 import sys
 
-HEAVY = {"torch", "onnx", "onnxscript", "depthai", "matplotlib", "sklearn", "scipy", "cv2", "onnxruntime", "usb", "paho"}
+HEAVY = {
+    "torch",
+    "onnx",
+    "onnxscript",
+    "depthai",
+    "matplotlib",
+    "sklearn",
+    "scipy",
+    "cv2",
+    "onnxruntime",
+    "usb",
+    "paho",
+}
 
 
 def modules_after(statement: str) -> set[str]:
