@@ -131,9 +131,8 @@ class Lane:
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to
         message = as_replayed(row.message) if is_late else row.message
-        if (
-            row.row_id != self._taken
-        ):  # else only its acknowledgement found no room: nothing is sent twice for that
+        # A row that was taken before waits for its acknowledgement alone: a full disk is no reason to send it again.
+        if row.row_id != self._taken:
             try:
                 self._deliver(message)
             except SinkRejected as error:
