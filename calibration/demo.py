@@ -19,6 +19,7 @@ import typer
 
 if TYPE_CHECKING:
     from edge.local_broker import LocalBroker
+    from edge.mqtt import Level
 
 __all__ = ["demo"]
 
@@ -168,7 +169,13 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
     shutil.rmtree(folder / "gelgate.references", ignore_errors=True)
     typer.echo(f"broker: {broker.kind} on {broker.host}:{broker.port}; inspecting on the virtual sensor\n")
     config = folder / "gelgate.toml"
-    text = CONFIG.format(recording=recording.resolve(), bundle=bundle, host=broker.host, port=broker.port)
+    text = CONFIG.format(
+        recording=recording.resolve(),
+        bundle=bundle,
+        host=broker.host,
+        port=broker.port,
+        protocol=_level(broker),
+    )
     config.write_text(text, encoding="utf-8")
     with _subscriber(broker, heatmaps) as received:
         loaded = load_config(config)
@@ -186,6 +193,10 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
             f"{gel.gel_id} on sensor {gel.serial}: {gel.presses} of {gel.limit_presses} presses, {gel.state}"
         )
     return tally
+
+
+def _level(broker: "LocalBroker") -> "Level":
+    return "5" if broker.speaks_mqtt5 else "3.1.1"
 
 
 def _known_truth(recording: Path) -> _Tally:
@@ -222,9 +233,7 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]
                 message.payload
             )
 
-    broker = Broker(
-        local.host, local.port, "gelgate-demo-subscriber", level="5" if local.speaks_mqtt5 else "3.1.1"
-    )
+    broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))
     connection = Connection.open(broker, on_received=arrived)
     try:
         connection.subscribe(f"{ROOT}/#")
