@@ -464,7 +464,7 @@ def _emit_layer(
     if window is None:
         distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h * w, width), p)
     else:
-        blocks = Blocks((h, w), window, tiles)
+        blocks = Blocks((h, w), window, tiles, width)
         distances = emit_window_nearest(graph, rows, presses, gallery, blocks, width, p.pixel_neighbours)
     weight = graph.input(f"{tap}_weight", (1,))
     weighted = graph.op("Mul", graph.reshape(distances, -1, h, w), weight)

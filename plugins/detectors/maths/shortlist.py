@@ -6,6 +6,8 @@ distances never negative, the winners measured again as a sum of squared differe
 and among equals the lowest row wins (ONNX TopK keeps the lower index).
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,8 +30,11 @@ FORBIDDEN = 1e30
 SHORTLIST = 4
 # Distances that one product may hold: a search over a large bank asks for so many rows at a time (64 MB of float32).
 PRODUCT_LIMIT = 16 * 2**20
-# Cells along one side of a block: small enough that a window around it is little larger, large enough for a product.
-BLOCK = 4
+# Cells along one side of a block, at most.
+MOST_SIDE = 10
+# What one number of a gathered row and one product of a query and a row cost, in passes over memory: measured on two
+# cores with onnxruntime 1.31. Small blocks gather every cell many times, large ones compare with many cells in vain.
+GATHER_COST, PRODUCT_COST = 5, 10
 
 
 def emit_group_nearest(
@@ -80,15 +85,17 @@ class Blocks:
     cells: (h, w). window: how many cells a query may look away from its own, in both directions. Cells beyond the
     edge are clamped onto it: clamping never brings a cell into a window that it was outside of, and a cell met
     twice changes no nearest distance. tiles: so many such grids, one after the other, none reaching into another.
+    width: numbers per descriptor, which decides how large blocks should be.
     """
 
-    def __init__(self, cells: tuple[int, int], window: int, tiles: int = 1) -> None:
+    def __init__(self, cells: tuple[int, int], window: int, tiles: int = 1, width: int = 64) -> None:
         if min(cells) < 1 or window < 0:
             raise ValueError(f"blocks need cells and a window of at least 0, found {cells} and {window}")
         self.cells = cells
         self.window = window
         self.tiles = tiles
-        self.side = tuple(_side(n) for n in cells)
+        side = min(range(1, MOST_SIDE + 1), key=lambda side: _cost(cells, side, window, width))
+        self.side = tuple(min(side, n) for n in cells)
         self.count = tuple(-(-n // side) for n, side in zip(cells, self.side, strict=True))
 
     def queries(self) -> NDArray[np.int64]:
@@ -129,11 +136,12 @@ class Blocks:
         return table.reshape(self.tiles * self.count[0] * self.count[1], -1)
 
 
-def _side(cells: int) -> int:
-    """The side of a block on an axis of so many cells: near `BLOCK`, with the fewest cells left over."""
-    if cells <= BLOCK + 2:
-        return cells
-    return min(range(BLOCK - 2, BLOCK + 3), key=lambda side: (-cells % side, abs(side - BLOCK)))
+def _cost(cells: tuple[int, int], side: int, window: int, width: int) -> int:
+    """Passes over memory for blocks of that side."""
+    sides = [min(side, n) for n in cells]
+    blocks = math.prod(-(-n // s) for n, s in zip(cells, sides, strict=True))
+    reached = math.prod(s + 2 * window for s in sides)
+    return blocks * reached * (GATHER_COST * width + PRODUCT_COST * math.prod(sides))
 
 
 def emit_window_nearest(
