@@ -84,7 +84,9 @@ def test_neighbours_end_at_a_tile() -> None:
     train = {
         tap: value.copy() for tap, value in extract(trunk, frames(5), grid, lambda fraction: None).items()
     }
-    parameters = padim.parameters(neighbours=1, is_balanced=False, projection="all", is_sampled=False)
+    parameters = padim.parameters(
+        grid_tap="layer1", neighbours=1, is_balanced=False, projection="all", is_sampled=False
+    )
     before = fitted(padim, parameters, Nominal(train), grid)
     train["layer1"][:, :, :, :16] += 100
     after = fitted(padim, parameters, Nominal(train), grid)

@@ -26,10 +26,13 @@ BYTES = {"int8": 1, "float16": 2}
 ALL = ("layer1", "layer2", "layer3")
 POINTS: dict[str, tuple[Any, Any]] = {
     "padim": (padim, padim.parameters()),
-    "padim 28x28": (padim, padim.parameters(grid_tap="layer2")),
-    "padim layer1": (padim, padim.parameters(taps=("layer1",), channels=64)),
+    "padim 56x56": (padim, padim.parameters(grid_tap="layer1")),
+    "padim layer1": (padim, padim.parameters(taps=("layer1",), grid_tap="layer1", channels=64)),
     "padim exact": (padim, padim.parameters(rank=None)),
-    "padim 448 rank 16": (padim, padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0)),
+    "padim 448 rank 16": (
+        padim,
+        padim.parameters(taps=ALL, grid_tap="layer1", channels=448, rank=16, neighbours=0),
+    ),
     "padim 448 rank 16 28x28": (
         padim,
         padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0, grid_tap="layer2"),

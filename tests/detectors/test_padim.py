@@ -126,7 +126,7 @@ def test_a_press_scores_the_same_alone_and_in_a_batch() -> None:
 
 def test_one_head_serves_parts_touched_in_different_places() -> None:
     """The head fitted on one part scores another part's bank, touched elsewhere and in fewer cells."""
-    parameters = padim.parameters()
+    parameters = padim.parameters(grid_tap="layer1")
     other = np.zeros((48, 48), bool)
     other[2:5, 2:5] = True
     first = fitted(padim, parameters, Nominal(features(20, seed=1), TOUCHED))
@@ -138,7 +138,7 @@ def test_one_head_serves_parts_touched_in_different_places() -> None:
 
 def test_the_maximum_is_where_the_features_were_changed() -> None:
     """A deviation painted into one cell of layer1 is the peak of the map, at the pixel where that cell looks."""
-    parameters = padim.parameters(sigma=2.0, sigma_unit="px")
+    parameters = padim.parameters(grid_tap="layer1", neighbours=0, sigma=2.0, sigma_unit="px")
     bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
     odd = {tap: value[:1].copy() for tap, value in QUERY.items()}
     odd["layer1"][0, :, 4, 9] += 5
@@ -218,7 +218,7 @@ def test_repair_sampled_cells() -> None:
 def test_repair_untouched_cells_need_no_bank() -> None:
     """is_touched_only: cells that no press touches hold a mean and no eigenvectors, and still notice a stray touch."""
     nominal = Nominal(features(30, seed=1), TOUCHED, features(3, seed=2))
-    parameters = padim.parameters(margin_mm=0.0)
+    parameters = padim.parameters(grid_tap="layer1", margin_mm=0.0)
     bank = fitted(padim, parameters, nominal)
     assert bank.facts["locations"] == len(bank.arrays["basis"]) == 2 * 3
     assert bank.facts["locations_shared"] == 144 - 6
@@ -315,7 +315,9 @@ def test_the_fit_is_reproducible() -> None:
 
 def test_neighbours_are_nine_times_the_samples() -> None:
     """Mean and covariance of the 3x3 neighbourhood, from nine cells' moments, are those of all their samples."""
-    parameters = padim.parameters(taps=("layer1",), projection="all", is_balanced=False, rank=None)
+    parameters = padim.parameters(
+        grid_tap="layer1", taps=("layer1",), projection="all", is_balanced=False, rank=None
+    )
     train = {"layer1": features(4, seed=1)["layer1"]}
     bank = fitted(padim, parameters, Nominal(train), Grid((48, 48), {"layer1": (8, 12, 12)}, 15.77))
     padded = np.pad(train["layer1"].astype(np.float64), ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")

@@ -95,7 +95,7 @@ def test_equal_tiles_give_the_map_of_one_piece() -> None:
     """Where every tile sees what the whole frame sees, blending changes nothing: the map of a single large grid."""
     whole = Grid((112, 176), {"layer1": (6, 28, 44)}, 15.77)
     tiled = Grid((112, 176), {"layer1": (6, 32, 64)}, 15.77, TILES)
-    choice = padim.parameters(taps=("layer1",), projection="all", rank=None, neighbours=0)
+    choice = padim.parameters(grid_tap="layer1", taps=("layer1",), projection="all", rank=None, neighbours=0)
 
     def mosaic(maps: Features) -> Features:
         rows = [slice(r // 4, r // 4 + 16) for r in TILES.rows]

@@ -35,7 +35,7 @@ def test_an_even_surface_has_an_even_map() -> None:
     grid = Grid((96, 96), {tap: value.shape[1:] for tap, value in train.items()}, 15.77)
     layer1 = train["layer1"].mean(axis=0)
     assert np.abs(layer1[:, 0] - layer1[:, 12]).max() > 5 * train["layer1"].std(axis=0).mean()
-    parameters = padim.parameters()
+    parameters = padim.parameters(grid_tap="layer1")
     bank = fitted(padim, parameters, Nominal(train), grid)
     found = padim.reference_score(query, grid, bank, parameters).score_map
     assert 0.7 < border_to_middle(found) < 1.4
