@@ -18,7 +18,7 @@ from edge.messages import (
     StatsPayload,
 )
 
-__all__ = ["TOPICS", "reference"]
+__all__ = ["COMMANDS", "TOPICS", "reference"]
 
 # topic below the root, QoS, whether retained, payload, what it is for
 TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
@@ -38,6 +38,17 @@ TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("stats", 0, False, StatsPayload, "counters, for dashboards"),
     ("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
     ("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
+)
+
+# verb, its arguments, what it does
+COMMANDS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("trigger", "none", 'score the press that is held now; the way to inspect with `trigger = "command"`'),
+    ("relearn", "none", "learn the picture of the free gel anew; nothing may touch it"),
+    (
+        "replace_gel",
+        "`gel_id`, `limit_presses`, `note`; each may be left out",
+        "record that a new gel is mounted, count from 0 and learn its picture",
+    ),
 )
 
 _HEAD: Final = f"""\
@@ -70,7 +81,7 @@ What a subscriber can rely on:
 
 def reference() -> str:
     """The whole page, Markdown."""
-    return "\n".join([_HEAD, *_overview(), *_alarms(), *_payloads()]) + "\n"
+    return "\n".join([_HEAD, *_overview(), *_commands(), *_alarms(), *_payloads()]) + "\n"
 
 
 def _overview() -> Iterator[str]:
@@ -78,6 +89,13 @@ def _overview() -> Iterator[str]:
     for topic, qos, retained, payload, meaning in TOPICS:
         name = payload if isinstance(payload, str) else f"[{payload.__name__}](#{payload.__name__.lower()})"
         yield f"| `{topic}` | {qos} | {'yes' if retained else 'no'} | {name} | {meaning} |"
+
+
+def _commands() -> Iterator[str]:
+    yield "\n## Commands\n\n| verb | arguments | what it does |\n| --- | --- | --- |"
+    yield from (f"| `{verb}` | {arguments} | {meaning} |" for verb, arguments, meaning in COMMANDS)
+    yield "\nFor example, published on `cmd/replace_gel`:\n"
+    yield '```json\n{"transaction": "17", "arguments": {"gel_id": "batch7-3", "note": "torn"}}\n```'
 
 
 def _alarms() -> Iterator[str]:

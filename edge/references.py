@@ -33,7 +33,7 @@ class ReferenceFolder:
             return Reference(view, frames=1, learnt_ns=0)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError) as error:
+        except (OSError, EOFError, ValueError) as error:  # EOFError: left empty by a power cut
             log.warning("the free-gel picture %s cannot be used and is learnt again: %s", path, error)
             return None
 

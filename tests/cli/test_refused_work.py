@@ -13,6 +13,7 @@ from small_recordings import write_recording
 from spoilable_station import Bench
 
 from edge import cli, local_broker, registry
+from edge.core.errors import ConfigError
 
 
 def picture(path: Path, width: int, height: int) -> None:
@@ -149,8 +150,7 @@ def test_a_demo_without_a_broker_says_so_before_it_works(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither mosquitto nor amqtt: exit code 4 and what to install, and nothing was simulated."""
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.setattr(local_broker.shutil, "which", lambda *_, **__: None)
+    monkeypatch.setattr("shutil.which", lambda *_, **__: None)
     monkeypatch.setattr(local_broker, "find_spec", lambda _: None)
     ended = gelgate("demo", "-o", "out")
 
@@ -224,7 +224,5 @@ def test_a_plugin_whose_package_is_missing_says_what_to_install(monkeypatch: pyt
 
     broken = EntryPoint("lamp", "no_such_package.lamp:plugin", "gelgate.devices")
     monkeypatch.setattr(registry, "_group", lambda kind: {"lamp": broken})
-    with pytest.raises(
-        cli.errors.ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_package.*pip install"
-    ):
+    with pytest.raises(ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_package.*pip install"):
         registry.load("devices", "lamp")

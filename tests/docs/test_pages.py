@@ -1,6 +1,7 @@
 """Documentation that cannot lie: printed pages are the program's, and what has a name is explained in docs/."""
 
 import importlib.util
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,9 @@ from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
 from edge.cli.run import EXAMPLE
 from edge.config import Config, load_config
 from edge.core import errors
-from edge.mqtt_reference import TOPICS
+from edge.gateway import Gateway
+from edge.mqtt_reference import COMMANDS, TOPICS
+from edge.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -107,6 +110,16 @@ def test_every_key_says_what_it_means() -> None:
 def test_every_topic_is_in_the_manual() -> None:
     """Topics stand in one table in the program and in one on the page."""
     assert [topic for topic, *_ in TOPICS if f"`{topic}`" not in PRINTED["mqtt.md"]] == []
+
+
+def test_every_command_verb_is_in_the_manual() -> None:
+    """The verbs that a running gateway answers to are those of the table, and their arguments are named."""
+    answered = {name.removeprefix("_on_") for name in vars(Gateway) if name.startswith("_on_")}
+    arguments = {word for _, words, _ in COMMANDS for word in re.findall(r"`(\w+)`", words)}
+
+    assert answered == {verb for verb, *_ in COMMANDS}
+    assert arguments < set(inspect.signature(Store.replace_gel).parameters)
+    assert [verb for verb in answered if f"`{verb}`" not in PRINTED["mqtt.md"]] == []
 
 
 def test_every_error_is_in_the_manual_and_in_the_tree() -> None:
