@@ -54,7 +54,6 @@ def _text(folder: Path, write: Callable[[dict[str, Any], dict[str, Any] | None],
 
 
 def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
-    options = " ".join(f"--{name.replace('_', '-')} {facts['recipe'][name]}" for name in _OPTIONS)
     title, rest = card(facts, evaluation).split("\n", 1)
     return "\n".join(
         [
@@ -69,7 +68,7 @@ def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
             "Make it again, judge it, and write this page:",
             "",
             "```",
-            f"gelgate train-backbone RUN {options} --package plugins/backbones",
+            *_commands(facts),
             f"python3 -m calibration.backbone.evaluation --out plugins/backbones random=random_resnet18 trained={NAME}",
             "python3 -m calibration.backbone.card plugins/backbones --page docs/backbone.md",
             "```",
@@ -96,7 +95,8 @@ def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
         "",
         *_table(("setting", "value"), [(name, str(value)) for name, value in sorted(recipe.items())]),
         "",
-        f"{facts['trained_steps']} steps, {facts['pairs_seen']} pairs of frames. At the last step:",
+        *_before(facts),
+        f"{facts['trained_steps']} steps, {facts['pairs_seen']} pairs of frames in all. At the last step:",
         "",
         *_table(
             ("quantity", "value"),
@@ -139,6 +139,27 @@ def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
     return "\n".join(lines)
 
 
+def _before(facts: dict[str, Any]) -> list[str]:
+    """A table of the runs that this one began with."""
+    runs = facts.get("before", [])
+    if not runs:
+        return []
+    rows = [
+        (
+            str(number),
+            str(run["steps"]),
+            ", ".join(f"{k} {v}" for k, v in sorted(run["recipe"].items()) if v != ""),
+        )
+        for number, run in enumerate(runs, start=1)
+    ]
+    return [
+        "It began with the weights of another run:",
+        "",
+        *_table(("run", "steps done", "settings"), rows),
+        "",
+    ]
+
+
 def _scales(recipe: dict[str, Any]) -> list[str]:
     if "side" not in recipe:
         return []
@@ -176,6 +197,20 @@ def _number(value: float | str) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def _commands(facts: dict[str, Any]) -> list[str]:
+    """One line per run that led to the weights; a run that was cut says after how many steps."""
+    runs = [*facts.get("before", []), {"recipe": facts["recipe"], "steps": facts["recipe"]["steps"]}]
+    lines = []
+    for number, run in enumerate(runs, start=1):
+        options = " ".join(f"--{name.replace('_', '-')} {run['recipe'][name]}" for name in _OPTIONS)
+        start = f" --start RUN{number - 1}" if run["recipe"].get("start") else ""
+        last = " --package plugins/backbones" if number == len(runs) else ""
+        is_cut = run["steps"] < run["recipe"]["steps"]
+        cut = f"  # interrupted after step {run['steps']}" if is_cut else ""
+        lines.append(f"gelgate train-backbone RUN{number}{start} {options}{last}{cut}")
+    return lines
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -10,6 +10,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,7 +18,7 @@ from torch import Tensor
 from calibration.backbone.recipe import Recipe
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["Checkpoint", "latest", "load", "save"]
+__all__ = ["Checkpoint", "latest", "load", "save", "weights_sha256"]
 
 _PARTS = ("weights", "first_moment", "second_moment")
 _STATE = "state.json"
@@ -28,13 +29,22 @@ Tensors = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that the next step needs. step: how many are done. Draws need no state: they follow the step."""
+    """Everything that the next step needs. step: how many are done. Draws need no state: they follow the step.
+
+    before: the runs whose weights this one began with, oldest first: `recipe` and `steps` of each.
+    """
 
     recipe: Recipe
     step: int
     weights: Tensors
     first_moment: Tensors
     second_moment: Tensors
+    before: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def history(self) -> tuple[dict[str, Any], ...]:
+        """The runs so far, this one last."""
+        return (*self.before, {"recipe": json.loads(self.recipe.to_json()), "steps": self.step})
 
 
 def save(folder: Path, checkpoint: Checkpoint) -> Path:
@@ -52,6 +62,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> Path:
             "format": _FORMAT,
             "step": checkpoint.step,
             "recipe": json.loads(checkpoint.recipe.to_json()),
+            "before": list(checkpoint.before),
             "sha256": hashes,
         }
         _write_bytes(part / _STATE, json.dumps(state, indent=2).encode())
@@ -115,7 +126,15 @@ def load(folder: Path, recipe: Recipe | None = None) -> Checkpoint:
             f"the checkpoint '{at}' was made with other settings ({changes}); "
             "resume with the same ones or start a new run in another folder"
         )
-    return Checkpoint(found, int(state["step"]), **parts)
+    return Checkpoint(found, int(state["step"]), **parts, before=tuple(state.get("before", ())))
+
+
+def weights_sha256(folder: Path) -> str:
+    """What names the weights of a run's newest checkpoint. Errors: ConfigError when there is none."""
+    at = latest(folder)
+    if at is None:
+        raise ConfigError(f"no checkpoint in '{folder}' to begin with; name the folder of a run")
+    return hashlib.sha256((at / "weights.pt").read_bytes()).hexdigest()
 
 
 def _read(path: Path, sha256: str) -> Tensors:

@@ -11,6 +11,9 @@ __all__ = ["train_backbone"]
 def train_backbone(
     out: Annotated[Path, typer.Argument(help="folder of the run: checkpoints, log and loss figure")],
     resume: Annotated[bool, typer.Option(help="carry on the run in that folder")] = False,
+    start: Annotated[
+        Path | None, typer.Option(help="begin with the weights of the run in that folder")
+    ] = None,
     steps: Annotated[int, typer.Option(help="optimiser steps", min=1)] = 1800,
     pairs: Annotated[int, typer.Option(help="pairs per step", min=1)] = 64,
     side: Annotated[int, typer.Option(help="pixels per side of a frame, a multiple of 32", min=64)] = 224,
@@ -39,6 +42,7 @@ def train_backbone(
     from edge.core.errors import ConfigError
 
     try:
+        from calibration.backbone.checkpoint import weights_sha256
         from calibration.backbone.recipe import Recipe
         from calibration.backbone.train import Run, train
     except ImportError as error:
@@ -55,6 +59,7 @@ def train_backbone(
         "rank_weight": rank,
         "max_rate": max_rate,
         "high_resolution": high_resolution,
+        "start": weights_sha256(start) if start else "",
         "precision": precision,
     }
     run = Run(
@@ -64,6 +69,7 @@ def train_backbone(
         device=device,
         threads=threads,
         is_drawn_ahead=ahead,
+        start=start,
     )
     recipe = Recipe(**settings)
     if sys.stderr.isatty():

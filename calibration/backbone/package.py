@@ -51,9 +51,10 @@ def package(run: Path, out: Path) -> dict[str, Any]:
         "name": NAME,
         "topology": "resnet18",
         "taps": list(STAGES),
-        "trained_steps": saved.step,
+        "trained_steps": sum(run["steps"] for run in saved.history),
         "recipe": json.loads(saved.recipe.to_json()),
-        "pairs_seen": saved.step * saved.recipe.pairs,
+        "before": list(saved.before),
+        "pairs_seen": sum(run["steps"] * run["recipe"]["pairs"] for run in saved.history),
         "last_entry": _last_entry(run),
         "variants": {name: _facts(name, graph, plain) for name, graph in variants.items()},
     }

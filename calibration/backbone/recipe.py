@@ -22,7 +22,8 @@ class Recipe:
     The weights of the three losses: 0 leaves one out. max_rate: the peak of the one-cycle learning rate.
     margin: the distance, 0 to 2, that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
     more is a change, one that differs by less is none, and what lies between is not judged. high_resolution: share of
-    batches at the spacing of 1280x720 pictures. precision: of the forward pass.
+    batches at the spacing of 1280x720 pictures. precision: of the forward pass. start: SHA-256 of the weights of
+    another run that this one begins with, empty to begin at random.
     """
 
     seed: int = 0
@@ -40,6 +41,7 @@ class Recipe:
     unchanged_mm: float = 0.004
     high_resolution: float = 0.25
     precision: Literal["float32", "bfloat16"] = "bfloat16"
+    start: str = ""
 
     def __post_init__(self) -> None:
         if min(self.steps, self.pairs) < 1 or self.seed < 0:

@@ -44,6 +44,7 @@ class Run:
     folder: where checkpoints, log and figure go. resume: a run to carry on, None to start. minutes: stop and save after
     so long, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice;
     where others use the cores as well, 1 is several times faster than 2. is_drawn_ahead: draw in a second process.
+    start: another run whose weights the recipe begins with.
     """
 
     folder: Path
@@ -55,6 +56,7 @@ class Run:
     device: str = "auto"
     threads: int = 0
     is_drawn_ahead: bool = False
+    start: Path | None = None
 
 
 def learning_rate(recipe: Recipe, step: int) -> float:
@@ -83,6 +85,7 @@ class _Learner:
         groups = [{"params": decayed}, {"params": plain, "weight_decay": 0.0}]
         self.optimiser = torch.optim.AdamW(groups, lr=recipe.max_rate, weight_decay=recipe.weight_decay)
         self.step = 0
+        self.before: tuple[dict[str, Any], ...] = ()
 
     def draw(self, step: int) -> Pairs:
         return draw_step(self.recipe, step, self.device)
@@ -142,7 +145,16 @@ class _Learner:
             dict(self.model.state_dict()),
             {names[p]: moments[p]["exp_avg"] for p in names if p in moments},
             {names[p]: moments[p]["exp_avg_sq"] for p in names if p in moments},
+            self.before,
         )
+
+    def begin_with(self, saved: Checkpoint) -> None:
+        """The weights alone of another run. Errors: ConfigError for weights of another network."""
+        try:
+            self.model.load_state_dict(saved.weights)
+        except RuntimeError as error:
+            raise ConfigError(f"the checkpoint holds another network: {error!s:.200}") from error
+        self.before = saved.history
 
     def restore(self, saved: Checkpoint) -> None:
         """Errors: ConfigError for weights of another network."""
@@ -156,7 +168,7 @@ class _Learner:
                 }
         except (RuntimeError, KeyError) as error:
             raise ConfigError(f"the checkpoint holds another network: {error!s:.200}") from error
-        self.step = saved.step
+        self.step, self.before = saved.step, saved.before
 
 
 def _say(line: str) -> None:
@@ -238,12 +250,27 @@ def _start(learner: _Learner, run: Run) -> list[dict[str, Any]]:
             raise ConfigError(
                 f"'{run.folder}' already holds a run; add --resume {run.folder} or choose another folder"
             )
+        if bool(learner.recipe.start) != bool(run.start):
+            raise ConfigError(
+                "a recipe that begins with other weights needs their run, and no other recipe does"
+            )
+        if run.start is not None:
+            _begin(learner, run.start)
         return []
     saved = checkpoints.load(run.resume, learner.recipe)
     learner.restore(saved)
     lines = run.resume / _LOG
     log = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
     return [entry for entry in log if entry["step"] <= saved.step]
+
+
+def _begin(learner: _Learner, start: Path) -> None:
+    found = checkpoints.weights_sha256(start)
+    if found != learner.recipe.start:
+        raise ConfigError(
+            f"the weights in '{start}' are {found[:12]}, the recipe begins with {learner.recipe.start[:12]}"
+        )
+    learner.begin_with(checkpoints.load(start))
 
 
 def _save(learner: _Learner, run: Run, log: list[dict[str, Any]]) -> Path:
@@ -289,12 +316,18 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--ahead", action="store_true", dest="is_drawn_ahead", help="draw in a second process"
     )
+    parser.add_argument("--start", type=Path, dest="start_run", help="folder of a run to begin with")
     for name, kind in Recipe.kinds().items():
+        if name == "start":
+            continue
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=argparse.SUPPRESS)
     given = vars(parser.parse_args(words))
     settings = {name: given.pop(name) for name in Recipe.kinds() if name in given}
+    start = given.pop("start_run")
     try:
-        train(Recipe(**settings), Run(folder=given.pop("out"), **given))
+        if start is not None:
+            settings["start"] = checkpoints.weights_sha256(start)
+        train(Recipe(**settings), Run(folder=given.pop("out"), start=start, **given))
     except ConfigError as error:
         _say(f"{error}")
         return 3

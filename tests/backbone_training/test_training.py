@@ -76,6 +76,22 @@ def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
     assert all(torch.equal(value, found[name]) for name, value in weights(whole).items())
 
 
+def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None:
+    """The second run learns on from the first, remembers it, and refuses a start that its recipe does not name."""
+    recipe = Recipe(
+        **{**vars(SMALL), "steps": 1, "start": checkpoints.weights_sha256(whole), "max_rate": 1e-9}
+    )
+    train(recipe, Run(tmp_path / "second", threads=1, device="cpu", start=whole))
+    found = checkpoints.load(tmp_path / "second")
+    assert [run["steps"] for run in found.history] == [6, 1]
+    name = "trunk.layer1.0.conv1.weight"
+    assert torch.allclose(found.weights[name], weights(whole)[name], atol=1e-6)
+    with pytest.raises(ConfigError, match="the recipe begins with"):
+        train(recipe, Run(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
+    with pytest.raises(ConfigError, match="needs their run"):
+        train(recipe, Run(tmp_path / "fourth", threads=1, device="cpu"))
+
+
 def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve steps on one batch halve the geometry loss."""
     from calibration.backbone import train as module
