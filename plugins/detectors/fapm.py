@@ -24,7 +24,7 @@ from plugins.detectors.choices import bank_bytes, choose, repaired, require_fitt
 from plugins.detectors.maths.coreset import greedy_from_distances
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, tile_grid
-from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest
+from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest, emit_ranked
 from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
 from plugins.graph import Graph, Value
 
@@ -463,7 +463,9 @@ def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameter
             members = graph.input(f"{tap}_{kind}_groups", (f"{tap}_{kind}_groups",), "int64")
             prototypes = graph.input(f"{tap}_{kind}", (f"{tap}_{kind}_groups", f"{tap}_{kind}_prototypes", c))
             here = graph.op("Gather", asked, members, axis=0)
-            found = emit_group_nearest(graph, here, prototypes, c, p.neighbours, max(p.neighbours, SHORTLIST))
+            found = emit_group_nearest(
+                graph, here, emit_ranked(graph, prototypes), c, p.neighbours, max(p.neighbours, SHORTLIST)
+            )
             parts.append(_emit_repeated(graph, found, p.neighbours))
     distances = graph.op("Concat", *parts, axis=0) if len(parts) > 1 else parts[0]
     distances = graph.op("Gather", distances, graph.input(f"{tap}_order", (groups,), "int64"), axis=0)

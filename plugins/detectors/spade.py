@@ -30,6 +30,7 @@ from plugins.detectors.maths.shortlist import (
     PRODUCT_LIMIT,
     Blocks,
     emit_group_nearest,
+    emit_ranked,
     emit_window_nearest,
     window_nearest,
 )
@@ -487,6 +488,7 @@ def _emit_whole_search(
         whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
         small = graph.op("Less", total, graph.ints(CHUNK))
         bank = graph.op("Slice", bank, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))
+    bank = emit_ranked(graph, bank)
     step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
     parts = [
         emit_group_nearest(

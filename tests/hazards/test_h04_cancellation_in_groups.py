@@ -12,7 +12,7 @@ from heads import fit, grid, presses_of, run_head
 
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.maths.shortlist import emit_group_nearest
+from plugins.detectors.maths.shortlist import emit_group_nearest, emit_ranked
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 from plugins.graph import Graph
@@ -21,9 +21,8 @@ from plugins.graph import Graph
 def group_distances(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
     graph = Graph("groups")
     width = bank.shape[2]
-    found = emit_group_nearest(
-        graph, graph.input("q", ("g", "q", width)), graph.input("bank", ("g", "m", width)), width
-    )
+    ranked = emit_ranked(graph, graph.input("bank", ("g", "m", width)))
+    found = emit_group_nearest(graph, graph.input("q", ("g", "q", width)), ranked, width)
     graph.output("d", found, ("g", "q", 1))
     session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
     feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}

@@ -18,7 +18,7 @@ from plugins.detectors.maths.descriptor import Descriptor
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.mosaic import emit_join, join, layout, split
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest
+from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
 from plugins.graph import Graph, Value
 
 __all__ = ["PatchBank"]
@@ -110,7 +110,7 @@ class PatchBank:
     ) -> Value:
         """Distances (n, grid rows, grid columns), so many cells at a time that memory stays bounded."""
         h, w = self.descriptor.cells(grid)
-        bank = graph.op("Unsqueeze", memory, graph.ints(0))
+        bank = emit_ranked(graph, graph.op("Unsqueeze", memory, graph.ints(0)))
         step = max(1, PRODUCT_LIMIT // size[0])
         parts = []
         for first in range(0, h * w, step):

@@ -19,6 +19,7 @@ __all__ = [
     "SHORTLIST",
     "Blocks",
     "emit_group_nearest",
+    "emit_ranked",
     "emit_window_nearest",
     "window_nearest",
 ]
@@ -37,31 +38,36 @@ MOST_SIDE = 10
 GATHER_COST, PRODUCT_COST = 5, 10
 
 
+def emit_ranked(graph: Graph, bank: Value) -> Value:
+    """Rows (..., m, width) with one more number, -|row|^2/2, so that a product with (query, 1) ranks by distance."""
+    squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(-1), keepdims=0)
+    penalty = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(-0.5)), graph.ints(-1))
+    return graph.op("Concat", bank, penalty, axis=-1)
+
+
 def emit_group_nearest(
     graph: Graph,
     queries: Value,
-    bank: Value,
+    ranked: Value,
     width: int,
     k: int = 1,
     shortlist: int = SHORTLIST,
     bias: Value | None = None,
 ) -> Value:
-    """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank (g, m, width).
+    """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank.
 
-    Both float32 and centred alike. bias: broadcastable to (g, q, m), 0 where a row may be used and `FORBIDDEN` where
-    not; a query with fewer than k usable rows gets 1e15 for those that it lacks.
+    ranked: (g, m, width + 1), from `emit_ranked`. Both float32 and centred alike. bias: broadcastable to (g, q, m), 0
+    where a row may be used and `FORBIDDEN` where not; a query with fewer than k usable rows gets 1e15 for those that it
+    lacks.
     """
-    rows_there = graph.op("Shape", bank, start=1, end=2)
-    # One more column on both sides, 1 and -|row|^2/2: the product then ranks by distance without a pass of its own.
-    squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(2), keepdims=0)
-    penalty = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(-0.5)), graph.ints(2))
-    columns = graph.op("Concat", bank, penalty, axis=2)
+    rows_there = graph.op("Shape", ranked, start=1, end=2)
     one = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
-    closeness = graph.op("MatMul", one, graph.transpose(columns, 0, 2, 1))
+    closeness = graph.op("MatMul", one, graph.transpose(ranked, 0, 2, 1))
     if bias is not None:
         closeness = graph.op("Sub", closeness, bias)
     short, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
-    chosen = graph.op("GatherND", bank, graph.reshape(rows, 0, -1, 1), batch_dims=1)
+    chosen = graph.op("GatherND", ranked, graph.reshape(rows, 0, -1, 1), batch_dims=1)
+    chosen = graph.op("Slice", chosen, graph.ints(0), graph.ints(width), graph.ints(2))
     shape = graph.op("Concat", graph.op("Shape", rows), graph.ints(width), axis=0)
     difference = graph.op(
         "Sub", graph.op("Reshape", chosen, shape), graph.op("Unsqueeze", queries, graph.ints(2))
@@ -155,23 +161,33 @@ def emit_window_nearest(
     queries, reached = blocks.queries(), blocks.gallery()
     step = max(1, PRODUCT_LIMIT // (queries.shape[1] * reached.shape[1] * most))
     per_block = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(reached.shape[1]))
-    shape = graph.op("Concat", graph.ints(-1), per_block, graph.ints(width), axis=0)
+    shape = graph.op("Concat", graph.ints(-1), per_block, graph.ints(width + 1), axis=0)
     bias = graph.op("Tile", graph.constant(blocks.bias()[None]), _repeats(graph, gallery))
     cells = blocks.tiles * blocks.cells[0] * blocks.cells[1]
-    first = graph.op("Mul", graph.op("Unsqueeze", gallery, graph.ints(1, 3)), graph.ints(cells))
-    flat = graph.reshape(presses, -1, width)
+    flat = graph.reshape(emit_ranked(graph, graph.op("Gather", presses, gallery, axis=0)), -1, width + 1)
+    first = _emit_first_rows(graph, gallery, cells)
     parts = []
     for start in range(0, len(queries), step):
         part = slice(start, start + step)
         asked = graph.op("Gather", rows, graph.constant(queries[part].reshape(-1)), axis=1)
         asked = graph.reshape(asked, -1, queries.shape[1], width)
-        # Row numbers (n, blocks, k, reached) into all presses laid end to end.
+        # Row numbers (n, blocks, k, reached) into all galleries laid end to end.
         numbers = graph.op("Add", first, graph.constant(reached[part][None, :, None, :]))
         found = graph.op("Reshape", graph.op("Gather", flat, numbers, axis=0), shape)
         distances = emit_group_nearest(graph, asked, found, width, bias=bias)
         parts.append(graph.reshape(distances, -1, queries[part].size, 1))
     whole = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
     return graph.op("Gather", whole, graph.constant(blocks.back()), axis=1)
+
+
+def _emit_first_rows(graph: Graph, gallery: Value, cells: int) -> Value:
+    """The first row of each press of each gallery (n, k) laid end to end: int64 (n, 1, k, 1)."""
+    zero, one, count = (
+        graph.op("Squeeze", size) for size in (graph.ints(0), graph.ints(1), graph.op("Size", gallery))
+    )
+    shape = graph.op("Shape", graph.op("Unsqueeze", gallery, graph.ints(1, 3)))
+    numbers = graph.op("Reshape", graph.op("Range", zero, count, one), shape)
+    return graph.op("Mul", numbers, graph.ints(cells))
 
 
 def _repeats(graph: Graph, gallery: Value) -> Value:
