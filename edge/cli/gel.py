@@ -59,7 +59,7 @@ def replace(
     with _open(database, config) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
-            serial or _only(known),
+            _only(known) if serial is None else _known(serial, known),
             now_ns,
             gel_id,
             limit,
@@ -76,6 +76,16 @@ def _only(serials: list[str]) -> str:
         found = ", ".join(serials) or "none"
         raise ConfigError(f"which sensor's gel is replaced? known: {found}; name it with --serial")
     return serials[0]
+
+
+def _known(serial: str, serials: list[str]) -> str:
+    """A slip in the serial must not leave the worn gel in the ledger. Errors: ConfigError with the nearest serial."""
+    from edge.core.errors import ConfigError
+    from edge.core.nearest import suggestion
+
+    if serial not in serials:
+        raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, serials)}")
+    return serial
 
 
 def _open(database: Path | None, config: Path | None) -> "Store":

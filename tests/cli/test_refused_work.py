@@ -14,6 +14,7 @@ from spoilable_station import Bench
 
 from edge import cli, local_broker, registry
 from edge.core.errors import ConfigError
+from edge.store import Store
 
 
 def picture(path: Path, width: int, height: int) -> None:
@@ -73,6 +74,12 @@ def database(bench: Bench) -> list[object]:
     return ["gel", "show", "--database", "letter.db"]
 
 
+def known_sensor(bench: Bench) -> list[object]:
+    with Store(bench.folder / "gelgate.db") as store:
+        store.gel("TEST0001", 10**18)
+    return ["gel", "replace", "--database", "gelgate.db", "--serial", "TEST0010"]
+
+
 REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]] = {
     "record over something": (record_over_something, 3, ("old is not an empty folder", "never written over")),
     "record from nothing": (
@@ -120,6 +127,9 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     "inspect of nothing": (lambda _: ["inspect", "absent"], 3, ("no bundle at absent",)),
     "gels of no database": (lambda _: ["gel", "show", "--database", "absent.db"], 3, ("absent.db does not exist",)),
     "gels of a letter": (database, 1, ("letter.db", "file is not a database", "name another file")),
+    "a new gel for a sensor never seen": (
+        known_sensor, 3, ("no gel of a sensor 'TEST0010' is in the ledger", "did you mean 'TEST0001'?"),
+    ),
     "gels of nobody": (lambda _: ["gel", "show"], 3, ("--database or --config",)),
     "watch without a broker": (
         lambda _: ["watch", "--host", "127.0.0.1", "--port", "1", "--timeout", "1"],
