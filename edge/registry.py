@@ -30,7 +30,7 @@ def load(kind: str, name: str) -> Any:
         raise ConfigError(f"no {kind} plugin is named '{name}'; {suggestion(name, names(kind))}")
     try:
         return point.load()
-    except ImportError as error:
+    except (ImportError, AttributeError) as error:
         raise ConfigError(
             f"the {kind} plugin '{name}' ({point.value}) cannot be loaded: {error}; "
             "install the extra it belongs to, such as pip install 'gelgate[oak]'"

@@ -228,11 +228,14 @@ def test_a_fault_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) ->
         gelgate("topics")
 
 
-def test_a_plugin_whose_package_is_missing_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An entry point whose module cannot be imported is a sentence, not an ImportError."""
+@pytest.mark.parametrize("value", ["no_such_package.lamp:plugin", "json:no_such_plugin"])
+def test_a_plugin_that_cannot_be_imported_says_what_to_install(
+    value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An entry point that leads nowhere is a sentence, not an ImportError or an AttributeError."""
     from importlib.metadata import EntryPoint
 
-    broken = EntryPoint("lamp", "no_such_package.lamp:plugin", "gelgate.devices")
+    broken = EntryPoint("lamp", value, "gelgate.devices")
     monkeypatch.setattr(registry, "_group", lambda kind: {"lamp": broken})
-    with pytest.raises(ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_package.*pip install"):
+    with pytest.raises(ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_p.*pip install"):
         registry.load("devices", "lamp")
