@@ -207,7 +207,6 @@ class Publisher:
         rng: random.Random,
         on_change: OnChange = lambda name, is_up, sentence: None,
     ) -> None:
-        self._lock_file: int | None = _only_publisher(database)
         self._sinks = dict(sinks)
         self._announcements = announcements
         self._outbox = Outbox(database)
@@ -276,12 +275,15 @@ class Publisher:
     def _run(self, lane: Lane) -> None:
         while True:
             self._wakes[lane.name].clear()
+            is_last = (
+                self._stopping.is_set()
+            )  # only a step that begins after `stop` has seen all there is to say
             try:
                 pause_s = lane.step()
             except Exception:
                 log.exception("sink %s: a fault in its plugin", lane.name)
                 pause_s = lane.broken()
-            if self._stopping.is_set() and pause_s > 0:
+            if is_last and pause_s > 0:
                 return
             if lane.counters.is_up:
                 self._wakes[lane.name].wait(pause_s)

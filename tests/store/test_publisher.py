@@ -390,6 +390,34 @@ def test_stopping_sends_what_is_there_and_closes_the_sinks(
         assert outbox.status().rows == 0
 
 
+def test_what_is_announced_just_before_the_end_is_said(
+    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The last word, `stopped`, arrives even when the lane is in the middle of a row while it is spoken."""
+
+    class Slow(ScriptedSink):
+        def __init__(self) -> None:
+            super().__init__()
+            self.is_sending, self.may_go_on = threading.Event(), threading.Event()
+
+        def send(self, message: Message) -> None:
+            if message.topic == "result":
+                self.is_sending.set()
+                self.may_go_on.wait(20)
+            super().send(message)
+
+    sink = Slow()
+    running = publisher(path, mqtt=sink)
+    record(store, messages_of, make_press(1))
+    running.start()
+    assert sink.is_sending.wait(20)
+    running.announce(state_message(StatePayload(time_ns=1, state="stopped")))
+    threading.Timer(0.2, sink.may_go_on.set).start()  # when `stop` has long been called
+    running.stop(drain_s=20)
+
+    assert sink.topics()[-1] == "state"
+
+
 def test_stopping_while_a_sink_is_away_keeps_its_rows(
     store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
