@@ -111,9 +111,8 @@ def _type_words(kind: Any, info: Any) -> str:
     kinds = {one for one in (kind, *get_args(kind)) if isinstance(one, type)} - {NoneType}
     inner = {one for given in get_args(kind) for one in get_args(given)} | kinds
     words = next(word for one, word in _WORDS.items() if one in inner)
-    bounds = [f"at least {info.min}"] * (info.min is not None) + [f"at most {info.max}"] * (
-        info.max is not None
-    )
+    limits = (("at least", info.min), ("at most", info.max))
+    bounds = [f"{word} {_number(limit)}" for word, limit in limits if limit is not None]
     is_list = list in {get_origin(one) for one in (kind, *get_args(kind))}
     return ", ".join([words, *bounds, *(["repeatable"] if is_list else [])])
 
@@ -227,10 +226,14 @@ def _range(field: Mapping[str, Any]) -> str:
         "maximum": "at most",
         "exclusiveMaximum": "below",
     }
-    said = [f"{word} {field[key]:g}" for key, word in bounds.items() if key in field]
+    said = [f"{word} {_number(field[key])}" for key, word in bounds.items() if key in field]
     if "pattern" in field:
         said.append("matching `" + field["pattern"].replace("|", "\\|") + "`")
     return ", " + ", ".join(said) if said else ""
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value == round(value) else f"{value:g}"
 
 
 def _written(value: object) -> str:
