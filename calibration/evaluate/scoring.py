@@ -1,6 +1,6 @@
 """Scoring a bundle on a dataset. Presses that the bundle was fitted on are left out; their specimens are counted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,15 +84,14 @@ def evaluate_bundle(
     """
     bundle = Bundle.load(bundle_path)
     dataset = _chosen(open_dataset(dataset_path, _resolution(bundle)), bundle, part, position)
-    fitted = set(bundle.manifest.provenance.presses)
-    is_fitted = [_is_among(p, dataset.root, fitted) for p in dataset.presses]
-    presses = tuple(p for p, out in zip(dataset.presses, is_fitted, strict=True) if not out)
+    fitted = _fitted(dataset.presses, bundle.manifest.provenance.presses)
+    presses = tuple(p for p in dataset.presses if p.path not in fitted)
     if not presses:
         raise DatasetError(
             f"the bundle '{bundle_path}' was fitted on all {len(dataset.presses)} presses of '{dataset_path}'; "
             "evaluate on presses that were held out"
         )
-    known = {p.specimen for p, out in zip(dataset.presses, is_fitted, strict=True) if out and p.specimen}
+    known = {p.specimen for p in dataset.presses if p.path in fitted and p.specimen}
     scored, unscorable = score_presses(Scorer(bundle), presses, show)
     if not scored:
         raise DatasetError(f"no press of '{dataset_path}' has a score; the first: {unscorable[0][1]}")
@@ -122,8 +121,21 @@ def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | 
     return dataset.select(part, position)
 
 
-def _is_among(press: Press, root: Path, names: set[str]) -> bool:
-    return bool({press.path.name, press.path.relative_to(root).as_posix()} & names)
+def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:
+    """The files that the provenance names: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
+
+    MVTec folders call files alike in train/good and test/good; where a name fits both, the one in train was fitted.
+    """
+    ending: dict[str, list[Press]] = {}
+    for press in presses:
+        parts = press.path.parts
+        for k in range(1, len(parts)):
+            ending.setdefault("/".join(parts[-k:]), []).append(press)
+    found: set[Path] = set()
+    for name in names:
+        meant = ending.get(name.lstrip("/"), [])
+        found |= {p.path for p in [p for p in meant if p.position == "train"] or meant}
+    return found
 
 
 def score_presses(

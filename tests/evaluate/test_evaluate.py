@@ -66,12 +66,25 @@ def test_bright_squares_are_found_exactly(tmp_path: Path, dataset: Path) -> None
     assert len(evaluation.scored) == 10
 
 
+def test_a_name_in_train_and_test_means_the_one_in_train(tmp_path: Path, dataset: Path) -> None:
+    """MVTec folders count from 000 in both; what was fitted lies in train, and the one in test is scored."""
+    rng = np.random.default_rng(1)
+    for place in ("train", "test"):
+        frame(dataset / place / "good" / "000.png", False, rng)
+    evaluation = run(bundle(tmp_path, ("good/000.png",)), dataset)
+    scored = [s.press.path.parts[-3] for s in evaluation.scored if s.press.path.name == "000.png"]
+    assert (evaluation.left_out, scored) == (1, ["test"])
+
+
 def test_fitted_presses_are_left_out(tmp_path: Path, dataset: Path) -> None:
     """A press named in the bundle's provenance is not scored; the other presses of its specimen are counted as seen."""
     evaluation = run(bundle(tmp_path, ("bolt_test_s001_p01.png",)), dataset)
     assert evaluation.left_out == 1
     assert evaluation.seen_specimens == 1
     assert "bolt_test_s001_p01.png" not in [s.press.path.name for s in evaluation.scored]
+    (tmp_path / "short").mkdir()
+    as_fit_names_it = run(bundle(tmp_path / "short", ("good/bolt_test_s001_p01.png",)), dataset)
+    assert as_fit_names_it.left_out == 1
     everything = tuple(p.name for p in (dataset / "test").rglob("*.png"))
     (tmp_path / "all").mkdir()
     with pytest.raises(DatasetError, match="held out"):
