@@ -34,7 +34,7 @@ PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 MAX_NO_CONTACT = 16
 
 # `<part>_<position>_s<specimen>_p<press>`, as `gelgate simulate` names its pictures.
-SPECIMEN = re.compile(r"_s(?P<specimen>\d{3})_p\d{2}$")
+SPECIMEN = re.compile(r"_s(?P<specimen>\d{3,})_p\d{2,}$")
 
 # A new press lies a little beside the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
 TOUCHED_MARGIN_MM = 1.0

@@ -1,6 +1,7 @@
 """Opening a dataset: which layout it has, its presses, and who their specimens are."""
 
 import csv
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -11,12 +12,16 @@ from calibration.dataset.layouts import Resolution, is_mvtec, is_paper, read_mvt
 from calibration.dataset.press import Press
 from edge.core.errors import DatasetError
 
-__all__ = ["SPECIMENS_FILE", "Dataset", "Layout", "open_dataset"]
+__all__ = ["DATASET_VERSION", "SPECIMENS_FILE", "SUMMARY_FILE", "Dataset", "Layout", "open_dataset"]
 
 Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
 
 # Two columns with a header, file and specimen; file is a path below the root or a bare file name.
 SPECIMENS_FILE = "specimens.csv"
+
+# What `gelgate simulate` writes beside its pictures; datasets of other origin have none.
+SUMMARY_FILE = "dataset.json"
+DATASET_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -54,8 +59,10 @@ def open_dataset(root: Path, resolution: Resolution = "lr") -> Dataset:
     """Read a dataset's file names, sizes and specimens; pictures are read when a press is asked for them.
 
     resolution: which of the two the paper's layout is read at; the other layouts have one. A `specimens.csv` at the
-    root overrides specimen ids. Errors: DatasetError for a folder in no known layout, or listing every file at fault.
+    root overrides specimen ids. Errors: DatasetError for a folder in no known layout, a simulated dataset of another
+    version or one that was interrupted, or listing every file at fault.
     """
+    _check_summary(root)
     faults = Faults(root)
     layout, presses = _read(root, resolution, faults)
     presses = _with_specimens(root, presses, faults)
@@ -80,6 +87,30 @@ def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, l
         f"dataset '{root}' has no known layout; expected <part>/<position>/rgb[_320x240], train/good with test/, "
         "annotations.xml with images/, or SegmentationClass/"
     )
+
+
+def _check_summary(root: Path) -> None:
+    """Refuse a simulated dataset of another version, and half of one: figures of it would be taken for the whole's."""
+    path = root / SUMMARY_FILE
+    if not path.is_file():
+        return
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        version, is_complete = found["version"], found["complete"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DatasetError(
+            f"'{path}' is not a summary that 'gelgate simulate' wrote; restore it, or remove it if the pictures are "
+            "of another origin"
+        ) from None
+    if version != DATASET_VERSION:
+        raise DatasetError(
+            f"dataset '{root}' has version {version!r}, this program reads version {DATASET_VERSION}; make it again "
+            "with 'gelgate simulate', or use the program that made it"
+        )
+    if is_complete is not True:
+        raise DatasetError(
+            f"dataset '{root}' was interrupted while it was made; give the same 'gelgate simulate' command to finish it"
+        )
 
 
 def _with_specimens(root: Path, presses: list[Press], faults: Faults) -> list[Press]:

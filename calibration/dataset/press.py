@@ -15,8 +15,8 @@ from edge.core.errors import DatasetError
 
 __all__ = ["Press", "Split", "parse_name", "split_by_specimen"]
 
-# <part>_<position>_s<specimen>_p<press>, as `gelgate simulate` writes it.
-_NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3})_p(?P<press>\d{2})")
+# <part>_<position>_s<specimen>_p<press>, as `gelgate simulate` writes it: at least three digits and two.
+_NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.files import pool_mask
+from calibration.dataset.opening import DATASET_VERSION, SUMMARY_FILE
 from calibration.scene import Scene
 from calibration.simulator.field import HR, LR, Field
 from calibration.simulator.look import LOOKS
@@ -34,10 +36,7 @@ from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
 
-__all__ = ["DATASET_VERSION", "outputs", "press_pictures", "write_dataset"]
-
-DATASET_VERSION = 1
-_SUMMARY = "dataset.json"
+__all__ = ["outputs", "press_pictures", "write_dataset"]
 
 # Noise does not compress: the fastest setting gives files 3 % larger than the slowest.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -75,7 +74,7 @@ def write_dataset(
             done += count
             if progress is not None:
                 progress(done / total)
-        _write(folder / _SUMMARY, _text({**summary, "complete": True}))
+        _write(folder / SUMMARY_FILE, _text({**summary, "complete": True}))
     except OSError as error:
         raise StoreError(
             f"dataset {folder} stops after {done} of {total} presses: {error.strerror}; "
@@ -127,8 +126,10 @@ def _text(summary: Mapping[str, object]) -> bytes:
 
 
 def _begin(folder: Path, summary: Mapping[str, object]) -> None:
-    path = folder / _SUMMARY
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    path = folder / SUMMARY_FILE
+    if folder.exists() and not folder.is_dir():
+        raise DatasetError(f"{folder} is a file, where a folder is expected; choose another name")
+    if not folder.exists() or not any(folder.iterdir()):
         folder.mkdir(parents=True, exist_ok=True)
         _write(path, _text(summary))
         return
@@ -200,14 +201,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
     if "lr" in scene.camera.modes:
         yield "rgb_320x240", (np.asarray(cv2.resize(rgb, LR.size, interpolation=cv2.INTER_AREA), np.uint8))
         if mask is not None:
-            yield "mask_320x240", _as_mask(_pooled(mask) if is_large else mask)
-
-
-def _pooled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Any of each block: bool (720, 1280) to (240, 320)."""
-    rows, columns = mask.shape[0] // LR.shape[0], mask.shape[1] // LR.shape[1]
-    blocks = mask.reshape(LR.shape[0], rows, LR.shape[1], columns)
-    return np.asarray(blocks.any(axis=(1, 3)))
+            yield "mask_320x240", _as_mask(pool_mask(mask, LR.shape))
 
 
 def _as_mask(mask: NDArray[np.bool_]) -> U8:

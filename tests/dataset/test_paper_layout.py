@@ -61,6 +61,14 @@ def test_counts_specimens_and_masks(root: Path) -> None:
     assert len(data.select("PZ1", "2").presses) == 6
 
 
+def test_numbers_of_more_digits_are_read(root: Path) -> None:
+    """Piece 1000 and press 100 are as good as 001 and 01: a large dataset keeps its specimens."""
+    for size, kind in ((LR, "rgb_320x240"), (HR, "rgb")):
+        picture(root / "PZ1" / "2" / kind / "PZ1_2_s1000_p100.png", size)
+    found = next(p for p in open_dataset(root).good if p.press == 100)
+    assert found.specimen == "PZ1_s1000"
+
+
 def test_high_resolution_reads_the_other_folders(root: Path) -> None:
     """The same presses at 1280x720, with masks of that size."""
     press = open_dataset(root, "hr").defective[0]
