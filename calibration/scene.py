@@ -121,7 +121,7 @@ class Scene(_Table):
     """The whole file. A scene has either `runs` (recordings) or `nominal` (a dataset)."""
 
     version: Literal[1]
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]
     part: str
     positions: tuple[str, ...] = ()
     effects: tuple[str, ...]

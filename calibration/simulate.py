@@ -2,14 +2,20 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
-from calibration.scene import SCENES, Run, Scene, load_scene
+from pydantic import ValidationError
+
+from calibration.scene import SCENES, Nominal, Run, Scene, load_scene
 from calibration.simulator.dataset_writer import write_dataset
 from calibration.simulator.record import record_run
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError
+from edge.table_faults import sentences
 
 __all__ = ["paper_scenes", "simulate_dataset", "simulate_recording"]
+
+Table = TypeVar("Table", Nominal, Run)
 
 
 def paper_scenes() -> list[Scene]:
@@ -63,7 +69,7 @@ def _pressed(scene: Scene, presses: int | None) -> Scene:
         )
     if presses is None:
         return scene
-    nominal = scene.nominal.model_copy(update={"presses": presses})
+    nominal = _with_presses(scene.nominal, {"presses": presses})
     return scene.model_copy(update={"nominal": nominal})
 
 
@@ -78,4 +84,12 @@ def _run(scene: Scene, name: str | None, presses: int | None) -> Run:
     if presses is None:
         return found
     faulty = min(presses - 1, round(found.faulty * presses / found.presses))
-    return Run(name=found.name, presses=presses, faulty=faulty, gel_presses=found.gel_presses)
+    return _with_presses(found, {"presses": presses, "faulty": faulty})
+
+
+def _with_presses(table: Table, changes: dict[str, int]) -> Table:
+    """The scene's table with other numbers, which have the limits of the scene's own."""
+    try:
+        return type(table).model_validate({**table.model_dump(), **changes})
+    except ValidationError as error:
+        raise ConfigError("; ".join(sentences(type(table), error))) from None

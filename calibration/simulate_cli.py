@@ -29,7 +29,8 @@ def simulate(
         str, typer.Option(help="Only this run, straight into the output folder; default: all, a folder each.")
     ] = "",
     preview: Annotated[
-        bool, typer.Option("--preview", help="Only write preview.png: frames, masks, effects one by one.")
+        bool,
+        typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, effects one by one."),
     ] = False,
     workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
 ) -> None:
@@ -47,13 +48,18 @@ def simulate(
     elif scenes[0].runs:
         _recordings(scenes[0], output, seed, presses, run, workers)
     else:
-        _dataset(scenes, output, seed, presses, workers)
+        _dataset(scenes, output, seed, presses, run, workers)
 
 
-def _dataset(scenes: "list[Scene]", output: Path, seed: int, presses: int | None, workers: int) -> None:
+def _dataset(
+    scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
+) -> None:
     from calibration.progress import progress
     from calibration.simulate import simulate_dataset
+    from edge.core.errors import ConfigError
 
+    if run:
+        raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
     with progress("simulate", 1000) as advance:
         simulate_dataset(
             scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(1000 * f))

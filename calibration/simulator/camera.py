@@ -1,6 +1,7 @@
 """What the lens, the lamps' supply, the sensor and the camera's compression add.
 
-Planes are float32 (3, h, w) in grey levels, channel order red, green, blue; noise and JPEG give whole levels.
+Planes are float32 (3, h, w) in grey levels, channel order red, green, blue. They are changed in place and returned: a
+copy for each effect would cost as much as the effect. Nothing else is touched or remembered.
 """
 
 import math

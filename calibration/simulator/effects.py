@@ -59,9 +59,11 @@ DEFAULT_EFFECTS = tuple(
 
 
 def chosen(names: Iterable[str]) -> frozenset[str]:
-    """The names as a set. Errors: ValueError with the nearest known name."""
-    asked = list(names)
-    for name in asked:
-        if name not in EFFECTS:
-            raise ValueError(f"no effect is named '{name}'; {suggestion(name, EFFECTS)}")
-    return frozenset(asked)
+    """The names as a set. Errors: ValueError naming every unknown one with the nearest known name."""
+    asked = frozenset(names)
+    unknown = [
+        f"no effect is named '{name}'; {suggestion(name, EFFECTS)}" for name in sorted(asked - set(EFFECTS))
+    ]
+    if unknown:
+        raise ValueError(" ".join(unknown))
+    return asked

@@ -1,6 +1,7 @@
 """How light makes a picture of the gel's surface: slopes, three lights, their shadows and their gloss.
 
-Planes are float32 (3, h, w) in grey levels 0 to 255, channel order red, green, blue.
+Planes are float32 (3, h, w) in grey levels 0 to 255, channel order red, green, blue; what adds to them changes them in
+place and returns them.
 """
 
 import cv2

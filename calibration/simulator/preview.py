@@ -30,7 +30,8 @@ def write_preview(scene: Scene, folder: Path, seed: int = 0) -> Path:
     """Write `<scene>_preview.png` into the folder and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{scene.name}_preview.png"
-    cv2.imwrite(str(path), cv2.cvtColor(preview(scene, seed), cv2.COLOR_RGB2BGR))
+    _, data = cv2.imencode(".png", cv2.cvtColor(preview(scene, seed), cv2.COLOR_RGB2BGR))
+    path.write_bytes(data)  # unlike cv2.imwrite, says why where it cannot
     return path
 
 

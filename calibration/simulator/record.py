@@ -87,7 +87,9 @@ def _stamp(scene: Scene, run: Run, seed: int) -> dict[str, object]:
 
 
 def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"{folder} is a file, where a folder is expected; choose another name")
+    if not folder.exists() or not any(folder.iterdir()):
         return False
     try:
         found = json.loads((folder / _STAMP).read_text(encoding="utf-8"))

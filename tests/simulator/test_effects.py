@@ -2,13 +2,28 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import CodeType, FrameType, FunctionType
 
 import numpy as np
 import pytest
 
-from calibration.simulator import DEFAULT_EFFECTS, EFFECTS, LR, PARTS, Exposure, Field, Jitter, Pose, Renderer
+from calibration.scene import Scene, load_scene
+from calibration.simulator import (
+    DEFAULT_EFFECTS,
+    EFFECTS,
+    LR,
+    PARTS,
+    Exposure,
+    Field,
+    Jitter,
+    Pose,
+    Renderer,
+    dataset_writer,
+    record,
+)
 from calibration.simulator.effects import chosen
+from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import sample
 from calibration.simulator.streams import named_streams
 
@@ -61,6 +76,33 @@ def without(name: str) -> tuple[str, ...]:
     return tuple(other for other in EFFECTS if other != name)
 
 
+SCENE = """version = 1
+name = "every"
+part = "PZ5"
+effects = {effects}
+[camera]
+modes = ["lr"]
+fps = 8
+[motion]
+idle_s = 0.25
+approach_s = 0.125
+settle_s = 0.125
+hold_s = 0.125
+tail_s = 0.125
+[[runs]]
+name = "line"
+presses = 2
+"""
+
+
+def everything(scene: Scene) -> list[bytes]:
+    """Bytes of one press by the renderer, one of a dataset, and one of a recording after another press."""
+    plans = recording_plan(scene, scene.runs[0], 7, 1.0)
+    pictures = [picture(scene.effects).tobytes()]
+    pictures += [rgb.tobytes() for _, rgb in dataset_writer.press_pictures(scene, plans[0], 7)]
+    return pictures + [payload for _, payload, _ in record.press_frames(scene, 7, 1, 5, plans[1], plans[0])]
+
+
 def code_of(name: str) -> CodeType:
     function = EFFECTS[name].function
     assert isinstance(function, FunctionType)
@@ -72,6 +114,28 @@ def test_an_effect_that_is_not_named_is_not_called(name: str) -> None:
     """Its function never runs when it is left out, and runs when it is named."""
     assert code_of(name) not in called(without(name))
     assert code_of(name) in called(tuple(EFFECTS))
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_left_out_the_bytes_are_those_of_a_program_without_it(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its function taken away, renderer, dataset and recording give the bytes that they give with it there."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE.format(effects=list(without(name))))
+    scene = load_scene(path)
+    here = everything(scene)
+
+    def gone(*_: object) -> object:
+        raise AssertionError(f"{name} does not exist")
+
+    function = EFFECTS[name].function
+    assert isinstance(function, FunctionType)
+    monkeypatch.setattr(sys.modules[function.__module__], function.__name__, gone)
+    assert everything(scene) == here
+    for cached in (dataset_writer._renderer, record._renderer):
+        cached.cache_clear()
+    assert everything(scene) == here
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -111,9 +175,9 @@ def test_every_effect_says_what_it_is() -> None:
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:
-    """A slip of the pen is told what was meant."""
-    with pytest.raises(ValueError, match="did you mean 'shadows'"):
-        chosen(["shadow"])
+    """Slips of the pen are told what was meant, all at once."""
+    with pytest.raises(ValueError, match=r"did you mean 'noise'.* did you mean 'shadows'"):
+        chosen(["shadow", "nois"])
 
 
 def test_neighbouring_frames_differ_by_noise_alone() -> None:

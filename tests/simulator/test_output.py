@@ -197,6 +197,41 @@ def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="choose another folder"):
         simulate_dataset(load_scene("small"), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["photos.txt"]
+    for make, error in ((simulate_dataset, DatasetError), (simulate_recording, RecordingError)):
+        with pytest.raises(error, match="is a file, where a folder is expected"):
+            make(load_scene("small" if make is simulate_dataset else "demo"), tmp_path / "photos.txt")  # type: ignore[operator]
+
+
+def test_half_a_dataset_and_one_of_another_version_are_not_read(tmp_path: Path) -> None:
+    """A summary that says so is believed: measures of half a dataset would pass for those of the whole."""
+    root = simulate_dataset(scene_of(tmp_path, SET), tmp_path / "set", 4)
+    summary = json.loads((root / "dataset.json").read_text())
+    for changes, sentence in (
+        ({"complete": False}, "was interrupted while it was made"),
+        ({"version": 2}, "has version 2, this program reads version 1"),
+    ):
+        (root / "dataset.json").write_text(json.dumps({**summary, **changes}))
+        with pytest.raises(DatasetError, match=sentence):
+            open_dataset(root)
+    (root / "dataset.json").write_text("[]")
+    with pytest.raises(DatasetError, match="not a summary"):
+        open_dataset(root)
+
+
+def test_numbers_beyond_a_scenes_limits_are_refused_from_the_command_too(tmp_path: Path) -> None:
+    """At most 100 presses of a piece and 100000 of a run, as in the file."""
+    with pytest.raises(ConfigError, match="'presses' is 101"):
+        simulate_dataset(load_scene("small"), tmp_path / "a", presses=101)
+    with pytest.raises(ConfigError, match="'presses' is 100001"):
+        simulate_recording(load_scene("demo"), tmp_path / "a", presses=100_001)
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_run_asked_of_a_dataset_is_refused(tmp_path: Path) -> None:
+    """`--run` names a run, of which a dataset has none; nothing is made."""
+    with pytest.raises(ConfigError, match="leave --run out"):
+        simulate("small", tmp_path / "out", run="night")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_command_makes_a_preview(tmp_path: Path) -> None:
