@@ -47,6 +47,9 @@ class Commands:
         except (GelgateError, TypeError, ValueError) as error:
             log.warning("command %s was refused: %s", verb, error)
             return self._answer(verb, request.transaction, error=str(error))
+        except Exception:  # a sink's thread ends here: a request must not end it
+            log.exception("command %s failed", verb)
+            return self._answer(verb, request.transaction, error="it failed inside; the gateway's log says how")
 
     def _answer(
         self,

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from edge import registry
 from edge.core.errors import ConfigError
+from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.table_faults import numbered, sentences, types_in
 
 __all__ = ["Config", "PluginTable", "load_config"]
@@ -60,12 +61,13 @@ class GelTable(_Table):
     """When the gel is due."""
 
     limit_presses: int = Field(
-        default=1000,
+        default=DEFAULT_LIMIT_PRESSES,
         ge=1,
+        le=MOST_PRESSES,
         description="presses after which it must be replaced: the maker's figure for coins; sharp parts cut faster",
     )
     warn_fraction: float = Field(
-        default=0.8, gt=0, le=1, description="part of the limit at which a new gel should be ordered"
+        default=DEFAULT_WARN_FRACTION, gt=0, le=1, description="part of the limit at which a new gel should be ordered"
     )
 
 

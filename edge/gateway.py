@@ -5,7 +5,6 @@ score, verdict, and the one transaction that counts a press and queues its messa
 """
 
 import logging
-import queue
 import random
 import threading
 from collections import Counter
@@ -23,18 +22,19 @@ from edge.core.contact import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
 from edge.core.frames import CameraFrame
-from edge.core.ports import Clock, Device, Sink
+from edge.core.ports import Clock, Device, DeviceIdentity, Sink
 from edge.core.station import Station, topic_root
 from edge.core.tracker import ContactTracker
 from edge.core.wear import wear
 from edge.inspection import Inspection, Inspector
 from edge.ledger import GelRecord
-from edge.messages import StatePayload, state_message
+from edge.messages import NoArguments, ReplaceGelArguments, StatePayload, state_message
 from edge.outbox import Bounds
 from edge.presses import PressReport, PressTaker, Recorder
-from edge.publisher import Publisher
+from edge.publisher import Publisher, PublisherLock
 from edge.references import ReferenceFolder
 from edge.reporter import Reporter, Summary
+from edge.requests import Requests
 from edge.scorer import Scorer
 from edge.store import Store
 
@@ -49,6 +49,8 @@ STATS_EVERY_S: Final = 10.0
 GAP_S: Final = 0.27
 # How long a store that refuses writes is left alone before it is tried again.
 STORE_RETRY_S: Final = 1.0
+# What is waited for before anything is inspected.
+FREE_GEL: Final = "the free gel, to learn its picture"
 
 OnPress = Callable[[PressReport], None]
 
@@ -66,7 +68,8 @@ class Gateway:
         self._clock = clock
         self._on_press = on_press
         self._parts = ExitStack()
-        self._requests: queue.SimpleQueue[Callable[[], list[Inspection]]] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._requests = Requests()
         self._last_frame_ns: int | None = None
         self._last_stats_ns = clock.monotonic_ns()
         self._taker: PressTaker | None = None
@@ -86,13 +89,16 @@ class Gateway:
 
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
         """Inspect until `stop` is set, a recording ends, or so many presses were recorded."""
+        self._stop = stop
         self._publisher.start()
         self._acquisition.start()
         try:
             while not stop.is_set() and (presses is None or self.summary.presses < presses):
-                self._turn(stop)
+                self._turn()
         except RecordingEnded as end:
             log.info("%s", end)
+        finally:
+            self._requests.close()
         self._say_stats()
         return self.summary
 
@@ -122,12 +128,20 @@ class Gateway:
         self._store = self._parts.enter_context(_open_store(config))
         self._references = ReferenceFolder(config.store.path.with_suffix(".references"))
         self._announcements = Announcements()
+        # The lock before the sinks: a second gateway would push this one off the broker before it is refused.
+        lock = PublisherLock(config.store.path)
+        self._parts.callback(lock.close)
         self._publisher = Publisher(
-            config.store.path, self._open_sinks(), self._announcements, self._clock, random.Random()
+            config.store.path,
+            self._open_sinks(),
+            self._announcements,
+            self._clock,
+            random.Random(),
+            lock=lock,
         )
         self._reporter = Reporter(self._publisher.announce, self._clock)
         self._parts.callback(self._stop_publishing)
-        self._reporter.state("starting", "waiting for the sensor")
+        self._reporter.awaits("the sensor")
         self._acquisition = Acquisition(
             _device_opener(config.device, bundle.profile.controls, self._clock),
             self._clock,
@@ -156,84 +170,110 @@ class Gateway:
             ),
         )
         names = _sink_names(self._config.sinks)
-        return {
-            name: _plugin_opened("sinks", sink, station)
-            for name, sink in zip(names, self._config.sinks, strict=True)
-        }
+        sinks: dict[str, Sink] = {}
+        for name, chosen in zip(names, self._config.sinks, strict=True):
+            sinks[name] = sink = _plugin_opened("sinks", chosen, station)
+            self._parts.callback(sink.close)  # harmless after the publisher's own closing
+        return sinks
 
     def _stop_publishing(self) -> None:
-        self._reporter.state("stopped")
+        self._reporter.stopped()
         self._publisher.stop()
 
     # The loop
 
-    def _turn(self, stop: threading.Event) -> None:
+    def _turn(self) -> None:
         frame = self._acquisition.next(WAIT_S)
-        while not self._requests.empty():
-            self._record_all(self._requests.get()(), stop)
+        self._requests.serve()
         if frame is not None:
-            self._look_at(frame, stop)
+            self._look_at(frame)
         if self._clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
             self._say_stats()
 
-    def _look_at(self, frame: CameraFrame, stop: threading.Event) -> None:
-        taker = self._taker or self._begin()
+    def _look_at(self, frame: CameraFrame) -> None:
+        taker = self._taker or self._begun()
+        if taker is None:
+            return
         if self._last_frame_ns is not None and frame.timestamp_ns - self._last_frame_ns > GAP_S * 1e9:
-            self._record_all(taker.gap(), stop)
+            self._record_all(taker.gap())
         self._last_frame_ns = frame.timestamp_ns
-        self._record_all(taker.feed(frame), stop)
+        self._record_all(taker.feed(frame))
 
-    def _begin(self) -> PressTaker:
-        """The first frame: now the sensor is known, and with it the gel that is being worn."""
+    def _begun(self) -> PressTaker | None:
+        """The first frame: now the sensor is known, and with it the gel that is being worn.
+
+        None while the store refuses: the next frame tries again.
+        """
         identity = self._acquisition.status.identity
         if identity is None:
             raise DeviceNotFound("a frame arrived from a sensor that has not said who it is")
-        profile = self._inspector.bundle.profile
-        if identity.mode != profile.native:
-            raise BundleMismatch(
-                f"bundle {self._inspector.bundle.where} was made from {profile.native[0]}x{profile.native[1]} frames "
-                f"(profile {profile.name}), sensor {identity.serial} sends {identity.mode[0]}x{identity.mode[1]}; "
-                "use a bundle made for this sensor's mode"
-            )
+        self._check_mode(identity)
+        try:
+            gel = self._store.gel(identity.serial, self._clock.time_ns())
+        except StoreError as error:
+            self._store_refuses(error)
+            self._stop.wait(STORE_RETRY_S)
+            return None
+        self._reporter.mended("store")
         settings = ContactSettings(is_external=self._config.inspection.trigger == "command")
-        self._gel = gel = self._store.gel(identity.serial, self._clock.time_ns())
         stored = self._references.load(identity.serial, gel.gel_id, "last")
         tracker = ContactTracker(settings, stored)
         self._taker = PressTaker(tracker, self._inspector, self._clock, self._contact_said)
         self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
-        self._reporter.gel(gel)
+        self._mounted(gel)
         self._reporter.info(self._inspector.bundle, identity)
+        self._reporter.awaits(FREE_GEL)
         return self._taker
 
-    def _record_all(self, inspections: list[Inspection], stop: threading.Event) -> None:
-        for inspection in inspections:
-            self._record(inspection, stop)
+    def _check_mode(self, identity: DeviceIdentity) -> None:
+        bundle = self._inspector.bundle
+        (w, h), (found_w, found_h) = bundle.profile.native, identity.mode
+        if identity.mode != bundle.profile.native:
+            raise BundleMismatch(
+                f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
+                f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
+            )
 
-    def _record(self, inspection: Inspection, stop: threading.Event) -> None:
+    def _record_all(self, inspections: list[Inspection]) -> None:
+        for inspection in inspections:
+            self._record(inspection)
+
+    def _record(self, inspection: Inspection) -> None:
         """Write one press, however long the disk refuses; nothing else is inspected meanwhile."""
         assert self._recorder is not None
         prepared = self._recorder.prepare(inspection)
-        has_failed = False
         while True:
             try:
                 report = self._recorder.record(*prepared)
                 break
             except StoreError as error:
-                if not has_failed:
-                    log.error("%s", error)
-                    self._reporter.alarm("store", str(error))
-                    self._reporter.state("halted", str(error))
-                has_failed = True
-                if stop.wait(STORE_RETRY_S):
+                self._store_refuses(error)
+                if self._stop.wait(STORE_RETRY_S):
                     raise
-        if has_failed:
-            self._reporter.clear("store")
-            self._reporter.state("ready")
+        self._reporter.mended("store")
         self._publisher.wake()
         self.summary.add(report)
+        if self._gel is not None and report.gel.gel_id != self._gel.gel_id:
+            self._replaced(report.gel)
         self._gel = report.gel
         self._reporter.gel_wear(report.gel)
         self._on_press(report)
+
+    def _mounted(self, gel: GelRecord) -> None:
+        self._gel = gel
+        self._reporter.gel(gel)
+
+    def _replaced(self, gel: GelRecord) -> None:
+        """Another gel is mounted: what the old one looked like says nothing any more."""
+        assert self._recorder is not None
+        self._mounted(gel)
+        self._recorder.wear_index = None
+        self._relearn()
+
+    def _relearn(self) -> None:
+        if self._taker is not None:
+            self._reporter.awaits(FREE_GEL)
+            self._record_all(self._taker.relearn())
 
     # What is announced
 
@@ -241,20 +281,26 @@ class Gateway:
         """Called from the reader thread, once per change."""
         if status.state is AcquisitionState.STREAMING:
             log.info("sensor %s delivers frames", status.identity.serial if status.identity else "?")
-            self._reporter.clear("device")
-            self._reporter.state("ready")
+            self._reporter.mended("device")
         elif status.state is AcquisitionState.FAULT:
             reason = status.fault or "the sensor stopped without saying why"
             log.warning("%s", reason)
-            self._reporter.alarm("device", reason)
-            self._reporter.state("halted", reason)
+            self._reporter.fault("device", reason)
+
+    def _store_refuses(self, error: StoreError) -> None:
+        if self._reporter.fault("store", str(error)):
+            log.error("%s", error)
 
     def _contact_said(self, event: Event) -> None:
         log.debug("%s", event)
         match event:
             case StartedTouched():
                 log.warning("something presses the gel at the start; nothing is inspected until it is free")
-            case ReferenceReady() | ReferenceRefreshed():
+                self._reporter.awaits(f"{FREE_GEL}; something presses it")
+            case ReferenceReady():
+                self._reporter.awaits(None)
+                self._see_wear()
+            case ReferenceRefreshed():
                 self._see_wear()
 
     def _see_wear(self) -> None:
@@ -271,41 +317,64 @@ class Gateway:
     def _say_stats(self) -> None:
         self._last_stats_ns = self._clock.monotonic_ns()
         try:
+            self._see_gel()
             outbox = self._publisher.outbox_status()
         except StoreError as error:
-            self._reporter.alarm("store", str(error))
+            self._store_refuses(error)
             return
+        self._reporter.mended("store")
         corrupt = self._taker.corrupt if self._taker else 0
         self._reporter.stats(self.summary, self._acquisition.status, outbox, corrupt)
         errors = [c.last_error for c in self._publisher.counters().values() if c.refused]
         self._reporter.refused(outbox.refused, errors)
 
+    def _see_gel(self) -> None:
+        """`gelgate gel replace`, another process, may have recorded a new gel meanwhile."""
+        if self._gel is not None:
+            gel = self._store.gel(self._gel.serial, self._clock.time_ns())
+            if gel.gel_id != self._gel.gel_id:
+                self._replaced(gel)
+
     # Commands: they arrive on a sink's thread and are done by the loop's
 
     def _on_trigger(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._asked(lambda taker: taker.trigger())
+        NoArguments.of(arguments)
+
+        def triggered() -> Mapping[str, Any]:
+            taker = self._known_taker()
+            self._record_all(taker.trigger())
+            return {"state": taker.tracker.state.value}
+
+        return self._requests.ask(triggered)
 
     def _on_relearn(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        return self._asked(lambda taker: taker.relearn())
+        NoArguments.of(arguments)
+
+        def relearnt() -> Mapping[str, Any]:
+            taker = self._known_taker()
+            self._relearn()
+            return {"state": taker.tracker.state.value}
+
+        return self._requests.ask(relearnt)
 
     def _on_replace_gel(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """arguments: `gel_id`, `limit_presses` and `note`, all optional."""
-        unknown = set(arguments) - {"gel_id", "limit_presses", "note"}
-        if unknown:
-            raise ValueError(f"unknown arguments {sorted(unknown)}; gel_id, limit_presses and note are known")
-        if self._gel is None:
-            raise DeviceNotFound("no sensor has been seen yet, so it is not known whose gel was replaced")
-        self._gel = gel = self._store.replace_gel(self._gel.serial, self._clock.time_ns(), **arguments)
-        self._reporter.gel(gel)
-        self._asked(lambda taker: taker.relearn())
-        return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+        wish = ReplaceGelArguments.of(arguments)
 
-    def _asked(self, request: Callable[[PressTaker], list[Inspection]]) -> Mapping[str, Any]:
-        taker = self._taker
-        if taker is None:
-            raise DeviceNotFound("no frame has arrived from the sensor yet")
-        self._requests.put(lambda: request(taker))
-        return {"state": taker.tracker.state.value}
+        def replaced() -> Mapping[str, Any]:
+            self._known_taker()
+            assert self._gel is not None
+            gel = self._store.replace_gel(
+                self._gel.serial, self._clock.time_ns(), wish.gel_id, wish.limit_presses, wish.note
+            )
+            self._replaced(gel)
+            return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+
+        return self._requests.ask(replaced)
+
+    def _known_taker(self) -> PressTaker:
+        if self._taker is None:
+            raise DeviceNotFound("no frame has arrived from a sensor yet, so it is not known what is meant")
+        return self._taker
 
 
 def _open_store(config: Config) -> Store:

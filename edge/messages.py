@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
-from edge.core.gel import GelState
+from edge.core.gel import MOST_PRESSES, GelState
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.ledger import GelRecord
@@ -25,7 +25,9 @@ __all__ = [
     "CommandResponse",
     "GelPayload",
     "InfoPayload",
+    "NoArguments",
     "Payload",
+    "ReplaceGelArguments",
     "ResultPayload",
     "StatePayload",
     "StatsPayload",
@@ -220,6 +222,32 @@ class CommandRequest(BaseModel):
         min_length=1, max_length=128, description="chosen by the asker, returned in the response"
     )
     arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
+
+
+class _Arguments(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> Self:
+        """Read the arguments of a request. Errors: ValueError, one sentence."""
+        try:
+            return cls.model_validate(dict(arguments))
+        except ValidationError as error:
+            known = ", ".join(cls.model_fields) or "none"
+            faults = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            raise ValueError(f"{faults} (known arguments: {known})") from error
+
+
+class NoArguments(_Arguments):
+    """Of `cmd/trigger` and `cmd/relearn`."""
+
+
+class ReplaceGelArguments(_Arguments):
+    """Of `cmd/replace_gel`."""
+
+    gel_id: str | None = Field(default=None, min_length=1, max_length=64)
+    limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
+    note: str = Field(default="", max_length=1000)
 
 
 class CommandResponse(Payload):

@@ -22,7 +22,7 @@ from edge.core.ports import Clock, Message, Sink
 from edge.messages import as_replayed
 from edge.outbox import Outbox, OutboxRow, OutboxStatus
 
-__all__ = ["Lane", "LaneCounters", "OnChange", "Publisher"]
+__all__ = ["Lane", "LaneCounters", "OnChange", "Publisher", "PublisherLock"]
 
 log = logging.getLogger(__name__)
 
@@ -195,6 +195,7 @@ class Publisher:
     """All lanes over one database, each in its own thread.
 
     database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
+    lock: that of the database, by whoever took it before opening the sinks; the publisher gives it back.
     Errors: StoreError if another process publishes from this database: two would overtake each other.
     """
 
@@ -206,7 +207,9 @@ class Publisher:
         clock: Clock,
         rng: random.Random,
         on_change: OnChange = lambda name, is_up, sentence: None,
+        lock: "PublisherLock | None" = None,
     ) -> None:
+        self._lock = lock or PublisherLock(database)
         self._sinks = dict(sinks)
         self._announcements = announcements
         self._outbox = Outbox(database)
@@ -260,14 +263,15 @@ class Publisher:
         deadline = time.monotonic() + drain_s
         for thread in self._started():
             thread.join(max(0.0, deadline - time.monotonic()))
-        for sink in self._sinks.values():
-            sink.close()  # a send that still waits ends with SinkUnavailable
+        for name, sink in self._sinks.items():
+            try:
+                sink.close()  # a send that still waits ends with SinkUnavailable
+            except Exception:  # the other sinks are closed all the same
+                log.exception("sink %s: a fault in its plugin while it was closed", name)
         for thread in self._started():
             thread.join()
         self._outbox.close()
-        lock_file, self._lock_file = self._lock_file, None
-        if lock_file is not None:
-            os.close(lock_file)
+        self._lock.close()
 
     def _started(self) -> list[threading.Thread]:
         return [thread for thread in self._threads if thread.ident is not None]
@@ -291,19 +295,30 @@ class Publisher:
                 self._stopping.wait(pause_s)
 
 
-def _only_publisher(database: Path) -> int:
-    path = database.with_name(database.name + ".publisher")
-    try:
-        lock_file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        raise StoreError(
-            f"the lock {path} cannot be made: {error.strerror}; give the gateway's user the right"
-        ) from error
-    try:
-        fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(lock_file)
-        raise StoreError(
-            f"another gelgate process publishes from database {database}; end it, or name another database"
-        ) from error
-    return lock_file
+class PublisherLock:
+    """The right to publish from a database, held by one process at a time and lost with it.
+
+    Errors: StoreError if another process has it.
+    """
+
+    def __init__(self, database: Path) -> None:
+        path = database.with_name(database.name + ".publisher")
+        try:
+            self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise StoreError(
+                f"the lock {path} cannot be made: {error.strerror}; give the gateway's user the right"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self.close()
+            raise StoreError(
+                f"another gelgate process publishes from database {database}; end it, or name another database"
+            ) from error
+
+    def close(self) -> None:
+        """Give it back; harmless when repeated."""
+        file, self._file = self._file, None
+        if file is not None:
+            os.close(file)

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from edge.core.decode import VIEW_SIZE
 from edge.core.reference import Reference
 
 __all__ = ["ReferenceFolder"]
@@ -30,6 +31,8 @@ class ReferenceFolder:
         path = self._path(serial, gel_id, which)
         try:
             view = np.load(path, allow_pickle=False)
+            if view.shape != (*reversed(VIEW_SIZE), 3):
+                raise ValueError(f"it is {view.shape}")
             return Reference(view, frames=1, learnt_ns=0)
         except FileNotFoundError:
             return None

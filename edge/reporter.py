@@ -1,5 +1,6 @@
 """What a station says of itself: state, info, gel, alarms and stats, each as the message it becomes."""
 
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -55,13 +56,57 @@ class Reporter:
         self._announce = announce
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
+        self._lock = threading.Lock()  # the reader thread tells of the sensor, the loop of everything else
+        self._faults: dict[str, str] = {}
+        self._awaited: str | None = None
+        self._is_stopped = False
+        self._said: tuple[str, str | None] | None = None
         self._drops_before: Mapping[str, int] | None = None
 
-    def state(
-        self, state: Literal["starting", "ready", "halted", "stopped"], reason: str | None = None
-    ) -> None:
-        """Whether the station inspects, and why not."""
-        self._announce(state_message(StatePayload(time_ns=self._clock.time_ns(), state=state, reason=reason)))
+    def awaits(self, what: str | None) -> None:
+        """What must come before anything can be inspected, None when it has come."""
+        with self._lock:
+            self._awaited = what
+            self._say_state()
+
+    def fault(self, alarm: str, text: str) -> bool:
+        """Nothing can be inspected until this is `mended`: an alarm, and the state. Gives whether that is news."""
+        with self._lock:
+            is_new = alarm not in self._faults
+            if self._faults.get(alarm) != text:
+                self._faults[alarm] = text
+                self.alarm(alarm, text)
+                self._say_state()
+            return is_new
+
+    def mended(self, alarm: str) -> None:
+        """It is over; other faults may last."""
+        with self._lock:
+            if self._faults.pop(alarm, None) is not None:
+                self.clear(alarm)
+            self._say_state()
+
+    def stopped(self) -> None:
+        """The end, on purpose."""
+        with self._lock:
+            self._is_stopped = True
+            self._say_state()
+
+    def _say_state(self) -> None:
+        state = self._state()
+        if state != self._said:
+            self._said = state
+            word, reason = state
+            self._announce(
+                state_message(StatePayload(time_ns=self._clock.time_ns(), state=word, reason=reason))
+            )
+
+    def _state(self) -> tuple[Literal["starting", "ready", "halted", "stopped"], str | None]:
+        if self._is_stopped:
+            return "stopped", None
+        if self._faults:
+            return "halted", " ".join(self._faults.values())
+        return ("ready", None) if self._awaited is None else ("starting", f"waiting for {self._awaited}")
 
     def alarm(self, alarm: str, text: str, severity: Literal["warning", "error"] = "error") -> None:
         """Something that a person should look at."""

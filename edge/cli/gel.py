@@ -42,7 +42,8 @@ def replace(
     serial: Annotated[str | None, typer.Option(help="The sensor; needed if there are several.")] = None,
     gel_id: Annotated[str | None, typer.Option(help="The new gel's id; numbered if left out.")] = None,
     limit: Annotated[
-        int | None, typer.Option(help="Presses it may take; the configured limit if left out.", min=1)
+        int | None,
+        typer.Option(help="Presses it may take; the configured limit if left out.", min=1, max=10_000_000),
     ] = None,
     note: Annotated[str, typer.Option(help="Why, or which batch.")] = "",
     database: Database = None,

@@ -4,11 +4,13 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Self
 
-__all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "GelLife", "GelState"]
+__all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "MOST_PRESSES", "GelLife", "GelState"]
 
 # The maker's figure for the GelSight Mini gel: 1,000 coin presses (datasheet). Sharp threads cut faster than coins;
 # the seed paper used up two gels over 2,678 listed pictures, about 1,340 each.
 DEFAULT_LIMIT_PRESSES = 1000
+# More is a slip of the finger: no gel comes near.
+MOST_PRESSES = 10_000_000
 # Time to order and fit a new one.
 DEFAULT_WARN_FRACTION = 0.8
 

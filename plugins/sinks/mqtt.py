@@ -166,7 +166,9 @@ class MqttSink:
             lost = threading.Event()
             try:
                 connection = self._connect(lost)
-            except SinkError as error:
+            except Exception as error:  # the thread's edge: without it the sink would be down for ever
+                if not isinstance(error, SinkError):
+                    log.exception("connecting to broker %s failed in an unforeseen way", self._broker)
                 if isinstance(error, LevelRefused):
                     self._worked = None  # another broker stands there now: search for its level anew
                 self._down(str(error))
