@@ -77,10 +77,10 @@ class SpadeParameters:
     layers: tuple[str, ...] = ("layer1", "layer2", "layer3")
     descriptor: Literal["auto", "avgpool", "means"] = "auto"
     image_neighbours: int = 5
-    pixel_neighbours: int = 20
+    pixel_neighbours: int = 16
     finest: str | None = "layer2"
     window_mm: float | None = 0.5
-    dims: tuple[int, ...] = (32, 64, 128)
+    dims: tuple[int, ...] = (24, 48, 64)
     is_normalised: bool = True
     is_floor_relative: bool = True
     is_gallery_whole: bool = True

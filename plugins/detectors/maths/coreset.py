@@ -17,7 +17,7 @@ __all__ = ["Coreset", "greedy_from_distances", "k_centre"]
 # A squared distance below this part of the two squared lengths is rounding of the product form, not a distance.
 ROUNDING = 1e-13
 # Rows brought up to date together.
-BATCH = 128
+BATCH = 64
 
 
 class Coreset(NamedTuple):

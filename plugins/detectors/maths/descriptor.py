@@ -10,7 +10,7 @@ have, is averaged onto it before its windows are taken.
 Written twice, for NumPy and as a graph, from the same weights.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal, NamedTuple
@@ -56,6 +56,19 @@ def binned_weights(channels: int, taps: int, number: int) -> NDArray[np.float64]
         weights[(number * BINS + b) // taps - first, low:high] += 1 / (high - low) / taps
     weights.flags.writeable = False
     return weights
+
+
+@cache
+def _bands(channels: int, taps: int, number: int) -> tuple[Band, ...]:
+    """The rows of one tap's part, a few at a time, each with the channels that they need."""
+    weights = binned_weights(channels, taps, number).reshape(-1, channels, 3, 3)
+    bands = []
+    for first in range(0, len(weights), BAND):
+        band = weights[first : first + BAND]
+        used = np.flatnonzero(band.any(axis=(0, 2, 3)))
+        chosen = slice(int(used[0]), int(used[-1]) + 1)
+        bands.append(Band(chosen, np.ascontiguousarray(band[:, chosen])))
+    return tuple(bands)
 
 
 @dataclass(frozen=True)
@@ -134,14 +147,6 @@ class Descriptor:
         h, w = self.cells(grid)
         return graph.reshape(columns, 0, self.width(grid), h * w)
 
-    def _bands(self, channels: int, number: int) -> Iterator[Band]:
-        weights = binned_weights(channels, len(self.taps), number).reshape(-1, channels, 3, 3)
-        for first in range(0, len(weights), BAND):
-            band = weights[first : first + BAND]
-            used = np.flatnonzero(band.any(axis=(0, 2, 3)))
-            chosen = slice(int(used[0]), int(used[-1]) + 1)
-            yield Band(chosen, band[:, chosen])
-
     def _native(self, x: NDArray[np.floating], number: int) -> NDArray[np.floating]:
         """One tap's part at its own size: (n, c, h, w) to (n, rows, h, w)."""
         n, c, h, w = x.shape
@@ -153,7 +158,7 @@ class Descriptor:
             return mean
         windows = np.stack([padded[:, :, i : i + h, j : j + w] for i in range(3) for j in range(3)], axis=2)
         parts = []
-        for band in self._bands(c, number):
+        for band in _bands(c, len(self.taps), number):
             rows = band.weights.astype(x.dtype).reshape(len(band.weights), -1)
             parts.append(rows @ windows[:, band.channels].reshape(n, rows.shape[1], h * w))
         return np.concatenate(parts, axis=1).reshape(n, -1, h, w)
@@ -162,7 +167,7 @@ class Descriptor:
         if self.kind == "means":
             return graph.op("AveragePool", x, kernel_shape=[3, 3], pads=[1, 1, 1, 1], count_include_pad=1)
         parts = []
-        for band in self._bands(grid.taps[self.taps[number]][0], number):
+        for band in _bands(grid.taps[self.taps[number]][0], len(self.taps), number):
             chosen = graph.op(
                 "Slice", x, graph.ints(band.channels.start), graph.ints(band.channels.stop), graph.ints(1)
             )
