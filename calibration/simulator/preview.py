@@ -31,7 +31,7 @@ def write_preview(scene: Scene, folder: Path, seed: int = 0) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{scene.name}_preview.png"
     _, data = cv2.imencode(".png", cv2.cvtColor(preview(scene, seed), cv2.COLOR_RGB2BGR))
-    path.write_bytes(data)  # unlike cv2.imwrite, says why where it cannot
+    path.write_bytes(data.tobytes())  # unlike cv2.imwrite, says why where it cannot
     return path
 
 
