@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.core.decode import VIEW_SIZE
 from edge.core.reference import Reference
 from edge.references import ReferenceFolder
 
@@ -38,11 +37,3 @@ def test_a_picture_of_another_size_is_none(tmp_path: Path) -> None:
     folder.save("S1", "g", Reference(np.zeros((60, 80, 3), np.float32), 10, 0))
 
     assert folder.load("S1", "g", "last") is None
-
-
-def test_a_picture_of_another_size_is_learnt_again(tmp_path: Path) -> None:
-    """One that an older program left cannot be compared with."""
-    folder = ReferenceFolder(tmp_path)
-    folder.save("2BNN4ZE7", "gel", picture(1, (80, 60)))
-
-    assert folder.load("2BNN4ZE7", "gel", "last") is None
