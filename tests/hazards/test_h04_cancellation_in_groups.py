@@ -1,8 +1,9 @@
 """H4, searched in groups: the product form makes the shortlist and never the score.
 
 Guards: `shortlist.emit_group_nearest` measures its winners again as sums of squared differences, and every head
-subtracts the bank's mean before. Checked by removal: with the distance read back from the product the first test
-finds up to 0.4 in place of 0.01; with the mean left in (a bank mean of zeros) the second fails for FAPM and PatchCore.
+subtracts the bank's mean before. Checked by removal: with the distance read back from the product both tests fail (the
+second for FAPM, InReaCh and PatchCore); with the mean left in `rotation.emit_rotation` the second fails for SPADE,
+InReaCh and PatchCore.
 """
 
 import numpy as np

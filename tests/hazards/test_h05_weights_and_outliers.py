@@ -1,8 +1,8 @@
 """H5, nearest neighbours' side: exp of a distance above 88, and distances whose squares leave a half's range.
 
 Guards: FAPM's weight subtracts the largest distance before exp (`is_softmax_stable`), distances are float32 throughout,
-and halves are storage alone. Checked by removal: without the subtraction the first two tests find NaN; with
-squared distances held under a half's 65504 in `emit_group_nearest` the third fails.
+and halves are storage alone. Checked by removal: without the subtraction, in graph or oracle, the first test fails;
+with squared distances held under a half's 65504 in `emit_group_nearest` the first and the third fail.
 """
 
 import numpy as np

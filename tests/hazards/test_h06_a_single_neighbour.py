@@ -1,7 +1,8 @@
 """H6: a softmax over one neighbour is 1, the published weight 1 - 1 = 0, and the worst press scores 0.
 
 Guard: `is_single_unweighted` in `plugins/detectors/fapm.py`: fewer than two neighbours or prototypes, no weight.
-Checked by removal: with the condition taken out of `_weight` and `_emit_weighted` the first test finds scores of 0.
+Checked by removal: with the condition taken out of `_emit_weighted` both tests fail (scores of 0, weights of 3/4);
+taken out of the oracle's `_weight`, the first.
 """
 
 import numpy as np

@@ -3,7 +3,7 @@
 Guards: the lowest row wins everywhere (`argmin`, ONNX TopK); InReaCh prefers its own place among equals
 (`is_tie_local`); k-centre stops when every row is at a pick; AUROC gives half credit to ties. Checked by removal:
 without the preference the first test finds one channel in place of 16; without the early end in `k_centre` the second
-finds a row picked twice; with `>=` in place of ranks the last would find 1.0.
+finds row 0 again and again.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """H9: few presses make short channels, short channels are dropped, and an empty bank fails or calls all anomalous.
 
 Guards in `plugins/detectors/inreach.py`: the minimum length follows the number of presses, and where still nothing
-remains the bank is every patch, with a warning in the bundle. Checked by removal: without `_fallback` the first test
-ends in an empty bank that onnxruntime refuses.
+remains the bank is every patch, with a warning in the bundle. Checked by removal: without `_fallback` the first two
+tests find a bank of no rows.
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 Guards: searches run to the last row whatever the chunk (`maths/distances.py`, `Spade` and `PatchBank` with
 `range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade._emit_whole_search` the second
-test fails on the shape; with `is_gallery_whole` false the first finds distances where there are none.
+test fails on the shape; with the published slice always on the first two fail.
 """
 
 import numpy as np

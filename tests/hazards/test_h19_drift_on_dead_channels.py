@@ -2,9 +2,9 @@
 makes that the largest signal there is.
 
 Guards: a tap's deviation and a cell's scale have floors (`patchbank._deviation`, `fapm._cell_weights`), so a quiet
-place counts at most as much as the others. Checked by removal: with DEVIATION_FLOOR at 1e-9 the first test's ratio
-passes 1e5; with SCALE_FLOOR_QUANTILE at 0 the second fails. Drift that is real still raises the whole
-map: watching it is the wear index's task (`edge/core`), not the detector's.
+place counts at most as much as the others. Checked by removal: with DEVIATION_FLOOR at 1e-9 the first test's score
+rises thirty thousand times; with SCALE_FLOOR_QUANTILE at 0 the second's ten thousand. Drift that is real still raises
+the whole map: watching it is the wear index's task (`edge/core`), not the detector's.
 """
 
 import numpy as np
