@@ -11,6 +11,7 @@ from edge.core.detector import Features, Grid, Progress
 from edge.core.errors import FitError
 from edge.core.tiles import TILES_KEY, Tiles
 from edge.runtime import RUNTIME_ERRORS
+from edge.tiled import TiledMaps, TileRunner
 
 __all__ = ["extract", "trunk_grid"]
 
@@ -36,8 +37,13 @@ def trunk_grid(
             f"the detector reads {', '.join(taps)}, the trunk gives {', '.join(given)}; export a trunk with "
             f"{', '.join(missing)}"
         )
-    maps = _run(session, list(taps), np.full((1, *frame, 3), 128, np.uint8))
-    shapes = {tap: (m.shape[1], m.shape[2], m.shape[3]) for tap, m in zip(taps, maps, strict=True)}
+    down, across, seen = (1, 1, frame)
+    if tiles is not None:
+        down, across, seen = len(tiles.rows), len(tiles.columns), (tiles.size, tiles.size)
+    maps = _run(session, list(taps), np.full((1, *seen, 3), 128, np.uint8))
+    shapes = {
+        tap: (m.shape[1], m.shape[2] * down, m.shape[3] * across) for tap, m in zip(taps, maps, strict=True)
+    }
     return Grid(frame, shapes, pixels_per_mm, tiles)
 
 
@@ -68,15 +74,27 @@ def extract(
     """
     taps = list(grid.taps)
     features = {tap: _room((len(frames), *grid.taps[tap]), memory_bytes) for tap in taps}
-    size = BATCH if grid.tiles is None else 1  # a tiled frame is a batch of its own
+    size = BATCH if grid.tiles is None else 1
+    runner = None if grid.tiles is None else TileRunner(session, grid.tiles, grid.taps)
     for start in range(0, len(frames), size):
         batch = frames[start : start + size]
-        for tap, maps in zip(taps, _run(session, taps, batch), strict=True):
+        found = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0], grid)
+        for tap, maps in zip(taps, found, strict=True):
             if not np.isfinite(maps).all():
                 raise FitError(f"the trunk gives features that are not finite at {tap}; use another backbone")
             features[tap][start : start + size] = maps
         progress(min(1.0, (start + size) / len(frames)))
     return features
+
+
+def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8], grid: Grid) -> list[NDArray[np.float32]]:
+    """The mosaics (1, c, h, w) of one frame, every tile run."""
+    mosaics = TiledMaps(runner, grid.taps, 1, None)
+    try:
+        mosaics.show(frame[None])
+    except RUNTIME_ERRORS as error:
+        raise FitError(f"the trunk does not run on its tiles: {error!s:.200}") from error
+    return list(mosaics.arrays.values())
 
 
 def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:

@@ -45,6 +45,7 @@ from edge.manifest import (
 from edge.packing import pack, unpack
 from edge.runtime import RUNTIME_ERRORS, TrunkSessions, open_session
 from edge.scorer import Scorer
+from edge.tiled import plainest, untouched_tiles
 
 T = TypeVar("T")
 
@@ -234,8 +235,25 @@ class _Fit:
     ) -> tuple[Manifest, dict[str, bytes]]:
         with_trunk = self.recipe.with_trunk or not golden
         return bundle_files(
-            facts, self.graphs, bank, golden, backbone=self.recipe.trunk.id, with_trunk=with_trunk
+            facts,
+            self.graphs,
+            bank,
+            golden,
+            backbone=self.recipe.trunk.id,
+            with_trunk=with_trunk,
+            free_gel=self._free_gel(),
         )
+
+    def _skipped(self) -> tuple[int, ...]:
+        """The tiles that a press without contact there may skip: those that no nominal press touches."""
+        tiles, touched = self.grid.tiles, self.presses.touched
+        if tiles is None or touched is None or self.presses.no_contact is None:
+            return ()
+        return untouched_tiles(tiles, touched)
+
+    def _free_gel(self) -> NDArray[np.uint8] | None:
+        free = self.presses.no_contact
+        return plainest(free) if free is not None and self._skipped() else None
 
     def _facts(self, bank: Bank, threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
         recipe = self.recipe
@@ -249,7 +267,7 @@ class _Fit:
             facts={"backbone": recipe.trunk.facts, **{k: v for k, v in bank.facts.items() if k != "repairs"}},
             profile=ProfileEntry.of(recipe.profile),
             region=RegionEntry.of(recipe.region),
-            grid=GridEntry.of(self.grid),
+            grid=GridEntry.of(self.grid, self._skipped()),
             threshold=threshold,
             tolerance=tolerance,
             contact=contact_range(self.presses),

@@ -39,6 +39,7 @@ __all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", 
 
 MAX_MANIFEST_BYTES = 16 << 20
 TRUNK, HEAD, DETECTOR = "trunk.onnx", "head.onnx", "detector.onnx"
+FREE_GEL = "free_gel.png"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,8 @@ class Graphs:
 class Bundle:
     """A checked bundle in memory. bank: arrays unpacked, exactly as the head's inputs want them.
 
-    `graphs.trunk` is None where the caller said that this trunk is open already. digest: SHA-256 of the manifest, the
+    `graphs.trunk` is None where the caller said that this trunk is open already. free_gel: the region untouched, uint8
+    (h, w, 3), where tiles may be skipped. digest: SHA-256 of the manifest, the
     bundle's identity in every published result. where: path, for messages.
     """
 
@@ -74,6 +76,7 @@ class Bundle:
     golden: tuple[GoldenFrame, ...]
     digest: str
     where: str
+    free_gel: NDArray[np.uint8] | None = None
 
     @classmethod
     def load(cls, path: str | Path, trunks: Path | None = None, loaded: Container[str] = ()) -> "Bundle":
@@ -120,6 +123,7 @@ class Bundle:
             golden=golden,
             digest=digest,
             where=archive.where,
+            free_gel=_read_picture(archive, manifest.free_gel, manifest.frame) if manifest.free_gel else None,
         )
 
     @property
@@ -158,6 +162,7 @@ def bundle_files(
     *,
     backbone: str = "",
     with_trunk: bool = True,
+    free_gel: NDArray[np.uint8] | None = None,
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
 
@@ -189,6 +194,8 @@ def bundle_files(
         )
         for number, frame in enumerate(golden)
     )
+    if free_gel is not None:
+        parts["free_gel"] = keep(FREE_GEL, _png(free_gel))
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
     files[MANIFEST] = _manifest_bytes(manifest)
     return manifest, files
@@ -352,15 +359,20 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
 
 
 def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -> GoldenFrame:
-    data = np.frombuffer(_read(archive, entry.image), np.uint8)
+    rgb = _read_picture(archive, entry.image, frame)
+    return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
+
+
+def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture of the region, uint8 (h, w, 3) RGB."""
+    data = np.frombuffer(_read(archive, entry), np.uint8)
     bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
     if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
         raise BundleCorrupt(
-            f"bundle {archive.where}: golden frame {entry.image.file} is {None if bgr is None else bgr.shape}, "
+            f"bundle {archive.where}: the picture {entry.file} is {None if bgr is None else bgr.shape}, "
             f"expected {(*frame, 3)}; export the bundle again"
         )
-    rgb = np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
-    return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
+    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 from edge.core.detector import Grid, Mode, Packing
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
+from edge.core.tiles import Tiles
 from edge.core.touch import Touch
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "Provenance",
     "RegionEntry",
     "ThresholdEntry",
+    "TilesEntry",
     "ToleranceEntry",
 ]
 
@@ -129,19 +131,57 @@ class RegionEntry(_Entry):
         return Region(self.x, self.y, self.width, self.height)
 
 
+class TilesEntry(_Entry):
+    """`edge.core.tiles.Tiles` over the region. untouched: tiles that no nominal press touches, row by row."""
+
+    size: int = Field(ge=1)
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    untouched: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, tiles: Tiles, untouched: tuple[int, ...] = ()) -> "TilesEntry":
+        return cls(size=tiles.size, rows=tiles.rows, columns=tiles.columns, untouched=untouched)
+
+    def tiles(self, frame: tuple[int, int]) -> Tiles:
+        return Tiles(frame, self.size, self.rows, self.columns)
+
+
 class GridEntry(_Entry):
-    """`edge.core.detector.Grid`: the geometry that the head was built for. Taps are (channels, h, w)."""
+    """`edge.core.detector.Grid`: the geometry that the head was built for. Taps are (channels, h, w).
+
+    tiles: set where the trunk sees the region in overlapping tiles.
+    """
 
     frame: tuple[int, int]
     taps: dict[str, tuple[int, int, int]]
     pixels_per_mm: float = Field(gt=0)
+    tiles: TilesEntry | None = None
+
+    @model_validator(mode="after")
+    def _laid_out(self) -> "GridEntry":
+        if self.tiles is None:
+            return self
+        count = len(self.tiles.tiles(self.frame))
+        if any(not 0 <= index < count for index in self.tiles.untouched):
+            raise ValueError(f"untouched tiles are numbered 0 to {count - 1}, found {self.tiles.untouched}")
+        for tap, (_, h, w) in self.taps.items():
+            if h % len(self.tiles.rows) or w % len(self.tiles.columns):
+                raise ValueError(f"the tap '{tap}' of {h}x{w} is no mosaic of whole tiles")
+        return self
 
     @classmethod
-    def of(cls, grid: Grid) -> "GridEntry":
-        return cls(frame=grid.frame, taps=dict(sorted(grid.taps.items())), pixels_per_mm=grid.pixels_per_mm)
+    def of(cls, grid: Grid, untouched: tuple[int, ...] = ()) -> "GridEntry":
+        return cls(
+            frame=grid.frame,
+            taps=dict(sorted(grid.taps.items())),
+            pixels_per_mm=grid.pixels_per_mm,
+            tiles=None if grid.tiles is None else TilesEntry.of(grid.tiles, untouched),
+        )
 
     def grid(self) -> Grid:
-        return Grid(self.frame, self.taps, self.pixels_per_mm)
+        tiles = None if self.tiles is None else self.tiles.tiles(self.frame)
+        return Grid(self.frame, self.taps, self.pixels_per_mm, tiles)
 
 
 class ThresholdEntry(_Entry):
@@ -259,7 +299,7 @@ class Manifest(Facts):
     """Everything that is known of a bundle.
 
     Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or `detector` alone: a single graph from
-    frames to score map, such as a third party's.
+    frames to score map, such as a third party's. free_gel: the region untouched, where tiles may be skipped.
     """
 
     backbone: BackboneEntry | None = None
@@ -267,6 +307,7 @@ class Manifest(Facts):
     detector: FileEntry | None = None
     bank: dict[str, ArrayEntry] = Field(default_factory=dict)
     golden: tuple[GoldenEntry, ...] = ()
+    free_gel: FileEntry | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
@@ -276,6 +317,11 @@ class Manifest(Facts):
             raise ValueError("a bundle has either backbone, head and grid, or a single detector graph")
         if self.grid is not None and self.grid.frame != self.frame:
             raise ValueError(f"the head is built for {self.grid.frame}, the region is {self.frame} (h, w)")
+        is_skipping = (
+            self.grid is not None and self.grid.tiles is not None and bool(self.grid.tiles.untouched)
+        )
+        if is_skipping and pair and self.free_gel is None:
+            raise ValueError("tiles that are skipped need the picture free_gel, whose features stand in")
         if not self.region.region().is_within(self.profile.size):
             raise ValueError(f"region {self.region.region()} lies outside the picture of {self.profile.size}")
         return self
@@ -291,4 +337,5 @@ class Manifest(Facts):
         trunk = [self.backbone.trunk] if self.backbone and self.backbone.in_bundle else []
         graphs = [graph for graph in (self.head, self.detector) if graph]
         arrays = [f for a in self.bank.values() for f in (a.data, a.scale) if f]
-        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden))
+        gel = [self.free_gel] if self.free_gel else []
+        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel)

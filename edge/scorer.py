@@ -1,6 +1,7 @@
 """Scoring: frames in, score map and score out, with the features staying inside onnxruntime between the two graphs.
 
-The trunk writes its taps into buffers that the head reads; the bank is bound once. Nothing here knows a method.
+The trunk writes its taps into buffers that the head reads; the bank is bound once. Nothing here knows a method. A
+trunk that sees tiles is run by `edge.tiled`, which leaves out those that hold nothing but free gel.
 """
 
 import time
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from edge.bundle import Bundle
 from edge.core.errors import BundleCorrupt, NotScorable
 from edge.runtime import RUNTIME_ERRORS, TrunkSessions, open_session
+from edge.tiled import FreeGel, TiledMaps, TileRunner
 
 __all__ = ["MAP_BLOCKS", "Scored", "Scorer", "map_peaks"]
 
@@ -48,11 +50,19 @@ class Scored:
 class Scorer:
     """A bundle made ready to score. Use one from one thread at a time.
 
-    trunks: pass the gateway's own so that bundles share a trunk. Errors: BundleCorrupt where a graph cannot be
-    opened, misses a tap, wants an array that the bank lacks, or answers in another shape.
+    trunks: pass the gateway's own so that bundles share a trunk. is_skipping: False runs every tile of a tiled trunk
+    on every press. Errors: BundleCorrupt where a graph cannot be opened, misses a tap, wants an array that the bank
+    lacks, or answers in another shape.
     """
 
-    def __init__(self, bundle: Bundle, threads: int = 2, trunks: TrunkSessions | None = None) -> None:
+    def __init__(
+        self,
+        bundle: Bundle,
+        threads: int = 2,
+        trunks: TrunkSessions | None = None,
+        *,
+        is_skipping: bool = True,
+    ) -> None:
         self.bundle = bundle
         self.frame = bundle.manifest.frame
         self._where = bundle.where
@@ -72,7 +82,13 @@ class Scorer:
             name: ort.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(bundle.bank[name]).reshape(shape))
             for name, shape in self._checked_bank().items()
         }
+        self._tiled = self._opened_tiles(is_skipping)
         self._pipe = self._opened_pipe()
+
+    @property
+    def tiles_run(self) -> int:
+        """How often the trunk was run on a tile so far; 0 where it sees the region in one piece."""
+        return 0 if self._tiled is None else self._tiled.runner.runs
 
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
         """Score one frame of the inspected region. rgb: uint8 (h, w, 3).
@@ -195,6 +211,22 @@ class Scorer:
                 )
         return {name: self.bundle.bank[name].shape for name in wanted}
 
+    def _opened_tiles(self, is_skipping: bool) -> "_Tiled | None":
+        """The trunk bound to one tile; None where it sees the region in one piece."""
+        grid, entry = self.bundle.grid, self.bundle.manifest.grid
+        if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
+            return None
+        try:
+            runner = TileRunner(self._trunk, grid.tiles, self._taps)
+            free = None
+            if is_skipping and entry.tiles.untouched and self.bundle.free_gel is not None:
+                free = FreeGel(runner, self._taps, self.bundle.free_gel, entry.tiles.untouched)
+            return _Tiled(runner, free)
+        except RUNTIME_ERRORS as error:
+            raise BundleCorrupt(
+                f"bundle {self._where}: trunk.onnx does not run on tiles of {grid.tiles.size}: {error!s:.300}"
+            ) from error
+
     def _opened_pipe(self) -> "_Pipe":
         """Buffers for one frame, tried on a grey one, so that a wrong shape is found before the first press."""
         pipe = self._new_pipe(1)
@@ -213,11 +245,22 @@ class Scorer:
         return pipe
 
     def _new_pipe(self, size: int) -> "_Pipe":
-        return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3))
+        mosaics = None
+        if self._tiled is not None:
+            mosaics = TiledMaps(self._tiled.runner, self._taps, size, self._tiled.free)
+        return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
+
+
+@dataclass(frozen=True)
+class _Tiled:
+    """A trunk that is run tile by tile, and what stands in for tiles without contact."""
+
+    runner: TileRunner
+    free: FreeGel | None
 
 
 class _Pipe:
-    """The two graphs joined by buffers for a fixed number of frames."""
+    """The two graphs joined by buffers for a fixed number of frames. mosaics: set where the trunk sees tiles."""
 
     def __init__(
         self,
@@ -226,8 +269,10 @@ class _Pipe:
         taps: Mapping[str, tuple[int, int, int]],
         bank: Mapping[str, ort.OrtValue],
         shape: tuple[int, ...],
+        mosaics: TiledMaps | None = None,
     ) -> None:
         self.size = shape[0]
+        self._mosaics = mosaics
         # onnxruntime reads this array in place: writing a frame into it is binding it.
         self._frames = np.zeros(shape, np.uint8)
         frames = ort.OrtValue.ortvalue_from_numpy(self._frames)
@@ -235,6 +280,9 @@ class _Pipe:
         self._head_io = head.io_binding()
         if trunk is None:
             self._head_io.bind_ortvalue_input(FRAMES, frames)
+        elif mosaics is not None:
+            for name, array in mosaics.arrays.items():
+                self._head_io.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(array))
         else:
             self._trunk_io = trunk.io_binding()
             self._trunk_io.bind_ortvalue_input(FRAMES, frames)
@@ -249,9 +297,12 @@ class _Pipe:
 
     def run(self, frames: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32], float, float]:
         """score_map (n, h, w), score (n,), and the milliseconds in trunk and head."""
-        self._frames[...] = frames
         start = time.perf_counter()
-        if self._trunk is not None:
+        if self._mosaics is not None:
+            self._mosaics.show(frames)
+        else:
+            self._frames[...] = frames
+        if self._trunk is not None and self._mosaics is None:
             self._trunk.run_with_iobinding(self._trunk_io)
         middle = time.perf_counter()
         self._head.run_with_iobinding(self._head_io)

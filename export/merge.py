@@ -3,16 +3,18 @@
 It answers the same outer contract as a bundle's pair of graphs, so the gateway accepts it as `detector.onnx` too.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from edge.archive import write_file
-from edge.bundle import Bundle, Graphs, bundle_files, write_bundle
+from edge.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.manifest import Facts, Manifest
-from edge.scorer import Scorer
+from edge.scorer import Scorer, map_peaks
+from plugins.backbones.tiled import mosaic_trunk
 
 __all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]
 
@@ -49,7 +51,11 @@ def merged_graph(bundle: Bundle) -> bytes:
 
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
         raise BundleMismatch(f"bundle {bundle.where} is a single graph already; copy its detector.onnx")
-    trunk, head = onnx.load_from_string(bundle.graphs.trunk), onnx.load_from_string(bundle.graphs.head)
+    head = onnx.load_from_string(bundle.graphs.head)
+    whole = bundle.graphs.trunk
+    if bundle.grid is not None and bundle.grid.tiles is not None:
+        whole = mosaic_trunk(whole, bundle.grid.tiles)
+    trunk = onnx.load_from_string(whole)
     wanted = {i.name for i in head.graph.input}
     taps = [o.name for o in trunk.graph.output if o.name in wanted]
     for name in sorted(wanted - set(taps)):
@@ -91,13 +97,23 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
 def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and files of a bundle with one graph in place of trunk, head and bank; all else is kept."""
     facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
-    return bundle_files(facts, Graphs(detector=graph), golden=bundle.golden)
+    golden = bundle.golden
+    if bundle.free_gel is not None:
+        # The single graph sees every tile, so it is held to what the pair scores when it skips none.
+        scorer = Scorer(bundle, is_skipping=False)
+        golden = tuple(_scored_again(frame, scorer) for frame in golden)
+    return bundle_files(facts, Graphs(detector=graph), golden=golden)
+
+
+def _scored_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
+    scored = scorer.score(frame.rgb)
+    return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
 def _largest_difference(bundle: Bundle, graph: bytes) -> float:
     """The largest difference of any map pixel or score on the golden frames, relative to the largest value."""
     single = Bundle.in_memory(*single_graph_bundle(bundle, graph), where=f"{bundle.where} merged")
-    pair, merged, worst = Scorer(bundle), Scorer(single), 0.0
+    pair, merged, worst = Scorer(bundle, is_skipping=False), Scorer(single), 0.0
     grey = np.full((*bundle.manifest.frame, 3), 128, np.uint8)
     for rgb in [grey, *(golden.rgb for golden in bundle.golden)]:
         one, other = pair.score(rgb), merged.score(rgb)

@@ -1,9 +1,12 @@
 """`tile_trunk`: any trunk becomes one that sees a large frame in overlapping tiles and gives its taps as mosaics.
 
-The tiles are cut inside the graph and go through the trunk as a batch; each tap then lies tile beside tile, (n, c,
-tile rows * h, tile columns * w). To a head that is one larger map in which every tile's locations are its own, so a
-bank per tile and location comes of itself, and blending is a matrix (edge.core.tiles). The layout stands in the file's
-metadata, where the fit finds it.
+Each tap lies tile beside tile, (c, tile rows * h, tile columns * w). To a head that is one larger map in which every
+tile's locations are its own, so a bank per tile and location comes of itself, and blending is a matrix
+(edge.core.tiles).
+
+The file holds the trunk for one tile and the layout in its metadata, where the fit finds it: the tiles are cut and laid
+out by whoever runs it (edge.tiled), one at a time, so that memory stays that of one tile and tiles can be skipped.
+`mosaic_trunk` draws the same inside the graph, all tiles as one batch, for runtimes that are not gelgate.
 """
 
 from typing import Any
@@ -12,14 +15,14 @@ from edge.core.errors import ConfigError
 from edge.core.tiles import TILES_KEY, Tiles
 from plugins.graph import IR_VERSION
 
-__all__ = ["tile_trunk"]
+__all__ = ["mosaic_trunk", "tile_trunk"]
 
 # The coarsest stride of the family (layer4): tiles of other sizes would round their grids up.
 STRIDE = 32
 
 
 def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
-    """The trunk over tiles, serialised. Input `frames` uint8 (n, *tiles.frame, 3), outputs the same taps as mosaics.
+    """The trunk for one tile, with the layout in its metadata. Input `frames` uint8 (n, size, size, 3).
 
     Errors: ConfigError for a trunk without the one input `frames`, one that is tiled already, or a tile size that is
     not a multiple of 32.
@@ -27,13 +30,28 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     import onnx
     from onnx import helper
 
-    if tiles.size % STRIDE:
-        raise ConfigError(f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}")
+    model = _plain(trunk, tiles)
+    for place, size in enumerate((tiles.size, tiles.size, 3), start=1):
+        model.graph.input[0].type.tensor_type.shape.dim[place].dim_value = size
+    _tap_shapes(model, tiles)
+    facts = {entry.key: entry.value for entry in model.metadata_props}
+    helper.set_model_props(model, {**facts, TILES_KEY: tiles.written()})
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())
+
+
+def mosaic_trunk(trunk: bytes, tiles: Tiles) -> bytes:
+    """The trunk over all tiles in one graph. Input `frames` uint8 (n, *tiles.frame, 3), outputs the taps as mosaics.
+
+    trunk: a plain one, or one of `tile_trunk`. Errors: ConfigError as there.
+    """
+    import onnx
+    from onnx import helper
+
     model = onnx.load_from_string(trunk)
-    if [i.name for i in model.graph.input] != ["frames"] or any(
-        p.key == TILES_KEY for p in model.metadata_props
-    ):
-        raise ConfigError("only a plain trunk, with the one input 'frames' and no tiles yet, can be tiled")
+    facts = {entry.key: entry.value for entry in model.metadata_props if entry.key != TILES_KEY}
+    helper.set_model_props(model, facts)
+    model = _plain(model.SerializeToString(), tiles)
     shapes = _tap_shapes(model, tiles)
     for node in model.graph.node:
         node.input[:] = ["tiles" if name == "frames" else name for name in node.input]
@@ -57,10 +75,23 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     tiled = helper.make_model(
         graph, opset_imports=model.opset_import, ir_version=IR_VERSION, producer_name="gelgate"
     )
-    facts = {entry.key: entry.value for entry in model.metadata_props}
-    helper.set_model_props(tiled, {**facts, TILES_KEY: tiles.written()})
+    helper.set_model_props(tiled, facts)
     onnx.checker.check_model(tiled, full_check=True)
     return bytes(tiled.SerializeToString())
+
+
+def _plain(trunk: bytes, tiles: Tiles) -> Any:
+    """A trunk that can be tiled. Errors: ConfigError."""
+    import onnx
+
+    if tiles.size % STRIDE:
+        raise ConfigError(f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}")
+    model = onnx.load_from_string(trunk)
+    if [i.name for i in model.graph.input] != ["frames"] or any(
+        p.key == TILES_KEY for p in model.metadata_props
+    ):
+        raise ConfigError("only a plain trunk, with the one input 'frames' and no tiles yet, can be tiled")
+    return model
 
 
 def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:

@@ -15,7 +15,7 @@ from edge.core.errors import ConfigError, FitError
 from edge.core.tiles import TILES_KEY, Tiles, tiling
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
-from plugins.backbones.tiled import tile_trunk
+from plugins.backbones.tiled import mosaic_trunk, tile_trunk
 from plugins.detectors.padim import padim
 
 TAPS = ("layer1", "layer2", "layer3", "avgpool")
@@ -35,7 +35,9 @@ def frames(n: int) -> np.ndarray:
 def test_a_mosaic_holds_every_tiles_own_features() -> None:
     """Each block of each tap is what the plain trunk gives for that tile alone, for every frame of a batch."""
     rgb = frames(2)
-    mosaics = dict(zip(TAPS, session(tile_trunk(PLAIN, TILES)).run(list(TAPS), {"frames": rgb}), strict=True))
+    mosaics = dict(
+        zip(TAPS, session(mosaic_trunk(PLAIN, TILES)).run(list(TAPS), {"frames": rgb}), strict=True)
+    )
     for frame in range(2):
         alone = session(PLAIN).run(list(TAPS), {"frames": TILES.cut(rgb[frame])})
         for tap, features in zip(TAPS, alone, strict=True):
