@@ -75,11 +75,12 @@ def test_frames_a_second_for_each_effect_set() -> None:
     with one_thread():
         print("\nframes per second of one processor (every frame another press)")
         print(f"{'effects':<18}" + "".join(f"{name:>14}" for name in ("320x240", "1280x720", "native/4")))
-        for name, effects in SETS.items():
-            rates = []
-            for field in (LR, HR, native_field()):
-                renderer = Renderer(field, effects)
-                rates.append(1000 / best_ms(lambda k, r=renderer: press(r, k))[0])  # type: ignore[misc]
+        columns = []
+        for field in (LR, HR, native_field()):
+            renderers = [Renderer(field, effects) for effects in SETS.values()]
+            works = [lambda k, r=renderer: press(r, k) for renderer in renderers]  # type: ignore[misc]
+            columns.append([1000 / ms for ms in best_ms(*works)])
+        for name, *rates in zip(SETS, *columns, strict=True):
             print(f"{name:<18}" + "".join(f"{rate:>14.1f}" for rate in rates))
 
 
