@@ -13,7 +13,7 @@ from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.tiles import tiling
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
-from plugins.backbones.tiled import tile_trunk
+from plugins.backbones.tiled import mosaic_trunk
 from plugins.detectors.padim import padim
 from plugins.detectors.subspace import subspace
 
@@ -141,7 +141,7 @@ def test_high_resolution() -> None:
     report("resnet18 1280x720, one piece", graph, LARGE, rgb, 3, lambda t: Grid((720, 1280), t, 63.0))
     report(
         "resnet18 1280x720, 32 tiles",
-        tile_trunk(graph, tiles),
+        mosaic_trunk(graph, tiles),
         LARGE,
         rgb,
         3,
