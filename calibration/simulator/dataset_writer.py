@@ -219,7 +219,8 @@ def _png(picture: U8) -> bytes:
 def _write(path: Path, content: bytes) -> None:
     """The whole file or none: what is moved into place is complete."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    # A fixed name: what a killed run left is overwritten when its file is made again.
+    beside = path.with_name(f".{path.name}.part")
     try:
         beside.write_bytes(content)
         os.replace(beside, path)

@@ -1,11 +1,13 @@
 """Work spread over processes: results come back in order, few are held at once, and an interrupt leaves files whole."""
 
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import TypeVar
 
 import cv2
@@ -40,6 +42,15 @@ def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int
 
 
 def _quiet() -> None:
-    """A worker is one of several: one thread each, and Ctrl-C is the parent's to handle."""
+    """A worker is one of several: one thread each, Ctrl-C is the parent's to handle, and its end is theirs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+    # A parent that was killed asks nothing to stop: without this its workers would wait for tasks for ever.
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

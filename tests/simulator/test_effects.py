@@ -149,6 +149,29 @@ def test_switching_an_effect_never_shifts_another_ones_random_numbers(name: str)
     assert [words for words in everything.asked if words not in own] == rest.asked
 
 
+RANDOM = [name for name, effect in EFFECTS.items() if effect.draws]
+
+
+@pytest.mark.parametrize("name", RANDOM)
+def test_datasets_and_recordings_draw_nothing_for_an_effect_that_is_left_out(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of its streams is asked for on the way to a file either; with it they are."""
+    path = tmp_path / "scene.toml"
+    drawn = {}
+    for effects in (without(name), tuple(EFFECTS)):
+        path.write_text(SCENE.format(effects=list(effects)))
+        listening = Listening()
+        for maker in (dataset_writer, record):
+            monkeypatch.setattr(maker, "named_streams", lambda _, heard=listening: heard)
+            maker._renderer.cache_clear()
+        everything(load_scene(path))
+        drawn[effects] = {words[0] for words in listening.asked} & set(EFFECTS[name].draws)
+    for maker in (dataset_writer, record):
+        maker._renderer.cache_clear()
+    assert drawn == {without(name): set(), tuple(EFFECTS): set(EFFECTS[name].draws)}
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_that_is_named_changes_the_picture(name: str) -> None:
     """With all others on, adding it changes bytes, so no name in the list is idle."""

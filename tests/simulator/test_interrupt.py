@@ -41,3 +41,17 @@ def test_an_interrupted_dataset_is_whole_as_far_as_it_goes_and_goes_on(tmp_path:
     resumed = digests(simulate_dataset(scene, cut, presses=12))
     assert len(pictures) < sum(name.endswith(".png") for name in resumed)
     assert resumed == digests(simulate_dataset(scene, tmp_path / "whole", presses=12))
+
+
+def test_a_killed_command_leaves_no_workers_and_no_half_files(tmp_path: Path) -> None:
+    """After SIGKILL its workers end too (they hold its standard error open), and a second run tidies what was cut."""
+    cut = tmp_path / "cut"
+    arguments = ["simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
+    process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < deadline and len(list(cut.rglob("*.png"))) < 6:
+        time.sleep(0.02)
+    process.kill()
+    process.communicate(timeout=30)
+    simulate_dataset(load_scene("small"), cut, presses=12)
+    assert [path.name for path in cut.rglob(".*")] == []
