@@ -30,6 +30,9 @@ def evaluate(
 
     if not 0 < limit <= 1:
         raise ConfigError(f"--limit is a false-positive rate in (0, 1], found {limit}")
+    for path in (json, sheet):
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            raise ConfigError(f"'{path}' cannot be written: name a file in a folder that exists")
     evaluation = evaluate_bundle(
         bundle,
         dataset,

@@ -155,3 +155,24 @@ def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
         write_atomically(tmp_path / "nowhere" / "out.json", b"{}")
     write_atomically(tmp_path / "out.json", b"{}")
     assert [p.name for p in tmp_path.iterdir()] == ["out.json"]
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_scored(
+    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that is not there is told at once, not after minutes of scoring."""
+    words = [
+        "gelgate",
+        "evaluate",
+        str(bundle(tmp_path)),
+        str(dataset),
+        "--json",
+        str(tmp_path / "no" / "x.json"),
+    ]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 3
+    told = capsys.readouterr().err
+    assert "name a file in a folder that exists" in told
+    assert "scoring presses" not in told
