@@ -37,19 +37,22 @@ class CopyNoise:
 
 @dataclass(frozen=True)
 class PressLift:
-    """How images become a sequence: frames per second, and how many frames a lift and a press last."""
+    """How images become a sequence: frames per second, and how many frames a lift and a press last.
+
+    lead_frames: how many more the first lift has, in which a gateway learns the free gel.
+    """
 
     fps: float = 18.75
+    lead_frames: int = 0
     free_frames: int = 20
     press_frames: int = 12
     number_copies: bool = False
     noise: CopyNoise | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.fps < 1000 or self.free_frames < 0 or self.press_frames < 1:
+        if not 0 < self.fps < 1000 or min(self.free_frames, self.lead_frames) < 0 or self.press_frames < 1:
             raise ValueError(
-                f"fps is positive, free_frames at least 0 and press_frames at least 1, found {self.fps}, "
-                f"{self.free_frames} and {self.press_frames}"
+                f"fps is positive, lead_frames and free_frames at least 0, press_frames at least 1, found {self}"
             )
 
 
@@ -101,7 +104,8 @@ def _shots(presses: Sequence[Path], reference: Path | None, plan: PressLift) -> 
     """Lift, press, lift, press, ..., lift."""
     for number, press in enumerate(presses):
         if reference is not None:
-            yield _Shot("free", None, reference, plan.free_frames)
+            lead_frames = 0 if number else plan.lead_frames
+            yield _Shot("free", None, reference, lead_frames + plan.free_frames)
         yield _Shot("press", number, press, plan.press_frames)
     if reference is not None:
         yield _Shot("free", None, reference, plan.free_frames)

@@ -23,6 +23,10 @@ Pattern = Annotated[str, typer.Option(help="Which files of that folder, such as 
 Reference = Annotated[Path | None, typer.Option(help="The image without contact, shown between the presses.")]
 Fps = Annotated[float, typer.Option(min=0.1, max=999, help="Frames per second of the recording from images.")]
 Free = Annotated[int, typer.Option("--repeat-free", min=0, help="Frames of every lift.")]
+Lead = Annotated[
+    int,
+    typer.Option("--lead", min=0, help="More frames of the first lift, in which the free gel is learnt."),
+]
 Press = Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of every press.")]
 Number = Annotated[
     bool,
@@ -47,6 +51,7 @@ def record(
     pattern: Pattern = "**/*",
     reference: Reference = None,
     fps: Fps = 18.75,
+    lead: Lead = 20,
     repeat_free: Free = 20,
     repeat_press: Press = 12,
     number_copies: Number = False,
@@ -76,7 +81,12 @@ def record(
     ]
     try:
         plan = PressLift(
-            fps, repeat_free, repeat_press, number_copies, CopyNoise(noise, seed) if noise else None
+            fps=fps,
+            lead_frames=lead,
+            free_frames=repeat_free,
+            press_frames=repeat_press,
+            number_copies=number_copies,
+            noise=CopyNoise(noise, seed) if noise else None,
         )
     except ValueError as error:
         raise ConfigError(str(error)) from error

@@ -48,7 +48,7 @@ class UsbMockOptions(BaseModel):
         default=1.0,
         ge=0,
         description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
-        "frames are read",
+        "frames are read; contact is told in seconds, so a fast film may be too short to learn the free gel",
     )
     loop: bool = Field(default=False, description="start over at the end")
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(

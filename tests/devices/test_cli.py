@@ -87,11 +87,11 @@ def test_record_from_images(tmp_path: Path) -> None:
     images.mkdir()
     for seed, name in enumerate(("free", "a", "b")):
         (images / f"{name}.jpg").write_bytes(jpeg(seed))
-    reference = ["--reference", images / "free.jpg", "--repeat-free", 2, "--repeat-press", 1]
+    reference = ["--reference", images / "free.jpg", "--lead", 1, "--repeat-free", 2, "--repeat-press", 1]
     said = run("record", tmp_path / "r", "--from-images", images, *reference)
-    assert "8 frames, 2 presses" in said
+    assert "9 frames, 2 presses" in said
     states = [frame.label["state"] for frame in Recording.open(tmp_path / "r") if frame.label]
-    assert "".join(state[0] for state in states) == "ffpffpff"
+    assert "".join(state[0] for state in states) == "fffpffpff"
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,13 @@ def test_lift_press_lift_press_lift(tmp_path: Path) -> None:
     assert recording[9].label == {"state": "press", "press": 1, "source": "press1.jpg", "copy": 2}
 
 
+def test_the_first_lift_is_longer_by_the_lead(tmp_path: Path) -> None:
+    """A gateway learns the free gel from it; the later lifts stay as they are."""
+    recording = make(tmp_path, PressLift(lead_frames=4, free_frames=1, press_frames=1))
+    states = [frame.label["state"] for frame in recording if frame.label]
+    assert states == ["free"] * 5 + ["press", "free", "press", "free"]
+
+
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 def test_bytes_are_untouched(tmp_path: Path, suffix: str) -> None:
     """Without being asked, every frame is the file's own bytes, copies too."""

@@ -2,16 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from tiny import TINY, tiny_trunk
 
-from calibration.backbones import open_trunk
+from calibration.backbones import Trunk
 from calibration.fit import Recipe, fit_bundle
 from calibration.presses import read_presses
-from edge import registry
 from edge.core.profiles import profile
 from edge.core.region import Region
 from edge.recording import RecordingHeader, RecordingWriter
@@ -32,15 +33,19 @@ class Motion:
 
 def gel(rng: np.random.Generator, depth: float = 0.0, dent: bool = False) -> NDArray[np.uint8]:
     """A BGR frame: a smooth gel, a ribbed part pressed into it by `depth` (0 to 1), sensor noise of sd 2."""
+    clean = _clean(depth, dent)
+    return np.clip(clean + 2 * rng.standard_normal(clean.shape, np.float32), 0, 255).astype(np.uint8)
+
+
+@cache
+def _clean(depth: float, dent: bool) -> NDArray[np.float32]:
     y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]].astype(np.float32)
     frame = np.stack([120 + 0.1 * y, 130 - 0.05 * x, 110 - 0.1 * y], axis=2)
     inside = ((x - 160) / 70) ** 2 + ((y - 120) / 80) ** 2 < 1
     ribs = 60 * depth * np.sin(y / 3.0) * inside
     if dent:
         ribs = np.where((x - 150) ** 2 + (y - 100) ** 2 < 14**2, -40 * depth, ribs)
-    frame += ribs[..., None] * np.array([1.0, 0.4, -1.0])
-    frame += rng.normal(0, 2, frame.shape)
-    return np.clip(frame, 0, 255).astype(np.uint8)
+    return frame + ribs[..., None] * np.array([1.0, 0.4, -1.0], np.float32)
 
 
 def jpeg(frame: NDArray[np.uint8]) -> bytes:
@@ -65,12 +70,11 @@ def press_recording(
 
 
 def small_bundle(folder: Path, nominal: Path) -> Path:
-    """A PaDiM bundle fitted on a recording, with the smallest feature grid."""
-    detector, sensor = registry.load("detectors", "padim"), profile("cropped_lr")
-    trunk = open_trunk("random_resnet18", detector.taps(detector.parameters()))
-    recipe = Recipe("PZ0", "pos1", sensor, Region.centre(sensor.size), detector, trunk, alpha=0.1)
-    presses = read_presses([nominal], sensor, recipe.region)
-    return fit_bundle(folder, presses, recipe, created="2026-01-01")
+    """A bundle fitted on a recording with the smallest detector: what is tested is everything around it."""
+    sensor = profile("cropped_lr")
+    region = Region.centre(sensor.size)
+    recipe = Recipe("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=0.1)
+    return fit_bundle(folder, read_presses([nominal], sensor, region), recipe, created="2026-01-01")
 
 
 CONFIG = """

@@ -1,0 +1,116 @@
+"""The main job on real GelSight Mini frames: recorded, learnt, pressed on the virtual sensor, published.
+
+One ball at many places is no fixtured part, so what is asked of the verdicts is coarse; what is asked of the presses is
+exact: each is seen once, counted once and has its picture.
+"""
+
+import json
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from station import JSONL, station_config
+
+from calibration.backbones import open_trunk
+from calibration.fit import Recipe, fit_bundle
+from calibration.presses import read_presses
+from edge import registry
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.profiles import profile
+from edge.core.region import Region
+from edge.gateway import Gateway
+from edge.press_images import CopyNoise, PressLift, record_images
+from edge.presses import PressReport
+from edge.store import Store
+
+PROFILE = profile("cropped_lr")
+REGION = Region.centre(PROFILE.size)
+NOMINAL, TESTED = range(24), range(24, 30)
+# A thread of another part, pressed on another unit of the sensor.
+STRANGER = "RavenLiang1005__UniCal/GelSight"
+
+
+@pytest.fixture(scope="module")
+def unit(real_tactile: Path) -> Path:
+    return real_tactile / "rpl-cmu__gelslam"
+
+
+@pytest.fixture(scope="module")
+def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording."""
+    folder = tmp_path_factory.mktemp("real")
+    detector = registry.load("detectors", "padim")
+    trunk = open_trunk("random_resnet18", detector.taps(detector.parameters()))
+    nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
+    presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
+    bundle = fit_bundle(
+        folder / "ball",
+        presses,
+        Recipe("ball", "any", PROFILE, REGION, detector, trunk, folds=2),
+        created="test",
+    )
+    tested = [unit / "6.310mm" / str(k) / "gelsight.png" for k in TESTED]
+    plan = PressLift(lead_frames=20, free_frames=12, press_frames=10, noise=CopyNoise(1.5, seed=1))
+    record_images(
+        folder / "presses",
+        [*tested, _thread_on_this_unit(unit, real_tactile, folder / "thread.png")],
+        unit / "background.png",
+        plan,
+        product="GelSight Mini R0B 2BNN-4ZE7",
+        serial="2BNN4ZE7",
+        profile=PROFILE.name,
+    )
+    return station_config(
+        folder / "station", folder / "presses", bundle, sinks=JSONL % (folder / "station/out")
+    )
+
+
+def _thread_on_this_unit(unit: Path, real_tactile: Path, path: Path) -> Path:
+    """The thread's imprint, as what it adds to its own picture's smooth light, on this unit's free gel."""
+    thread = cv2.imread(str(sorted((real_tactile / STRANGER).glob("*.png"))[0]))
+    free = cv2.imread(str(unit / "background.png"))
+    assert thread is not None
+    assert free is not None
+    thread = cv2.resize(thread, PROFILE.size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    imprint = thread - cv2.GaussianBlur(thread, (0, 0), 25)
+    cv2.imwrite(str(path), np.clip(free + imprint, 0, 255).astype(np.uint8))
+    return path
+
+
+@pytest.fixture(scope="module")
+def reports(station: Path) -> list[PressReport]:
+    found: list[PressReport] = []
+    with Gateway.open(load_config(station), SystemClock(), found.append) as gateway:
+        gateway.run(threading.Event())
+    return found
+
+
+def test_every_real_press_is_seen_and_counted_once(station: Path, reports: list[PressReport]) -> None:
+    """Seven presses, seven results, seven on the gel, seven pictures."""
+    presses = len(TESTED) + 1
+    lines = [json.loads(line) for line in (station.parent / "out/messages.jsonl").read_text().splitlines()]
+    with Store(station.parent / "gelgate.db") as store:
+        (gel,) = store.gels()
+
+    assert len(reports) == gel.presses == presses
+    assert len({line["payload"]["press_id"] for line in lines if line["topic"] == "result"}) == presses
+    assert len(list((station.parent / "out/heatmap").glob("*.png"))) == presses
+
+
+def test_other_presses_of_the_ball_pass(reports: list[PressReport]) -> None:
+    """Six presses at places that the bank may not have seen: at most two alarms."""
+    verdicts = [report.result.verdict for report in reports[: len(TESTED)]]
+
+    assert sum(verdict != "pass" for verdict in verdicts) <= 2
+
+
+def test_the_thread_is_no_pass_and_scores_highest(reports: list[PressReport]) -> None:
+    """Another part: refused by its score, or by where and how much it touches."""
+    *balls, thread = (report.result for report in reports)
+
+    assert thread.verdict in ("fail", "rejected")
+    if thread.score is not None:
+        assert thread.score > max(ball.score or 0.0 for ball in balls)
