@@ -342,7 +342,9 @@ class Gateway:
 
         def triggered() -> Mapping[str, Any]:
             taker = self._known_taker()
-            self._record_all(taker.trigger())
+            refusal = taker.trigger()
+            if refusal is not None:
+                raise ValueError(refusal)
             return {"state": taker.tracker.state.value}
 
         return self._requests.ask(triggered)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from edge.core.decode import decode_view
 from edge.core.errors import FrameCorrupt
-from edge.core.events import Event, PressNotSettled, PressSettled, TriggerWithoutContact
+from edge.core.events import Event, PressNotSettled, PressSettled, TriggerRepeated, TriggerWithoutContact
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.quality import Reason, Rejection
@@ -141,9 +141,17 @@ class PressTaker:
         """The stream was interrupted."""
         return self._told(self.tracker.gap())
 
-    def trigger(self) -> list[Inspection]:
-        """A verdict is asked for now."""
-        return self._told(self.tracker.trigger())
+    def trigger(self) -> str | None:
+        """A verdict is asked for now; gives why there will be none, or None."""
+        refusal = None
+        for event in self.tracker.trigger():
+            self._on_event(event)
+            match event:
+                case TriggerWithoutContact():
+                    refusal = f"nothing presses the gel ({event.state.value}); trigger while the part is held"
+                case TriggerRepeated():
+                    refusal = f"this press has its verdict ({event.state.value}); lift and press again"
+        return refusal
 
     def relearn(self) -> list[Inspection]:
         """Learn the free gel anew."""
@@ -160,8 +168,6 @@ class PressTaker:
                     text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
                     rejected = Verdict.rejected(Rejection(Reason.NOT_SETTLED, text))
                     inspections.append(Inspection(rejected))
-                case TriggerWithoutContact():
-                    pass  # answered to the asker; nothing pressed, so nothing is counted
         return inspections
 
     def _judged(self, event: PressSettled) -> Inspection:

@@ -189,6 +189,7 @@ COMMANDS = Commands(
     {
         "ping": lambda arguments: {"echo": arguments.get("text")},
         "refuse": lambda arguments: (_ for _ in ()).throw(ConfigError("no bundle is named 'x'")),
+        "break": lambda arguments: {"number": 1 / 0},
     },
     SystemClock(),
 )
@@ -199,8 +200,15 @@ COMMANDS = Commands(
     [
         ("ping", b'{"transaction":"7","arguments":{"text":"hi"}}', "7", "ok", ""),
         ("ping", b'{"transaction":"7"}', "7", "ok", ""),
-        ("pong", b'{"transaction":"7"}', "7", "error", "no command is named 'pong'; known: ping, refuse"),
+        (
+            "pong",
+            b'{"transaction":"7"}',
+            "7",
+            "error",
+            "no command is named 'pong'; known: break, ping, refuse",
+        ),
         ("refuse", b'{"transaction":"7"}', "7", "error", "no bundle is named 'x'"),
+        ("break", b'{"transaction":"7"}', "7", "error", "it failed inside"),
         ("ping", b"not json", None, "error", "docs/mqtt.md"),
         ("ping", b'{"arguments":{}}', None, "error", "transaction: Field required"),
         ("ping", b'{"transaction":7}', None, "error", "transaction"),

@@ -1,12 +1,12 @@
 """A gateway process that dies without a word at its n-th write after the first press settled.
 
-Run as a program: `killed_gateway.py CONFIG N`; N = 0 lives. Prints how many writes there were.
+`main(config, n)` is a process's whole life; n = 0 lives. How many writes there were is left in `writes` beside the
+configuration.
 """
 
 import logging
 import os
 import sqlite3
-import sys
 import threading
 from pathlib import Path
 
@@ -49,8 +49,4 @@ def main(config: Path, deadly: int) -> None:
     sqlite3.connect = traced  # type: ignore[assignment]
     with Gateway.open(load_config(config), SystemClock()) as gateway:
         gateway.run(threading.Event())
-    print(deadline.writes)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    (config.parent / "writes").write_text(str(deadline.writes))

@@ -84,6 +84,7 @@ plugin = "usb_mock"
 options = {{ recording = "{recording}", pace = {pace}, faults = {faults}, loop = {loop} }}
 [inspection]
 bundle = "{bundle}"
+trigger = "{trigger}"
 [store]
 path = "gelgate.db"
 {sinks}
@@ -101,6 +102,7 @@ def station_config(
     faults: Sequence[str] = (),
     loop: bool = False,
     sinks: str = "",
+    trigger: str = "automatic",
 ) -> Path:
     """Write `gelgate.toml` into the folder; messages go to `out/` beside it unless `sinks` says otherwise."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,6 +113,7 @@ def station_config(
         pace=pace,
         faults=list(faults),
         loop=str(loop).lower(),
+        trigger=trigger,
         sinks=sinks or JSONL % (folder / "out"),
     )
     path.write_text(text.replace("'", '"'), encoding="utf-8")
