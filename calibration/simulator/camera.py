@@ -95,7 +95,7 @@ def motion_blur(planes: F32, velocity_mm_s: tuple[float, float], field: Field) -
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     for t in np.linspace(-0.5, 0.5, 4 * reach + 1):
         kernel += np.maximum(1 - np.abs(column - t * dx), 0) * np.maximum(1 - np.abs(row - t * dy), 0)
-    kernel /= kernel.sum()
+    kernel /= np.float32(kernel.sum(dtype=np.float64))
     for plane in planes:
         plane[:] = cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_REPLICATE)
     return planes

@@ -233,15 +233,22 @@ def random_look(rng: np.random.Generator) -> Look:
 
 def background(look: Look, over: Field) -> F32:
     """The untouched gel, float32 (3, h, w), grey levels 0 to 255."""
-    u, v = unit_grids(over)
+    u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
     powers = [(i, j) for i in range(5) for j in range(5 - i)]
-    terms = np.stack([u**i * v**j for i, j in powers]).astype(np.float64)
-    return steady.exp(np.tensordot(look.free_gel, terms, axes=1))
+    return steady.exp(steady.combined(look.free_gel, [_power(u, i) * _power(v, j) for i, j in powers]))
+
+
+def _power(x: F64, exponent: int) -> F64:
+    """x to a small whole power by products, which round alike on every processor; NumPy's power does not."""
+    product = np.ones_like(x)
+    for _ in range(exponent):
+        product = product * x
+    return product
 
 
 def response(look: Look, over: Field) -> F32:
     """Grey levels per nx and per ny, float32 (3, 2, h, w): the lights fall off across the gel."""
-    u, v = unit_grids(over)
-    terms = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v]).astype(np.float64)
-    table = look.slope_response[:, :12].reshape(3, 2, 6)
-    return np.asarray(np.tensordot(table, terms, axes=1), dtype=np.float32)
+    u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
+    table = look.slope_response[:, :12].reshape(6, 6)
+    combined = steady.combined(table, [np.ones_like(u), u, v, u * u, v * v, u * v])
+    return combined.astype(np.float32).reshape(3, 2, *over.shape)

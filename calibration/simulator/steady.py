@@ -5,14 +5,14 @@ Elementary functions are therefore evaluated in float64, whose last bit is lost 
 choice is switched off while files are made (measured: no slower at these sizes, since its baseline is vectorised too).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["arcsin", "arctan2", "cos", "exp", "power", "sin", "steady_opencv", "tanh"]
+__all__ = ["arcsin", "arctan2", "combined", "cos", "exp", "power", "sin", "steady_opencv", "tanh"]
 
 F32 = NDArray[np.float32]
 
@@ -54,6 +54,18 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> F32:
 def power(x: ArrayLike, exponent: float) -> F32:
     """x, not negative, to a power, float32."""
     return np.power(_f64(x), exponent).astype(np.float32)
+
+
+def combined(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Each row's weighted sum of the terms, float64 (rows, h, w), added in their order.
+
+    A matrix product would leave order and rounding to the BLAS library's choice for the processor.
+    """
+    sums = np.zeros((table.shape[0], *terms[0].shape))
+    for row, weights in zip(sums, table.tolist(), strict=True):
+        for weight, term in zip(weights, terms, strict=True):
+            row += weight * term
+    return sums
 
 
 @contextmanager

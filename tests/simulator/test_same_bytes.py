@@ -7,7 +7,10 @@ import sys
 import pytest
 
 SCRIPT = """
-import hashlib, sys
+import hashlib, sys, tempfile
+from pathlib import Path
+from calibration.scene import load_scene
+from calibration.simulate import simulate_dataset, simulate_recording
 from calibration.simulator import EFFECTS, LR, PARTS, Renderer, named_streams, native_field
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.defects import Damaged, Defect
@@ -24,6 +27,11 @@ with steady_opencv():
     for number in range(6):
         stream = named_streams(number)
         total.update(Renderer(LR, tuple(EFFECTS), streams=stream).press(random_part(stream("part")), 0.4).tobytes())
+with tempfile.TemporaryDirectory() as folder:
+    simulate_dataset(load_scene("small"), Path(folder) / "set", presses=1)
+    simulate_recording(load_scene("demo"), Path(folder) / "run", presses=1)
+    for path in sorted(Path(folder).rglob("*.*")):
+        total.update(path.read_bytes() if path.is_file() else b"")
 sys.stdout.write(total.hexdigest())
 """
 
@@ -58,5 +66,5 @@ def usual() -> str:
     ids=["opencv", "numpy"],
 )
 def test_fewer_vector_instructions_give_the_same_pictures(usual: str, settings: dict[str, str]) -> None:
-    """Every effect on every part, damaged and random ones: one digest, with and without the wide instructions."""
+    """Every effect on every part, damaged and random ones, and files: one digest with and without them."""
     assert usual == digest(**settings)
