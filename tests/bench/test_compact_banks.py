@@ -1,10 +1,12 @@
 """What compact storage costs: AU-PRO up to 1 % false positives with the bank as stored, as computed, and whole.
 
-Run with `pytest tests/bench/test_compact_banks.py -m bench -s`. Budget: within 0.005 of the whole bank, 16 MB at 224.
+Run with `pytest tests/bench/test_compact_banks.py -m bench -s`; GELGATE_BENCH_BACKBONE names another backbone than
+random_resnet18, installed or a trunk's file. Budget: within 0.005 of the whole bank, 16 MB at 224.
 `whole` is the same method without what makes its bank small: full rank, all channels, all rows, float32. Two simulated
 parts are pressed by hand-like jitter; the maps are the oracle's, so that nothing but the bank differs.
 """
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from presses import stored as stored_bank
 
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.dataset import Press, open_dataset
 from calibration.features import extract, trunk_grid
 from calibration.metrics import aupro
@@ -22,8 +25,6 @@ from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.region import Region
 from edge.packing import pack
 from edge.runtime import open_session
-from plugins.backbones.random import random_state
-from plugins.backbones.resnet import build_trunk
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
@@ -33,7 +34,8 @@ from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 
-TAPS = ("layer1", "layer2", "layer3", "avgpool")
+BACKBONE = os.environ.get("GELGATE_BENCH_BACKBONE", DEFAULT_BACKBONE)
+TAPS = ("layer1", "layer2", "layer3")
 REGION = Region(48, 8, 224, 224)
 SOUND, DEFECTIVE, HELD_OUT = 30, 12, 10
 SPECIMENS = 4
@@ -53,7 +55,7 @@ def pressed(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Callable[[str], tuple[Features, Grid, list[np.ndarray]]]:
     """Features of the nominal, the held-out and the defective presses, in this order; masks of all but the nominal."""
-    session = open_session(build_trunk(random_state("resnet18"), "resnet18", TAPS), 1, "trunk")
+    session = open_session(open_trunk(BACKBONE, TAPS).graph, 1, BACKBONE)
     grid = trunk_grid(session, TAPS, (224, 224), 15.77)
     known: dict[str, tuple[Features, Grid, list[np.ndarray]]] = {}
 

@@ -1,0 +1,67 @@
+"""What a fit costs beside the features that it is made from, in processor time: the bank, and the threshold's folds.
+
+Run with one thread: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 pytest tests/bench/test_fit.py -m bench -s`. Budget: the
+bank takes at most twice the time of extracting the features. The folds are as many banks again, each on four fifths.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.features import extract, trunk_grid
+from edge import registry
+from edge.core.detector import Features, Grid, Nominal
+from edge.runtime import open_session
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+
+pytestmark = pytest.mark.bench
+
+METHODS = ("padim", "subspace", "spade", "fapm", "inreach", "patchcore")
+TAPS = ("layer1", "layer2", "layer3")
+FOLDS = 5
+
+
+def spent(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of the process's own time, and the result."""
+    start = time.process_time()
+    result = work()
+    return time.process_time() - start, result
+
+
+def frames(n: int) -> np.ndarray:
+    """Smooth pictures that differ a little from press to press, uint8 (n, 224, 224, 3)."""
+    rng = np.random.default_rng(0)
+    each = rng.integers(60, 200, (14, 14, 3)) + rng.normal(0, 6, (n, 14, 14, 3))
+    large = np.stack(
+        [cv2.resize(p.astype(np.float32), (224, 224), interpolation=cv2.INTER_CUBIC) for p in each]
+    )
+    rgb: np.ndarray = np.clip(large + rng.normal(0, 1.5, large.shape), 0, 255).astype(np.uint8)
+    return rgb
+
+
+@pytest.mark.parametrize(("name", "presses"), [("resnet18", 40), ("wide_resnet50_2", 20)])
+def test_fit_beside_extraction(name: str, presses: int) -> None:
+    """Prints one line per method at its default: all cells touched, the most that a fit can have to do."""
+    session = open_session(build_trunk(random_state(name), name, TAPS), 1, "trunk")
+    grid = trunk_grid(session, TAPS, (224, 224), 15.77)
+    extraction, features = spent(lambda: extract(session, frames(presses), grid, lambda done: None))
+    print(f"\n{name}, {presses} presses: features {extraction:.2f} s of processor time")
+    for method in METHODS:
+        detector = registry.load("detectors", method)
+        alone = spent(lambda detector=detector: fit(detector, features, grid))[0]  # type: ignore[misc]
+        less = {tap: maps[: presses - presses // FOLDS] for tap, maps in features.items()}
+        fold = spent(lambda detector=detector, less=less: fit(detector, less, grid))[0]  # type: ignore[misc]
+        print(
+            f"  {method:10s} bank {alone:6.2f} s = {alone / extraction:5.2f} x features;  "
+            f"with {FOLDS} folds {(alone + FOLDS * fold) / extraction:6.2f} x"
+        )
+
+
+def fit(detector: Any, features: Features, grid: Grid) -> Any:
+    rng = np.random.default_rng(0)
+    return detector.fit(Nominal(features), grid, detector.parameters(), rng, lambda done: None)
