@@ -13,7 +13,7 @@ covariance's diagonal. Measured by us in float64: fit by the Gram matrix and exp
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import choose, require_fittable, require_scorable
+from plugins.detectors.choices import bank_bytes, choose, require_fittable, require_scorable
 from plugins.detectors.maths.embedding import (
     Embedded,
     Embedding,
@@ -32,6 +32,7 @@ from plugins.detectors.maths.embedding import (
     touched_cells,
 )
 from plugins.detectors.maths.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
+from plugins.detectors.maths.mosaic import stepped
 from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, emit_scores
 from plugins.graph import Graph, Value
 
@@ -58,7 +59,8 @@ class PadimParameters:
     is_ridge_twice: add it again at prediction, as the seed paper's scripts do. rank: directions kept per location
     (None: all, exact). neighbours: 0, or 1 to fit each location on its 3x3 neighbourhood (tolerates small shifts).
     sigma: the blur, in `sigma_unit`. is_touched_only: cells that no press touches (within margin_mm) share one
-    Gaussian. is_sampled: see EmbeddingChoice. packing: of the eigenvectors.
+    Gaussian. is_sampled: see EmbeddingChoice. packing: of the eigenvectors. bank_mb: a stated rank is lowered until
+    the bank has at most this many megabytes as stored at 224x224, up to four times as many for larger frames.
     """
 
     mode: Mode = "corrected"
@@ -77,6 +79,7 @@ class PadimParameters:
     sigma: float = SIGMA_MM
     sigma_unit: Literal["mm", "px"] = "mm"
     packing: Packing = "int8"
+    bank_mb: float | None = 16.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.ridge) and self.ridge > 0):
@@ -87,6 +90,8 @@ class PadimParameters:
             raise ValueError(f"neighbours is 0 or 1 (a 3x3 neighbourhood), found {self.neighbours}")
         if not self.sigma >= 0 or not self.margin_mm >= 0:
             raise ValueError(f"sigma and margin_mm are at least 0, found {self.sigma} and {self.margin_mm}")
+        if self.bank_mb is not None and not self.bank_mb > 0:
+            raise ValueError(f"bank_mb is a positive number, or None for no limit, found {self.bank_mb}")
         if self.sigma_unit not in ("mm", "px") or self.packing not in ("none", "float16", "int8"):
             raise ValueError(
                 f"sigma_unit is mm or px and packing none, float16 or int8, found {self.sigma_unit}, {self.packing}"
@@ -126,6 +131,7 @@ PAPER = PadimParameters(
     sigma=PAPER_SIGMA_PX,
     sigma_unit="px",
     packing="none",
+    bank_mb=None,
 )
 
 
@@ -162,7 +168,8 @@ class Padim:
         embedding = learn_embedding(parameters.embedding, grid, nominal, touched, rng)
         locations, elsewhere = np.flatnonzero(touched), np.flatnonzero(~touched)
         descriptors = embedding.numpy(nominal.features, np.float32)
-        local = _fit_local(descriptors, locations, parameters, progress)
+        affordable = _affordable(embedding, len(locations), grid, parameters)
+        local = _fit_local(descriptors, locations, replace(parameters, rank=affordable), progress)
         shared = _fit_shared(embedding, descriptors, nominal, elsewhere, parameters)
         mean = np.empty((embedding.count, embedding.width), np.float32)
         mean[locations], mean[elsewhere] = local.pop("mean"), shared.pop("mean")
@@ -231,6 +238,18 @@ class Padim:
 padim = Padim()
 
 
+def _affordable(embedding: Embedding, locations: int, grid: Grid, parameters: PadimParameters) -> int | None:
+    """The rank asked for, or the largest with which the bank stays within its megabytes; at least 1."""
+    if parameters.rank is None or parameters.bank_mb is None:
+        return parameters.rank
+    itemsize = {"none": 4, "float16": 2, "int8": 1}[parameters.packing]
+    # Besides a direction's components: its weight, and with int8 its scale, float32 each.
+    direction = locations * (embedding.width * itemsize + 4 + 4 * (parameters.packing == "int8"))
+    means = embedding.count * embedding.width * (4 if parameters.packing == "none" else 2)
+    left = bank_bytes(parameters.bank_mb, grid) - means
+    return max(1, min(parameters.rank, left // direction))
+
+
 def _fit_local(
     descriptors: Embedded, locations: NDArray[np.int64], parameters: PadimParameters, progress: Progress
 ) -> dict[str, NDArray[np.float32]]:
@@ -260,8 +279,8 @@ def _of_neighbours(descriptors: Embedded, cells: NDArray[np.int64], rank: int | 
     """
     (rows, columns), tiles = descriptors.embedding.cells, descriptors.embedding.grid.tiles
     down, right = (1, 1) if tiles is None else (len(tiles.rows), len(tiles.columns))
-    near_rows = [_within(cells // columns, step, rows // down) for step in (-1, 0, 1)]
-    near_columns = [_within(cells % columns, step, columns // right) for step in (-1, 0, 1)]
+    near_rows = [stepped(cells // columns, step, rows // down) for step in (-1, 0, 1)]
+    near_columns = [stepped(cells % columns, step, columns // right) for step in (-1, 0, 1)]
     nine = np.stack([row * columns + column for row in near_rows for column in near_columns], axis=1)
     needed, place = np.unique(nine, return_inverse=True)
     place = place.reshape(nine.shape)
@@ -277,12 +296,6 @@ def _of_neighbours(descriptors: Embedded, cells: NDArray[np.int64], rank: int | 
         scatter += scatters[column]
     most = min(samples - 1, width)
     return covariance_spectrum(mean, scatter / (samples - 1), most if rank is None else min(rank, most))
-
-
-def _within(index: NDArray[np.int64], step: int, period: int) -> NDArray[np.int64]:
-    """index + step, held within the index's own stretch of `period`."""
-    first = index // period * period
-    return np.clip(index + step, first, first + period - 1)
 
 
 def _fit_shared(
@@ -368,6 +381,12 @@ def _facts(
     warnings = []
     if nominal.presses == 1:
         warnings.append("a single nominal press has no covariance: every deviation counts alike")
+    affordable = _affordable(embedding, len(arrays["basis"]), embedding.grid, parameters)
+    if affordable is not None and arrays["basis"].shape[1] == affordable < (parameters.rank or 0):
+        warnings.append(
+            f"{affordable} directions per place instead of {parameters.rank} keep the bank within "
+            f"{bank_bytes(parameters.bank_mb or 0, embedding.grid) / 1e6:.0f} MB"
+        )
     return {
         "presses": nominal.presses,
         "channels": embedding.width,

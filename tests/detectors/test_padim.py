@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
+from edge.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 from plugins.detectors.maths.smoothing import smoothing_matrix
@@ -111,6 +112,26 @@ def test_stored_banks_stay_within_their_bound(packing: str, bound: float) -> Non
     assert largest_error(head_scores(padim, parameters, QUERY, stored(bank)), oracle) < bound
     assert bank.packing["basis"] == packing
     assert bank.packing["mean"] == "float16"
+
+
+@pytest.mark.parametrize("packing", ["none", "float16", "int8"])
+def test_the_bank_stays_within_its_megabytes(packing: str) -> None:
+    """The rank asked for is lowered until everything stored fits, and the manifest is told; the graph is unmoved."""
+    parameters = padim.parameters(packing=packing, bank_mb=0.012)
+    bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
+    size = 0
+    for name, array in bank.arrays.items():
+        packed = pack(array, bank.packing.get(name, "none"))
+        size += packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes)
+    projections = sum(array.nbytes for name, array in bank.arrays.items() if name.startswith("projection_"))
+    assert size - projections <= 12_000
+    assert 2 < bank.facts["rank"] < 20
+    assert any("directions per place" in warning for warning in bank.facts["warnings"])
+    oracle = padim.reference_score(QUERY, LIKE_RESNET, bank, parameters)
+    assert largest_error(head_scores(padim, parameters, QUERY, bank), oracle) < 2e-6
+    whole = fitted(padim, padim.parameters(packing=packing, bank_mb=None), Nominal(features(30, seed=1)))
+    assert whole.facts["rank"] > bank.facts["rank"]
+    assert whole.facts["warnings"] == []
 
 
 def test_a_press_scores_the_same_alone_and_in_a_batch() -> None:

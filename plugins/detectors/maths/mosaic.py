@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Grid
 from plugins.graph import Graph, Value
 
-__all__ = ["emit_join", "emit_split", "join", "layout", "split", "stacked", "tile_grid"]
+__all__ = ["emit_join", "emit_split", "join", "layout", "split", "stacked", "stepped", "tile_grid"]
 
 
 def layout(grid: Grid) -> tuple[int, int]:
@@ -47,6 +47,12 @@ def join(raw: NDArray[np.float64], grid: Grid) -> NDArray[np.float64]:
     """Distances per tile (n * tiles, h, w) to the mosaic (n, H, W)."""
     (down, across), (_, h, w) = layout(grid), raw.shape
     return raw.reshape(-1, down, across, h, w).transpose(0, 1, 3, 2, 4).reshape(-1, down * h, across * w)
+
+
+def stepped(index: NDArray[np.int64], step: int, period: int) -> NDArray[np.int64]:
+    """Rows or columns of a mosaic, `step` further on but held within their own tile of `period` cells."""
+    first = index // period * period
+    return np.clip(index + step, first, first + period - 1)
 
 
 def emit_split(graph: Graph, maps: Value, shape: tuple[int, int, int], grid: Grid) -> Value:
