@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import shutil
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -84,7 +85,9 @@ def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
     """Whichever write is the last one, no press is lost, doubled or counted twice."""
 
     def config(station: str) -> Path:
-        path = station_config(tmp_path / station, one_press, bundle, pace=2.0, sinks=MQTT % broker.port)
+        # A recording is one sensor, which one process holds at a time.
+        recording = shutil.copytree(one_press, tmp_path / "recordings" / station)
+        path = station_config(tmp_path / station, recording, bundle, pace=2.0, sinks=MQTT % broker.port)
         path.write_text(path.read_text() + f'[station]\nstation = "{station}"\n')
         return path
 
