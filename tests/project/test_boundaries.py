@@ -1,0 +1,57 @@
+"""Who may import whom: the table of docs/architecture.md, held for every import statement of our own packages."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+OURS = ("edge", "plugins", "calibration", "export")
+
+# package -> what it may import of ours besides itself. The longest name that fits a file decides.
+MAY_IMPORT = {
+    "edge.core": (),
+    "edge": ("edge",),
+    "plugins": (),
+    "plugins.detectors": ("edge.core", "plugins.graph"),
+    "plugins.backbones": ("edge.core", "plugins.graph"),
+    "plugins.devices": ("edge.core", "edge.recording", "edge.usb", "edge.clock"),
+    "plugins.sinks": ("edge.core", "edge.mqtt"),
+    "calibration": ("edge", "plugins.detectors", "plugins.backbones", "plugins.graph"),
+    "export": ("edge", "plugins.detectors", "plugins.backbones", "plugins.graph"),
+}
+
+
+def imports(file: Path) -> Iterator[str]:
+    """Every module of ours that the file names, at its top or inside a function."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] in OURS)
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def is_in(module: str, package: str) -> bool:
+    return module == package or module.startswith(package + ".")
+
+
+@pytest.mark.parametrize("package", MAY_IMPORT)
+def test_a_package_imports_what_it_may(package: str) -> None:
+    """Nothing of ours beside itself and the packages of its line."""
+    allowed = (package, *MAY_IMPORT[package])
+    narrower = [other for other in MAY_IMPORT if other != package and is_in(other, package)]
+    files = [
+        file
+        for file in (ROOT / package.replace(".", "/")).rglob("*.py")
+        if not any(is_in(".".join(file.relative_to(ROOT).with_suffix("").parts), other) for other in narrower)
+    ]
+    found = {
+        f"{file.relative_to(ROOT)}: {module}"
+        for file in files
+        for module in imports(file)
+        if not any(is_in(module, one) for one in allowed)
+    }
+
+    assert files
+    assert found == set()
