@@ -109,5 +109,7 @@ def _reachable(table: PluginTable, key: str) -> str:
         raise ConfigError(
             f"the address '{host}' is not known ({error.strerror}); correct {key}.options.host"
         ) from error
+    except UnicodeError as error:
+        raise ConfigError(f"'{host}' cannot be the name of a host; correct {key}.options.host") from error
     except OSError as error:
         return f"{host}:{port} does not answer ({error.strerror or error}); {later}"

@@ -201,7 +201,7 @@ class MqttSink:
                 connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
             for message in self._station.birth():
                 connection.publish(self._outgoing(message))
-        except SinkError:
+        except Exception:
             connection.abandon("its birth failed")
             raise
         return connection
