@@ -12,7 +12,7 @@ from edge.graphcheck import output_names
 
 __all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
 
-DEFAULT_BACKBONE = "random_resnet18"
+DEFAULT_BACKBONE = "tactile_resnet18"
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ _LIMITS = (
     "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
     "threshold on presses of your own sensor.",
     "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
+    "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out "
+    "(foreign_out: the share that scores above every sound held-out press). Tell a wrong sensor by other means.",
     "JPEG compression, motion blur and a gel rim were not drawn in training.",
     "The optical check on pictures of screws, each loss alone, other widths and int8-aware fine-tuning are untried.",
 )
@@ -69,7 +71,8 @@ def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
             "",
             "```",
             *_commands(facts),
-            f"python3 -m calibration.backbone.evaluation --out plugins/backbones random=random_resnet18 trained={NAME}",
+            f"python3 -m calibration.backbone.evaluation --out plugins/backbones random=random_resnet18 trained={NAME} "
+            f"trained_int8={NAME}_int8 --real REAL_FRAMES",
             "python3 -m calibration.backbone.card plugins/backbones --page docs/backbone.md",
             "```",
             "",

@@ -136,7 +136,8 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     columns = dict(zip(_MEASURES, values, strict=True))
     if trial.is_foreign.any():
         share = (scores[trial.is_foreign] > scores[own][~label].max()).mean()
-        columns["foreign_out"] = np.full(len(weights), share)
+        # The foreign frames are a handful that was picked, not drawn: an interval would promise too much.
+        columns["foreign_out"] = np.concatenate([[share], np.full(replicates, np.nan)])
     return columns
 
 

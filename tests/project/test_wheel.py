@@ -39,7 +39,7 @@ def tracked_files(pattern: str) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("pattern", ["*.py", "*.toml", "*.onnx", "py.typed"])
+@pytest.mark.parametrize("pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.md", "py.typed"])
 def test_every_file_of_the_packages_is_in_the_wheel(wheel_names: set[str], pattern: str) -> None:
     """A module or a data file that works from the tree also works when installed."""
     assert tracked_files(pattern) <= wheel_names

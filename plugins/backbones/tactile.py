@@ -1,0 +1,67 @@
+"""The backbone made for touch, as it ships: a ResNet-18 up to layer3, trained by this project on simulated presses.
+
+The graphs and what is known of them lie beside this module; `tactile_resnet18.md` is the model card.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+from edge.core.errors import ConfigError
+from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, TAPS
+
+__all__ = ["TactileBackbone", "tactile_resnet18", "tactile_resnet18_int8"]
+
+_FACTS = "tactile_resnet18.json"
+
+
+@cache
+def _read(file: str) -> bytes:
+    """A file beside this module. Errors: ConfigError when the installation lacks it."""
+    try:
+        return resources.files("plugins.backbones").joinpath(file).read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"the backbone's file '{file}' is missing from this installation ({error.strerror}); install gelgate again"
+        ) from error
+
+
+@dataclass(frozen=True)
+class TactileBackbone:
+    """A backbone under the entry points `gelgate.backbones`, with trained weights.
+
+    name: of the variant, as in the facts.
+    """
+
+    name: str
+    topology: str = "resnet18"
+
+    def facts(self) -> dict[str, object]:
+        """What a manifest records beside the trunk's SHA-256."""
+        known = json.loads(_read(_FACTS))
+        recipe = known["recipe"]
+        return {
+            "topology": self.topology,
+            "weights": (
+                f"trained on simulated presses: {known['trained_steps']} steps, {known['pairs_seen']} pairs of "
+                f"{recipe['side']}x{recipe['side']} frames, seed {recipe['seed']}"
+            ),
+            "mean": list(IMAGENET_MEAN),
+            "std": list(IMAGENET_STD),
+        }
+
+    def trunk(self, taps: Sequence[str] = TAPS) -> bytes:
+        """The serialised trunk; it always gives layer1, layer2 and layer3. Errors: ConfigError for another tap."""
+        missing = [tap for tap in taps if tap not in TAPS]
+        if missing or not taps:
+            raise ConfigError(
+                f"the backbone {self.name} gives {', '.join(TAPS)}, asked for {', '.join(missing) or 'nothing'}; "
+                "choose among them, or another backbone"
+            )
+        return _read(f"{self.name}.onnx")
+
+
+tactile_resnet18 = TactileBackbone("tactile_resnet18")
+tactile_resnet18_int8 = TactileBackbone("tactile_resnet18_int8")

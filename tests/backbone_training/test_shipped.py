@@ -1,0 +1,80 @@
+"""The backbone that ships: its files are those of the facts, it answers as trunks do, and its card is current."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+
+from calibration.backbone.card import card, page
+from calibration.backbone.package import MOST_BYTES
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
+from edge.core.errors import ConfigError
+from plugins.backbones import tactile
+from plugins.backbones.tactile import TactileBackbone, tactile_resnet18, tactile_resnet18_int8
+
+ROOT = Path(__file__).parents[2]
+HOME = ROOT / "plugins" / "backbones"
+FACTS = json.loads((HOME / "tactile_resnet18.json").read_text())
+EVALUATION = json.loads((HOME / "tactile_resnet18_evaluation.json").read_text())
+
+
+def test_it_is_the_default_and_the_file_of_the_facts() -> None:
+    """The product's backbone has the recorded bytes, within the limit, and says how it was trained."""
+    trunk = open_trunk(DEFAULT_BACKBONE)
+    assert trunk.id == tactile_resnet18.name == "tactile_resnet18"
+    recorded = FACTS["variants"]["tactile_resnet18"]
+    assert hashlib.sha256(trunk.graph).hexdigest() == recorded["sha256"]
+    assert len(trunk.graph) == recorded["bytes"] <= MOST_BYTES
+    assert f"{FACTS['trained_steps']} steps" in str(trunk.facts["weights"])
+
+
+@pytest.mark.parametrize("backbone", [tactile_resnet18, tactile_resnet18_int8])
+def test_it_answers_as_every_trunk_does(backbone: TactileBackbone) -> None:
+    """Frames uint8 (n, h, w, 3) to layer1, layer2 and layer3 at strides 4, 8 and 16, positive and finite."""
+    graph = backbone.trunk()
+    assert hashlib.sha256(graph).hexdigest() == FACTS["variants"][backbone.name]["sha256"]
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    frames = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint8)
+    maps = session.run(["layer1", "layer2", "layer3"], {"frames": frames})
+    assert [m.shape for m in maps] == [(2, 64, 16, 24), (2, 128, 8, 12), (2, 256, 4, 6)]
+    assert all(np.isfinite(m).all() and m.min() >= 0 < m.max() for m in maps)
+
+
+def test_other_taps_are_refused() -> None:
+    """What the file does not give is named, with what it does give."""
+    assert tactile_resnet18.trunk(("layer2",)) == tactile_resnet18.trunk()
+    with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, asked for layer4"):
+        tactile_resnet18.trunk(("layer2", "layer4"))
+
+
+def test_a_missing_file_is_a_sentence() -> None:
+    """An installation without the weights says so."""
+    tactile._read.cache_clear()
+    with pytest.raises(ConfigError, match=r"'nowhere\.onnx' is missing from this installation"):
+        TactileBackbone("nowhere").trunk()
+
+
+def test_card_and_page_are_printed_from_the_facts() -> None:
+    """Neither was edited by hand, and both carry the evaluation."""
+    text = card(FACTS, EVALUATION)
+    assert (HOME / "tactile_resnet18.md").read_text() == text
+    assert (ROOT / "docs" / "backbone.md").read_text() == page(HOME)
+    assert "Not evaluated yet" not in text
+
+
+def test_it_is_better_than_random_on_what_it_never_saw() -> None:
+    """In the shipped evaluation every detector has a higher AU-PRO on unseen parts than with random weights, and int8
+    loses less than 0.005 of it.
+    """
+    for title, rows in EVALUATION["sets"].items():
+        if title.startswith("Unseen"):
+            found = {
+                (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"] for row in rows
+            }
+            for (backbone, detector), value in found.items():
+                if backbone == "trained":
+                    assert value > found["random", detector]
+                    assert found["trained_int8", detector] > value - 0.005
