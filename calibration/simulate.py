@@ -36,8 +36,9 @@ def simulate_recording(
     """Write one run of a scene as a recording, and return its folder.
 
     run: the run's name, the first one if not given. presses: in place of the run's own number; damaged presses keep
-    their share. A recording that is already whole is left as it is; equal scene, run and seed give equal bytes.
-    Errors: ConfigError for a scene without runs or an unknown run, RecordingError when the folder holds other things.
+    their share. One that was cut goes on after its last whole press, one that is whole is left as it is; equal scene,
+    run and seed give equal bytes. Errors: ConfigError for a scene without runs or an unknown run, RecordingError when
+    the folder holds other things, StoreError for the disk.
     """
     return record_run(scene, _run(scene, run, presses), folder, seed, workers=workers, progress=progress)
 

@@ -117,7 +117,7 @@ class Recording:
 
 
 class RecordingWriter:
-    """Writes one recording, frame by frame; a context manager.
+    """Writes one recording, frame by frame; a context manager. See `resume` for one that was cut.
 
     Errors: RecordingError when the folder already holds something, StoreError when the disk refuses a frame; what
     was added before stays a sound recording.
@@ -128,12 +128,32 @@ class RecordingWriter:
             raise RecordingError(
                 f"{folder} is not an empty folder; a recording is never written over something else"
             )
+        self._start(folder, header, keep=0, index_end=0)
+
+    @classmethod
+    def resume(cls, folder: Path, header: RecordingHeader, *, keep: int) -> Self:
+        """Go on with a recording that was cut: its first `keep` frames stay, every later frame and line goes.
+
+        With `keep` 0 the folder may lack anything, or hold other files, which stay. Errors: RecordingError, with
+        nothing changed, when there are fewer whole lines or another header; StoreError when the disk refuses.
+        """
+        writer = cls.__new__(cls)
+        writer._start(folder, header, keep, _end_of_kept(folder, header, keep) if keep else 0)
+        return writer
+
+    def _start(self, folder: Path, header: RecordingHeader, keep: int, index_end: int) -> None:
         self._folder = folder
-        self._count = 0
+        self._count = keep
         try:
-            (folder / _FRAMES).mkdir(parents=True)
-            (folder / _HEADER).write_text(_header_text(header), encoding="utf-8")
+            (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
+            if keep == 0:
+                (folder / _HEADER).write_text(_header_text(header), encoding="utf-8")
             self._index = (folder / _INDEX).open("ab", buffering=0)
+            # The lines go before their frames: killed in between, no line is left without its frame.
+            self._index.truncate(index_end)
+            for path in (folder / _FRAMES).glob("[0-9]*.*"):
+                if path.stem.isdecimal() and int(path.stem) >= keep:
+                    path.unlink()
         except OSError as error:
             raise StoreError(
                 f"recording {folder} cannot be started: {error.strerror}; choose another folder"
@@ -249,6 +269,22 @@ def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
         )
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from error
+
+
+def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
+    """Where in the index the first `keep` lines end, in bytes."""
+    found = _read_header(folder)
+    if found != header:
+        raise RecordingError(f"recording {folder} is of {found}, not of {header}; choose another folder")
+    try:
+        lines = (folder / _INDEX).read_bytes().split(b"\n")[:-1]
+    except OSError as error:
+        raise RecordingError(f"{folder / _INDEX} cannot be read: {error.strerror}") from error
+    if len(lines) < keep:
+        raise RecordingError(
+            f"recording {folder} has {len(lines)} whole frames, expected {keep} to go on after"
+        )
+    return sum(len(line) + 1 for line in lines[:keep])
 
 
 def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -24,7 +23,7 @@ from calibration.simulator.steady import steady_opencv
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
-from edge.core.errors import RecordingError
+from edge.core.errors import RecordingError, StoreError
 from edge.recording import Recording, RecordingHeader, RecordingWriter
 
 __all__ = ["FrameOut", "press_frames", "record_run"]
@@ -32,6 +31,8 @@ __all__ = ["FrameOut", "press_frames", "record_run"]
 # Names of a sensor that does not exist, in the maker's pattern.
 _PRODUCT, _SERIAL = "GelSight Mini R0B SIM0-0001", "SIM00001"
 _STAMP = "scene.json"
+# Every JPEG ends with this marker (ITU-T T.81, B.1.1.3: EOI).
+_JPEG_END = b"\xff\xd9"
 
 Label = Mapping[str, object]
 FrameOut = tuple[int, bytes, Label]
@@ -57,23 +58,25 @@ def record_run(
 ) -> Path:
     """Write one run of a scene as a recording in `folder`, and return the folder.
 
-    It is rendered beside its place and moved there when it is whole; a whole recording of the same scene, run and
-    seed is left as it is. Errors: RecordingError when the folder holds anything else.
+    It is rendered beside its place, in `<folder>.part`, and moved there when it is whole. One that was cut goes on
+    after its last whole press; a whole recording of the same scene, run and seed is left as it is. Errors:
+    RecordingError when the folder, or the one beside it, holds anything else, StoreError when the disk refuses.
     """
     stamp = _stamp(scene, run, seed)
     if _is_done(folder, stamp):
         return folder
     beside = folder.with_name(folder.name + ".part")
-    if beside.is_dir() and (beside / "recording.toml").is_file():
-        shutil.rmtree(beside)
+    _claim(beside, stamp)
     tasks = list(_tasks(scene, run, seed))
-    with RecordingWriter(beside, _header(scene)) as writer:
-        for done, frames in enumerate(in_order(_frames, tasks, workers), 1):
+    whole = _whole_frames(beside)
+    # A press is whole when the next one could begin; the free gel after the last press is cheap and made again.
+    kept = sum(following.first_frame <= whole for following in tasks[1:])
+    with RecordingWriter.resume(beside, _header(scene), keep=tasks[kept].first_frame) as writer:
+        for done, frames in enumerate(in_order(_frames, tasks[kept:], workers), kept + 1):
             for time_ns, payload, label in frames:
                 writer.add(payload, time_ns, label)
             if progress is not None:
                 progress(done / len(tasks))
-    (beside / _STAMP).write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
     if folder.is_dir():
         folder.rmdir()
     os.replace(beside, folder)
@@ -86,22 +89,64 @@ def _stamp(scene: Scene, run: Run, seed: int) -> dict[str, object]:
     return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
 
 
+def _found_stamp(folder: Path) -> Mapping[str, object] | None:
+    try:
+        found = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"{folder} is a file, where a folder is expected; choose another name")
     if not folder.exists() or not any(folder.iterdir()):
         return False
-    try:
-        found = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = None
-    if found == stamp:
+    if _found_stamp(folder) == stamp:
         Recording.open(folder)
         return True
     raise RecordingError(
         f"{folder} is not empty and holds no recording of scene '{stamp['scene']}', run '{stamp['run']}', "
         f"seed {stamp['seed']}; choose another folder"
     )
+
+
+def _claim(beside: Path, stamp: Mapping[str, object]) -> None:
+    """See that the unfinished recording is of this stamp, or begin one: the stamp is there before anything else."""
+    found = _found_stamp(beside)
+    if found == stamp:
+        return
+    if found is not None:
+        raise RecordingError(
+            f"{beside} is an unfinished recording of scene '{found.get('scene')}', run '{found.get('run')}', seed "
+            f"{found.get('seed')}, not what is asked for now (scene '{stamp['scene']}', run '{stamp['run']}', seed "
+            f"{stamp['seed']}, and the same settings); finish it with the command that began it, or delete it"
+        )
+    # A fixed name: what was killed while writing its stamp is overwritten.
+    part = beside / f"{_STAMP}.part"
+    if beside.exists() and not (beside.is_dir() and all(path == part for path in beside.iterdir())):
+        raise RecordingError(
+            f"{beside} is no unfinished recording of `gelgate simulate`, which needs this place; move it away"
+        )
+    try:
+        beside.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
+        os.replace(part, beside / _STAMP)
+    except OSError as error:
+        raise StoreError(
+            f"recording {beside} cannot be started: {error.strerror}; choose another folder"
+        ) from error
+
+
+def _whole_frames(beside: Path) -> int:
+    """How many frames from the first on are sound; none where the recording cannot be read."""
+    try:
+        frames = Recording.open(beside)
+    except RecordingError:
+        return 0
+    # After a power cut a line may be there whose picture never reached the disk.
+    cut = (k for k, frame in enumerate(frames) if not frame.frame.payload.endswith(_JPEG_END))
+    return next(cut, len(frames))
 
 
 def _header(scene: Scene) -> RecordingHeader:

@@ -143,6 +143,57 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
+def test_a_cut_recording_goes_on_after_what_is_kept(tmp_path: Path) -> None:
+    """Three of five frames kept and three added, after a cut in a line: the bytes of six that were never cut."""
+    folder = write_recording(tmp_path / "cut", 5)
+    whole = write_recording(tmp_path / "whole", 6)
+    index = folder / "index.jsonl"
+    index.write_bytes(index.read_bytes()[:-7])
+    frames = list(Recording.open(whole))
+    with RecordingWriter.resume(folder, Recording.open(whole).header, keep=3) as writer:
+        assert sorted(path.name for path in (folder / "frames").iterdir()) == [
+            f"00000{k}.jpg" for k in range(3)
+        ]
+        assert len(writer) == 3
+        for frame in frames[3:]:
+            writer.add(frame.frame.payload, frame.frame.timestamp_ns, frame.label)
+    files = sorted(path.relative_to(whole) for path in whole.rglob("*.*"))
+    assert sorted(path.relative_to(folder) for path in folder.rglob("*.*")) == files
+    assert all((folder / path).read_bytes() == (whole / path).read_bytes() for path in files)
+
+
+def test_going_on_after_nothing_begins_again(tmp_path: Path) -> None:
+    """A header cut short and a file that is not the recording's: the one is written, the other stays."""
+    (tmp_path / "recording.toml").write_text("vers")
+    (tmp_path / "mine.txt").write_text("kept")
+    with RecordingWriter.resume(tmp_path, HEADER, keep=0) as writer:
+        writer.add(jpeg(0), 0)
+    assert (Recording.open(tmp_path).header, (tmp_path / "mine.txt").read_text()) == (HEADER, "kept")
+
+
+@pytest.mark.parametrize(
+    ("header", "keep", "says"),
+    [
+        (HEADER, 5, "has 4 whole frames, expected 5"),
+        (RecordingHeader("other", SERIAL, (64, 48), 25.0, "mini_lr"), 2, "choose another folder"),
+    ],
+)
+def test_another_recording_is_not_gone_on_with(
+    tmp_path: Path, header: RecordingHeader, keep: int, says: str
+) -> None:
+    """Fewer whole lines than are to be kept, or another sensor: refused, and nothing is changed."""
+    with RecordingWriter(tmp_path / "r", HEADER) as writer:
+        for k in range(5):
+            writer.add(jpeg(k), k)
+    index = tmp_path / "r" / "index.jsonl"
+    index.write_bytes(index.read_bytes()[:-7])
+    before = index.read_bytes()
+    with pytest.raises(RecordingError, match=says):
+        RecordingWriter.resume(tmp_path / "r", header, keep=keep)
+    assert index.read_bytes() == before
+    assert len(list((tmp_path / "r" / "frames").iterdir())) == 5
+
+
 WRITE_UNTIL_FULL = """
 import pathlib, resource, signal, sys
 from edge.core.errors import StoreError

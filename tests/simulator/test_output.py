@@ -115,16 +115,12 @@ def test_a_native_recording_decodes_to_the_low_resolution_picture(tmp_path: Path
     assert np.abs(views[0] - views[1]).mean() < 2.0
 
 
-def test_recordings_repeat_resume_and_are_never_overwritten(tmp_path: Path) -> None:
-    """Same seed, same bytes; a whole one is kept as it is, a cut one is made again, another one is refused."""
+def test_recordings_repeat_and_are_never_overwritten(tmp_path: Path) -> None:
+    """Same seed, same bytes; a whole one is kept as it is, another one is refused."""
     scene = scene_of(tmp_path, RUNS)
     first = digests(simulate_recording(scene, tmp_path / "a", 1))
     assert first == digests(simulate_recording(scene, tmp_path / "b", 1, workers=2))
     assert first == digests(simulate_recording(scene, tmp_path / "a", 1))
-    cut = tmp_path / "c.part" / "frames"
-    cut.mkdir(parents=True)
-    (tmp_path / "c.part" / "recording.toml").write_text("version = 1\n")
-    assert first == digests(simulate_recording(scene, tmp_path / "c", 1))
     with pytest.raises(RecordingError, match="choose another folder"):
         simulate_recording(scene, tmp_path / "a", 2)
 

@@ -1,0 +1,199 @@
+"""A recording that was cut goes on after its last whole press, and ends as the bytes of an unbroken one."""
+
+import hashlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from calibration.scene import Scene, load_scene
+from calibration.simulate import simulate_recording
+from edge.core.errors import RecordingError
+
+COMMAND = Path(sys.executable).with_name("gelgate")
+# Every effect that knows of time or of earlier presses, on a gel that changes within the run.
+SCENE = """version = 1
+name = "tiny"
+part = "PZ3"
+effects = [
+    "pose_jitter", "residual_imprint", "dust", "wear", "illumination", "motion_blur", "led_drift", "noise", "jpeg",
+]
+[camera]
+modes = ["lr"]
+[motion]
+idle_s = 0.4
+tail_s = 0.4
+approach_s = 0.2
+[defects]
+kinds = ["dent"]
+severity = [0.8, 1.0]
+[[runs]]
+name = "line"
+presses = 24
+faulty = 8
+gel_presses = 600
+"""
+IDLE, PRESS, SEED = 10, 17, 3  # Frames of the free gel and of one press.
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def scene(path: Path) -> Scene:
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def unbroken(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return digests(simulate_recording(scene, tmp_path_factory.mktemp("unbroken") / "r", SEED))
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def lines(part: Path) -> int:
+    index = part / "index.jsonl"
+    return index.read_bytes().count(b"\n") if index.is_file() else 0
+
+
+def changed(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in sorted((folder / "frames").iterdir())}
+
+
+@pytest.mark.parametrize(
+    ("how", "workers", "then"), [(signal.SIGKILL, 1, 2), (signal.SIGKILL, 2, 1), (signal.SIGINT, 2, 2)]
+)
+def test_a_killed_recording_goes_on(
+    how: signal.Signals, workers: int, then: int, path: Path, unbroken: dict[str, str], tmp_path: Path
+) -> None:
+    """Killed in the middle and given again, with other workers: equal bytes, and whole presses are not made again."""
+    part = tmp_path / "r.part"
+    command = [COMMAND, "simulate", path, "-o", tmp_path / "r", "--run", "line", "--seed", str(SEED)]
+    process = subprocess.Popen([*command, "--workers", str(workers)], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < deadline and lines(part) < IDLE + 3 * PRESS:
+        time.sleep(0.005)
+    process.send_signal(how)
+    process.wait(timeout=60)
+    presses = (lines(part) - IDLE) // PRESS
+    assert 3 <= presses < 24
+    before = changed(part)
+    subprocess.run([*command, "--workers", str(then)], check=True, capture_output=True, timeout=60)
+    assert digests(tmp_path / "r") == unbroken
+    after = changed(tmp_path / "r")
+    whole = [f"{k:06d}.jpg" for k in range(IDLE + presses * PRESS)]
+    assert [after[name] for name in whole] == [before[name] for name in whole]
+    assert not part.exists()
+
+
+def test_a_full_disk_is_said_and_the_recording_goes_on(
+    path: Path, scene: Scene, unbroken: dict[str, str], tmp_path: Path
+) -> None:
+    """No room for the index in the middle of a line: a sentence; with room again, the bytes of an unbroken run."""
+    command = f'ulimit -f 32; exec "{COMMAND}" simulate "{path}" -o "{tmp_path}/r" --run line --seed {SEED}'
+    done = subprocess.run(
+        ["bash", "-c", f"{command} --workers 1"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode != 0
+    assert "free some space" in " ".join(done.stderr.split())
+    assert IDLE + PRESS < lines(tmp_path / "r.part") < len(unbroken) - 3
+    assert digests(simulate_recording(scene, tmp_path / "r", SEED)) == unbroken
+
+
+def _in_a_line(part: Path) -> None:
+    index = part / "index.jsonl"
+    index.write_bytes(index.read_bytes()[:-7])
+
+
+def _in_a_frame(part: Path) -> None:
+    """The file of the next frame is half there, its line is not."""
+    _in_a_line(part)
+    last = sorted((part / "frames").iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:100])
+
+
+def _in_a_kept_frame(part: Path) -> None:
+    """As after a power cut: the line is there, the picture is not."""
+    (part / f"frames/{IDLE + 2 * PRESS + 4:06d}.jpg").write_bytes(b"")
+
+
+def _without_a_frame(part: Path) -> None:
+    (part / f"frames/{IDLE + 2 * PRESS + 4:06d}.jpg").unlink()
+
+
+def _in_the_header(part: Path) -> None:
+    (part / "recording.toml").write_text("version = 1\nprod")
+    (part / "index.jsonl").unlink()
+
+
+def _in_the_stamp(part: Path) -> None:
+    for path in part.glob("*.*"):
+        path.unlink()
+    for path in (part / "frames").iterdir():
+        path.unlink()
+    (part / "frames").rmdir()
+    (part / "scene.json.part").write_text('{"vers')
+
+
+def _before_it_is_moved(part: Path) -> None:
+    """Everything is there but the new name."""
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [
+        _in_a_line,
+        _in_a_frame,
+        _in_a_kept_frame,
+        _without_a_frame,
+        _in_the_header,
+        _in_the_stamp,
+        _before_it_is_moved,
+    ],
+)
+def test_wherever_it_is_cut_it_ends_as_an_unbroken_one(
+    cut: Callable[[Path], None], scene: Scene, tmp_path: Path
+) -> None:
+    """In the middle of a line, a frame, the header or the stamp: the same files with the same bytes in the end."""
+    folder = simulate_recording(scene, tmp_path / "r", SEED, presses=4)
+    whole = digests(folder)
+    folder.rename(tmp_path / "r.part")
+    cut(tmp_path / "r.part")
+    assert digests(simulate_recording(scene, folder, SEED, presses=4)) == whole
+    assert not (tmp_path / "r.part").exists()
+
+
+def test_an_unfinished_recording_of_another_seed_is_refused(scene: Scene, tmp_path: Path) -> None:
+    """So is one of other numbers; both seeds are said, and what is there stays."""
+    folder = simulate_recording(scene, tmp_path / "r", SEED, presses=1)
+    part = folder.rename(tmp_path / "r.part")
+    _in_a_line(part)
+    before = digests(part)
+    with pytest.raises(RecordingError, match=r"run 'line', seed 3, not .* seed 4.*or delete it"):
+        simulate_recording(scene, folder, 4, presses=1)
+    with pytest.raises(RecordingError, match="the same settings"):
+        simulate_recording(scene, folder, SEED, presses=2)
+    assert digests(part) == before
+
+
+def test_something_else_in_the_unfinished_recordings_place_is_refused(scene: Scene, tmp_path: Path) -> None:
+    """A recording of a real sensor that happens to have that name is not deleted."""
+    (tmp_path / "r.part").mkdir()
+    (tmp_path / "r.part" / "recording.toml").write_text("mine")
+    with pytest.raises(RecordingError, match="move it away"):
+        simulate_recording(scene, tmp_path / "r", SEED, presses=1)
+    assert (tmp_path / "r.part" / "recording.toml").read_text() == "mine"
