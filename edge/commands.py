@@ -49,7 +49,9 @@ class Commands:
             return self._answer(verb, request.transaction, error=str(error))
         except Exception:  # a sink's thread ends here: a request must not end it
             log.exception("command %s failed", verb)
-            return self._answer(verb, request.transaction, error="it failed inside; the gateway's log says how")
+            return self._answer(
+                verb, request.transaction, error="it failed inside; the gateway's log says how"
+            )
 
     def _answer(
         self,

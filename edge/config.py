@@ -67,7 +67,10 @@ class GelTable(_Table):
         description="presses after which it must be replaced: the maker's figure for coins; sharp parts cut faster",
     )
     warn_fraction: float = Field(
-        default=DEFAULT_WARN_FRACTION, gt=0, le=1, description="part of the limit at which a new gel should be ordered"
+        default=DEFAULT_WARN_FRACTION,
+        gt=0,
+        le=1,
+        description="part of the limit at which a new gel should be ordered",
     )
 
 

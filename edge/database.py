@@ -160,7 +160,10 @@ class Database:
     def _faults(self, doing: str) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, OverflowError) as error:  # a number beyond 64 bits is refused before it is written
+        except (
+            sqlite3.Error,
+            OverflowError,
+        ) as error:  # a number beyond 64 bits is refused before it is written
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
             advice = _ADVICE.get(code, "run `gelgate check`")
             raise StoreError(f"database {self.path}: {doing} failed ({error}); {advice}") from error

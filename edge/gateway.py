@@ -7,36 +7,33 @@ score, verdict, and the one transaction that counts a press and queues its messa
 import logging
 import random
 import threading
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any, Final, Self
 
-from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.announcements import Announcements
 from edge.bundle import Bundle
 from edge.commands import Commands
-from edge.config import Config, PluginTable
+from edge.config import Config
 from edge.core.contact import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
 from edge.core.frames import CameraFrame
-from edge.core.ports import Clock, Device, DeviceIdentity, Sink
+from edge.core.ports import Clock, DeviceIdentity, Sink
 from edge.core.station import Station, topic_root
 from edge.core.tracker import ContactTracker
 from edge.core.wear import wear
 from edge.inspection import Inspection, Inspector
 from edge.ledger import GelRecord
 from edge.messages import NoArguments, ReplaceGelArguments, StatePayload, state_message
-from edge.outbox import Bounds
+from edge.parts import device_opener, open_plugin, open_store, sink_names
 from edge.presses import PressReport, PressTaker, Recorder
 from edge.publisher import Publisher, PublisherLock
 from edge.references import ReferenceFolder
 from edge.reporter import Reporter, Summary
 from edge.requests import Requests
 from edge.scorer import Scorer
-from edge.store import Store
 
 __all__ = ["Gateway", "Summary"]
 
@@ -125,7 +122,7 @@ class Gateway:
         scorer = Scorer(bundle, threads=config.inspection.threads)
         scorer.check_golden()
         self._inspector = Inspector(scorer, self._clock)
-        self._store = self._parts.enter_context(_open_store(config))
+        self._store = self._parts.enter_context(open_store(config))
         self._references = ReferenceFolder(config.store.path.with_suffix(".references"))
         self._announcements = Announcements()
         # The lock before the sinks: a second gateway would push this one off the broker before it is refused.
@@ -143,7 +140,7 @@ class Gateway:
         self._parts.callback(self._stop_publishing)
         self._reporter.awaits("the sensor")
         self._acquisition = Acquisition(
-            _device_opener(config.device, bundle.profile.controls, self._clock),
+            device_opener(config.device, bundle.profile.controls, self._clock),
             self._clock,
             self._device_changed,
         )
@@ -169,10 +166,10 @@ class Gateway:
                 self._clock,
             ),
         )
-        names = _sink_names(self._config.sinks)
+        names = sink_names(self._config.sinks)
         sinks: dict[str, Sink] = {}
         for name, chosen in zip(names, self._config.sinks, strict=True):
-            sinks[name] = sink = _plugin_opened("sinks", chosen, station)
+            sinks[name] = sink = open_plugin("sinks", chosen, station)
             self._parts.callback(sink.close)  # harmless after the publisher's own closing
         return sinks
 
@@ -377,41 +374,3 @@ class Gateway:
         if self._taker is None:
             raise DeviceNotFound("no frame has arrived from a sensor yet, so it is not known what is meant")
         return self._taker
-
-
-def _open_store(config: Config) -> Store:
-    bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
-    return Store(config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction)
-
-
-def _plugin_opened(kind: str, table: PluginTable, *context: object) -> Any:
-    plugin = registry.load(kind, table.plugin)
-    return plugin.open(plugin.Options.model_validate(table.options), *context)
-
-
-def _device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:
-    """Opens the configured device, the same one each time.
-
-    Camera controls are those of the bundle's sensor profile; the configuration may set some of them otherwise.
-    """
-    plugin = registry.load("devices", table.plugin)
-    given = dict(table.options)
-    if "controls" in plugin.Options.model_fields:
-        given["controls"] = {**controls, **given.get("controls", {})}
-    options = plugin.Options.model_validate(given)
-
-    def opened() -> Device:
-        device: Device = plugin.open(options, clock)
-        return device
-
-    return opened
-
-
-def _sink_names(tables: list[PluginTable]) -> list[str]:
-    """The plugin's name, numbered where it is used twice: the names under which the outbox remembers who has what."""
-    seen: Counter[str] = Counter()
-    names = []
-    for table in tables:
-        seen[table.plugin] += 1
-        names.append(table.plugin if seen[table.plugin] == 1 else f"{table.plugin}-{seen[table.plugin]}")
-    return names

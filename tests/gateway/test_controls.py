@@ -7,7 +7,7 @@ import pytest
 from small_recordings import FakeClock, write_recording
 
 from edge.config import PluginTable
-from edge.gateway import _device_opener
+from edge.parts import device_opener
 from plugins.devices import usb_mock
 
 
@@ -24,7 +24,7 @@ def test_profile_controls_reach_the_camera(tmp_path: Path, monkeypatch: pytest.M
     options = {"recording": str(write_recording(tmp_path / "r", 2)), "pace": 0, "controls": {"gain": 7}}
     clock = FakeClock()
     table = PluginTable(plugin="usb_mock", options=options)
-    opener = _device_opener(table, {"gain": 0, "gamma": 140}, clock)
+    opener = device_opener(table, {"gain": 0, "gamma": 140}, clock)
     for _ in range(2):
         opener().close()
     values = usb_mock.plugin.bench(opened[0]).sensor.controls.values
@@ -35,4 +35,4 @@ def test_profile_controls_reach_the_camera(tmp_path: Path, monkeypatch: pytest.M
 def test_a_device_without_controls_is_left_alone(tmp_path: Path) -> None:
     """A recording has no camera to set."""
     table = PluginTable(plugin="recorded", options={"recording": str(write_recording(tmp_path / "r", 1))})
-    _device_opener(table, {"gain": 0}, FakeClock())().close()
+    device_opener(table, {"gain": 0}, FakeClock())().close()

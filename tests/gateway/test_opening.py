@@ -46,10 +46,11 @@ def test_a_sink_that_cannot_be_opened_closes_those_before_it(
     config = load_config(
         station_config(tmp_path, recording, bundle, sinks=MQTT % broker.getsockname()[1] + second)
     )
+    before = set(threading.enumerate())
     with pytest.raises(ConfigError, match="password file /nowhere/password cannot be read"):
         Gateway.open(config, SystemClock())
 
-    assert not [thread for thread in threading.enumerate() if thread.name == "mqtt-commands"]
+    assert "mqtt-commands" not in {thread.name for thread in set(threading.enumerate()) - before}
     PublisherLock(config.store.path).close()
 
 
