@@ -61,7 +61,7 @@ class SpadeParameters:
     score is averaged over. pixel_neighbours: presses in the gallery (the two pull in opposite directions, so
     they are two). finest: layers with more cells than this tap are averaged onto its grid; None keeps all as they are.
     window_mm: how far from its own place a cell may be matched, None for anywhere. dims: leading
-    directions kept at each layer, plus the length of the rest; empty keeps all.
+    directions kept at each layer, plus the length of the rest, which makes multiples of eight whole; empty keeps all.
     is_normalised: descriptors divided by their length. is_floor_relative: the term that keeps that division finite is a
     part of the nominal length, so that scaled features give the same map, instead of the absolute 1e-6.
     is_gallery_whole: every gallery cell is searched, instead of whole chunks of 100 only.
@@ -80,7 +80,7 @@ class SpadeParameters:
     pixel_neighbours: int = 16
     finest: str | None = "layer2"
     window_mm: float | None = 0.5
-    dims: tuple[int, ...] = (24, 48, 64)
+    dims: tuple[int, ...] = (23, 47, 95)
     is_normalised: bool = True
     is_floor_relative: bool = True
     is_gallery_whole: bool = True
