@@ -82,7 +82,17 @@ def test_a_killed_recording_goes_on(
 ) -> None:
     """Killed in the middle and given again, with other workers: equal bytes, and whole presses are not made again."""
     part = tmp_path / "r.part"
-    command = [COMMAND, "simulate", path, "-o", tmp_path / "r", "--run", "line", "--seed", str(SEED)]
+    command: list[str | Path] = [
+        COMMAND,
+        "simulate",
+        path,
+        "-o",
+        tmp_path / "r",
+        "--run",
+        "line",
+        "--seed",
+        str(SEED),
+    ]
     process = subprocess.Popen([*command, "--workers", str(workers)], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while process.poll() is None and time.monotonic() < deadline and lines(part) < IDLE + 3 * PRESS:
