@@ -67,6 +67,11 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         )
     if grid:
         rows.append(("taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())))
+    if grid and grid.tiles:
+        count, skipped = len(grid.tiles.tiles(grid.frame)), len(grid.tiles.untouched)
+        rows.append(
+            ("tiles", f"{count} of {grid.tiles.size}, {skipped} of them run only where a press touches them")
+        )
     graphs = [graph for graph in (manifest.head, manifest.detector) if graph]
     rows += [(graph.file, f"{_mb(graph.size_bytes)}, {graph.sha256[:12]}") for graph in graphs]
     for name, array in manifest.bank.items():

@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from typer.testing import CliRunner
 
 from calibration.backbones import Trunk
 from calibration.fit import Fitted, Recipe, fit_files
 from calibration.presses import NominalPresses
 from edge.bundle import Bundle, write_bundle
+from edge.cli import build
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
 from edge.core.tiles import tiling
@@ -208,8 +210,10 @@ def test_the_plainest_frame_is_one_of_them() -> None:
 
 
 def test_a_bundle_survives_writing(fitted: Fitted, tmp_path: Path) -> None:
-    """Written and loaded it skips the same tiles, and its golden frames agree."""
+    """Written and loaded it skips the same tiles, says so, and its golden frames agree."""
     loaded = Bundle.load(write_bundle(tmp_path / "pin.zip", fitted.files))
+    shown = CliRunner().invoke(build(), ["inspect", str(tmp_path / "pin.zip")], catch_exceptions=False).output
+    assert "8 of 64, 4 of them run only where a press touches them" in shown
     scorer = Scorer(loaded)
     assert scorer.check_golden() <= loaded.manifest.tolerance.around(1.0)
     before = scorer.tiles_run
