@@ -13,6 +13,7 @@ import pytest
 from calibration.scene import Scene, load_scene
 from calibration.simulate import simulate_recording
 from edge.core.errors import RecordingError
+from edge.recording import Recording
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 # Every effect that knows of time or of earlier presses, on a gel that changes within the run.
@@ -37,7 +38,7 @@ presses = 24
 faulty = 8
 gel_presses = 600
 """
-IDLE, PRESS, SEED = 10, 17, 3  # Frames of the free gel and of one press.
+IDLE, PRESS, SEED = 8, 18, 3  # Frames of the free gel before the first press, and of one press.
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +105,8 @@ def test_a_killed_recording_goes_on(
     before = changed(part)
     subprocess.run([*command, "--workers", str(then)], check=True, capture_output=True, timeout=60)
     assert digests(tmp_path / "r") == unbroken
+    numbers = [label["press"] for label in Recording.open(tmp_path / "r").labels() if label]
+    assert (numbers.index(0), numbers.count(0)) == (IDLE, PRESS)
     after = changed(tmp_path / "r")
     whole = [f"{k:06d}.jpg" for k in range(IDLE + presses * PRESS)]
     assert [after[name] for name in whole] == [before[name] for name in whole]
