@@ -76,7 +76,7 @@ def test_birth_is_heard_on_every_connection_and_before_anything_else(
     late.wait_for(lambda heard: heard.payloads("state") != [])
 
     assert [m.topic.removeprefix(f"{ROOT}/") for m in early.heard] == ["state", "result"]
-    assert late.payloads("state") == [b'{"state":"ready"}']
+    assert set(late.payloads("state")) == {b'{"state":"ready"}'}  # amqtt may deliver a retained message twice
     assert late.heard[0].retain
 
 
