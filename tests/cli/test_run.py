@@ -15,10 +15,11 @@ GELGATE = Path(sys.executable).parent / "gelgate"
 START_TIMEOUT_S = 60.0
 
 
-def states(bench: Bench) -> list[str]:
+def told(bench: Bench, topic: str) -> list[dict[str, object]]:
+    """The payloads of a topic so far."""
     log = bench.folder / "out" / "messages.jsonl"
     lines = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
-    return [line["payload"]["state"] for line in lines if line["topic"] == "state"]
+    return [line["payload"] for line in lines if line["topic"] == topic]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
@@ -30,15 +31,16 @@ def test_a_running_gateway_ends_in_good_order(bench: Bench, number: signal.Signa
         [GELGATE, "run", "--config", config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + START_TIMEOUT_S
-    while "ready" not in states(bench) and running.poll() is None and time.monotonic() < deadline:
+    while not told(bench, "gel") and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
+    assert told(bench, "gel"), "no frame arrived in time"
     running.send_signal(number)
     out, err = running.communicate(timeout=START_TIMEOUT_S)
 
     assert running.returncode == 0, err
     assert out.splitlines()[-1] == "0 presses: none"
     assert "Traceback" not in err
-    assert states(bench)[-1] == "stopped"
+    assert told(bench, "state")[-1]["state"] == "stopped"
 
 
 def test_the_installed_command_refuses_with_its_exit_code(bench: Bench) -> None:
