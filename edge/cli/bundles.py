@@ -38,8 +38,10 @@ def inspect(
     if as_json:
         typer.echo(manifest.model_dump_json(indent=2))
         return
-    for label, value in [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest())]:
-        typer.echo(f"{label:<16}{value}")
+    rows = [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest())]
+    width = max(len(label) for label, _ in rows)
+    for label, value in rows:
+        typer.echo(f"{label:<{width}}  {value}")
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
