@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import bank_bytes, choose, require_fittable, require_scorable
+from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.embedding import (
     Embedded,
     Embedding,
@@ -133,6 +133,17 @@ PAPER = PadimParameters(
     packing="none",
     bank_mb=None,
 )
+
+REPAIRS = (
+    "projection",
+    "is_balanced",
+    "is_sampled",
+    "is_ridge_twice",
+    "neighbours",
+    "is_touched_only",
+    "sigma_unit",
+)
+"""What `corrected` does otherwise than the publication, apart from the operating point (taps, channels, rank)."""
 
 
 class Padim:
@@ -395,5 +406,6 @@ def _facts(
         "grid": list(embedding.cells),
         "locations": len(arrays["basis"]),
         "locations_shared": embedding.count - len(arrays["basis"]),
+        "repairs": repaired(parameters, PAPER, REPAIRS),
         "warnings": warnings,
     }

@@ -350,3 +350,13 @@ def test_neighbours_are_nine_times_the_samples() -> None:
         np.testing.assert_allclose(
             basis.T * values @ basis, np.cov(samples, rowvar=False), rtol=1e-3, atol=1e-5
         )
+
+
+def test_the_bank_says_what_was_repaired() -> None:
+    """A manifest lists each switch that differs from the publication; the paper's mode has none."""
+    bank = fitted(padim, padim.parameters("corrected"), Nominal(features(6)))
+    paper = fitted(padim, padim.parameters("paper", channels=20), Nominal(features(6)))
+
+    assert "is_ridge_twice=False" in bank.facts["repairs"]
+    assert "sigma_unit=mm" in bank.facts["repairs"]
+    assert paper.facts["repairs"] == []
