@@ -3,7 +3,7 @@
 import numpy as np
 import onnxruntime as ort
 import pytest
-from heads import RESNET18, SMALL, fit, grid, parity, presses_of, run_head, with_spot
+from heads import RESNET18, SMALL, fit, grid, hard_presses, parity, presses_of, run_head, with_spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -159,14 +159,7 @@ def test_hard_nominal_sets_keep_the_error_bound(
     n: int, scale: float, kind: str, mode: str, seed: int
 ) -> None:
     """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
-    nominal = presses_of(n, seed, scale=scale)
-    for tap, maps in nominal.items():
-        if kind == "same":
-            nominal[tap] = np.repeat(maps[:1], n, axis=0)
-        elif kind == "constant":
-            nominal[tap] = np.full_like(maps, scale)
-        elif kind == "dead":
-            maps[:, ::2] = 0
+    nominal = hard_presses(n, kind, seed, scale)
     asked = with_spot(presses_of(1, seed + 1, scale=scale))
     p = patchcore.parameters(mode, coreset_fraction=0.3)
     oracle, map_error, score_error = parity(patchcore, p, nominal, asked, grid())

@@ -8,7 +8,17 @@ import onnxruntime as ort
 
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
 
-__all__ = ["RESNET18", "SMALL", "fit", "grid", "parity", "presses_of", "run_head", "with_spot"]
+__all__ = [
+    "RESNET18",
+    "SMALL",
+    "fit",
+    "grid",
+    "hard_presses",
+    "parity",
+    "presses_of",
+    "run_head",
+    "with_spot",
+]
 
 SMALL = {"layer1": (6, 8, 8), "layer2": (8, 4, 4), "layer3": (10, 2, 2)}
 """Taps of a toy trunk on a 32x32 frame."""
@@ -37,6 +47,19 @@ def presses_of(
         varied = np.einsum("nk,kchw->nchw", own.normal(size=(n, 4)), ways)
         maps = relief + spread * (varied + own.normal(size=(n, *shape)))
         found[tap] = (np.maximum(maps, 0) * scale).astype(np.float32)
+    return found
+
+
+def hard_presses(n: int, kind: str, seed: int, scale: float) -> Features:
+    """Nominal sets that break careless arithmetic. kind: noise, same (n equal presses), constant, dead (channels)."""
+    found = dict(presses_of(n, seed, scale=scale))
+    for tap, maps in found.items():
+        if kind == "same":
+            found[tap] = np.repeat(maps[:1], n, axis=0)
+        elif kind == "constant":
+            found[tap] = np.full_like(maps, scale)
+        elif kind == "dead":
+            maps[:, ::2] = 0
     return found
 
 
