@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from calibration.backbone import render
+from calibration.backbone.compression import compressed
 from calibration.backbone.damage import damaged
 from calibration.backbone.draws import Draws, draws_for
 from calibration.backbone.parts import Parts, draw_parts, draw_waves, turned, waves
@@ -25,6 +26,9 @@ _MM_PER_PX = 0.0634
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
 _MARKER_SHARE = 0.12
+# Cameras compress; what is recorded without loss does not.
+_JPEG_SHARE = 0.7
+_JPEG_QUALITY = (75.0, 96.0)
 _DOT_PITCH_MM = (2.16, 2.03)
 _DOT_RADIUS_MM = 0.38
 _DOT_KEEPS = 0.22
@@ -198,7 +202,9 @@ def _photograph(
     gain = torch.exp(large * (draws.normal(0.015, 2 * n, 1) + draws.normal(0.008, 2 * n, 3)))
     planes = planes.clamp(min=0) * gain[:, :, None, None]
     noise = draws.normal(1.0, *planes.shape)
-    return render.quantise(render.sensor_noise(planes, noise, both(draws.log_uniform(0.5, 1.6, n))))
+    frames = render.quantise(render.sensor_noise(planes, noise, both(draws.log_uniform(0.5, 1.6, n))))
+    sent = both(draws.chance(_JPEG_SHARE, n))[:, None, None, None]
+    return torch.where(sent > 0, compressed(frames, both(draws.uniform(*_JPEG_QUALITY, n))), frames)
 
 
 # Per region: grains that stay, grains that the partner alone has, scratches and stains.
