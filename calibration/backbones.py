@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calibration.trunk_cut import cut_trunk
 from edge import registry
 from edge.core.errors import ConfigError, FitError
-from edge.graphcheck import output_names
+from edge.graphcheck import GraphRefused, output_names
 
 __all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
 
@@ -29,11 +30,25 @@ class Trunk:
 
 
 def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
-    """The trunk of an installed backbone, or of a path ending in `.onnx`.
+    """The trunk of an installed backbone, or of a path ending in `.onnx`, no deeper than these taps.
 
-    taps: those that the detector reads; a backbone is asked for them only if its usual trunk lacks one, so that all
-    parts of a line share one file. Errors: ConfigError for an unknown name, FitError for a file that is not there.
+    taps: those that the detector reads; what lies behind the last of them is cut off. A backbone is asked for them
+    only if its usual trunk lacks one, so that parts which read equally deep share one file. Errors: ConfigError for an
+    unknown name, FitError for a file that is not there.
     """
+    whole = _whole(name, taps)
+    try:
+        graph = cut_trunk(whole.graph, taps)
+    except GraphRefused as error:
+        raise FitError(f"the trunk '{name}' cannot be used: {error}") from error
+    return (
+        whole
+        if graph is whole.graph
+        else Trunk(whole.id, graph, {**whole.facts, "cut_after": output_names(graph)[-1]})
+    )
+
+
+def _whole(name: str, taps: Sequence[str]) -> Trunk:
     if name.endswith(".onnx") or "/" in name:
         try:
             return Trunk(Path(name).stem, Path(name).read_bytes(), {"file": Path(name).name})

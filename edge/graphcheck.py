@@ -10,7 +10,7 @@ Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["GraphRefused", "check_graph", "output_names"]
+__all__ = ["GraphRefused", "check_graph", "fields", "output_names"]
 
 STANDARD_DOMAINS = frozenset({b"", b"ai.onnx"})
 MAX_NODES = 20_000
@@ -63,6 +63,14 @@ def output_names(data: bytes) -> list[str]:
                 found = [bytes(v) for n, v in _fields(value, budget) if n == 1 and isinstance(v, memoryview)]
                 names += [name.decode("utf-8", "replace") for name in found]
     return names
+
+
+def fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """(field number, value) of one protobuf message of ONNX: an int for a varint, a view for a length-delimited field.
+
+    Errors: GraphRefused.
+    """
+    return _fields(message, _Budget())
 
 
 def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
