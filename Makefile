@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # What the tests install; `make test EXTRAS=test,train` adds torch, and with it the tests of backbone training.
 EXTRAS ?= test
 
-.PHONY: demo test lint docs bench test-hardware kernel-lab clean
+.PHONY: demo test lint docs heads bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -22,6 +22,10 @@ lint: $(VENV)/.test
 # Pages that are printed from the program; the tests compare them.
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
+
+# The detectors' graphs that ship, after a change to a detector or to its settings; the tests compare them.
+heads: $(VENV)/.test
+	$(BIN)/python -m export.heads
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.backbones import Trunk
 from calibration.features import extract, trunk_grid
+from calibration.heads import head_of
 from calibration.measure import (
     contact_range,
     cost_card,
@@ -143,7 +144,7 @@ class _Fit:
         features, no_contact = self._timed("features", self._features)
         nominal = Nominal(features, self.presses.touched, no_contact)
         bank = self._timed("fit", lambda: self._bank(nominal, self._progress("bank")))
-        head = self.detector.head(self.grid, bank, self.parameters)
+        head = head_of(self.detector, self.grid, bank, self.parameters)
         self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=head)
         scores = self._timed("threshold", lambda: self._held_out_scores(nominal))
         return self._measured(bank, scores)
@@ -198,7 +199,7 @@ class _Fit:
         rest = Nominal(_chosen(nominal.features, kept), nominal.touched, nominal.no_contact)
         bank = self._bank(rest, lambda fraction: None)
         head = open_session(
-            self.detector.head(self.grid, bank, self.parameters),
+            head_of(self.detector, self.grid, bank, self.parameters),
             self.recipe.threads,
             f"head of {self.detector.name}",
         )

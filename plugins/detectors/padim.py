@@ -218,22 +218,21 @@ class Padim:
         return parameters.smoothing(grid, embedding.cells).score_maps(raw)
 
     def head(self, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
-        """Taps and bank in; score_map, score and raw_map out."""
+        """Taps and bank in; score_map, score and raw_map out. How many directions there are is free."""
         arrays, embedding = bank.arrays, _embedding(grid, bank, parameters)
         graph = Graph("padim")
-        count, width, rank = embedding.count, embedding.width, arrays["basis"].shape[1]
+        count, width = embedding.count, embedding.width
         delta = graph.op("Sub", embedding.emit(graph), graph.input("mean", (count, width)))
         basis, weights = (
-            graph.input("basis", ("locations", rank, width)),
-            graph.input("weights", ("locations", rank)),
+            graph.input("basis", ("locations", "rank", width)),
+            graph.input("weights", ("locations", "rank")),
         )
         if "locations" not in arrays:
             squared = _squared(graph, delta, basis, weights, parameters.total_ridge)
         else:
-            directions = len(arrays["shared_basis"])
             shared = (
-                graph.input("shared_basis", (directions, width)),
-                graph.input("shared_weights", (directions,)),
+                graph.input("shared_basis", ("directions", width)),
+                graph.input("shared_weights", ("directions",)),
             )
             here = graph.op("Gather", delta, graph.input("locations", ("locations",), "int64"), axis=1)
             there = graph.op("Gather", delta, graph.input("elsewhere", ("elsewhere",), "int64"), axis=1)

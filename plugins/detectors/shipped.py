@@ -1,0 +1,114 @@
+"""Heads that come with the product, so that a fit with the usual settings needs no onnx package.
+
+`heads/index.json` says of each graph what it was written for: the detector, its parameters, the grid, and the bank's
+arrays with the sizes that the graph fixes (a number) or leaves open (a name; equal names are equal sizes). A head is
+taken only where all of it fits; `make heads` writes them again.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from edge.core.detector import Bank, Detector, Grid
+
+__all__ = [
+    "INDEX",
+    "ShippedHead",
+    "identity",
+    "load_index",
+    "shipped_head",
+    "written_grid",
+    "written_parameters",
+]
+
+INDEX = "index.json"
+FORMAT = 1
+_HEADS = resources.files("plugins.detectors").joinpath("heads")
+
+Shape = tuple[int | str, ...]
+"""The sizes of a bank array: numbers that the graph fixes, names for those that it leaves open."""
+
+
+@dataclass(frozen=True)
+class ShippedHead:
+    """One graph and what it fits. detector: see `identity`. arrays: name to dtype and shape, of every bank array."""
+
+    file: str
+    detector: str
+    parameters: Mapping[str, Any]
+    grid: Mapping[str, Any]
+    arrays: Mapping[str, tuple[str, Shape]]
+
+    def fits(self, bank: Bank) -> bool:
+        """Whether the bank has these arrays and no others, in the sizes that the graph fixes."""
+        if bank.arrays.keys() != self.arrays.keys():
+            return False
+        open_sizes: dict[str, int] = {}
+        for name, (dtype, shape) in self.arrays.items():
+            array = bank.arrays[name]
+            if str(array.dtype) != dtype or array.ndim != len(shape):
+                return False
+            for size, wanted in zip(array.shape, shape, strict=True):
+                if size != (wanted if isinstance(wanted, int) else open_sizes.setdefault(wanted, size)):
+                    return False
+        return True
+
+    def graph(self) -> bytes:
+        """The serialised head. Errors: OSError for an installation that lacks the file."""
+        return _HEADS.joinpath(self.file).read_bytes()
+
+
+def shipped_head(detector: Detector, grid: Grid, bank: Bank, parameters: object) -> bytes | None:
+    """The graph that `detector.head` would write, where it ships; None otherwise."""
+    if grid.tiles is not None or not dataclasses.is_dataclass(parameters):
+        return None
+    asked = (identity(detector), written_parameters(parameters), written_grid(grid))
+    for head in load_index():
+        if (head.detector, head.parameters, head.grid) == asked and head.fits(bank):
+            return head.graph()
+    return None
+
+
+def identity(detector: Detector) -> str:
+    """The class that writes the head: another plugin of the same name has heads of its own."""
+    return f"{type(detector).__module__}.{type(detector).__qualname__}"
+
+
+def written_parameters(parameters: Any) -> dict[str, Any]:
+    """Parameters as the index has them."""
+    written: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(parameters)))
+    return written
+
+
+def written_grid(grid: Grid) -> dict[str, Any]:
+    """A grid without tiles as the index has it. A millionth of a pixel per mm is rounding."""
+    return {
+        "frame": list(grid.frame),
+        "taps": {tap: list(shape) for tap, shape in grid.taps.items()},
+        "pixels_per_mm": round(grid.pixels_per_mm, 6),
+    }
+
+
+@cache
+def load_index() -> tuple[ShippedHead, ...]:
+    """Every head that ships; none where the index is missing or of another format."""
+    try:
+        written = json.loads(_HEADS.joinpath(INDEX).read_text())
+    except (OSError, ValueError):
+        return ()
+    if written.get("format") != FORMAT:
+        return ()
+    return tuple(
+        ShippedHead(
+            entry["file"],
+            entry["detector"],
+            entry["parameters"],
+            entry["grid"],
+            {name: (dtype, tuple(shape)) for name, (dtype, shape) in entry["arrays"].items()},
+        )
+        for entry in written["heads"]
+    )
