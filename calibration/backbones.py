@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from calibration.trunk_cut import cut_trunk
 from edge import registry
 from edge.core.errors import ConfigError, FitError
 from edge.graphcheck import GraphRefused, output_names
+from edge.trunk_cut import cut_trunk
 
 __all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
 

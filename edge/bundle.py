@@ -24,6 +24,7 @@ from edge.core.detector import Bank, Grid
 from edge.core.errors import BundleCorrupt, BundleMismatch, FitError, GelgateError
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
+from edge.graphcheck import GraphRefused
 from edge.manifest import (
     SCHEMA_VERSION,
     ArrayEntry,
@@ -34,6 +35,7 @@ from edge.manifest import (
     Manifest,
 )
 from edge.packing import Packed, pack, unpack
+from edge.trunk_cut import cut_trunk
 
 __all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", "write_bundle"]
 
@@ -296,7 +298,7 @@ def _read_trunk(
         if file.is_file():
             stored = entry.model_copy(update={"file": file.name})
             return _verified(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
-    installed = _installed_trunk(manifest.backbone)
+    installed = _installed_trunk(manifest.backbone, tuple(manifest.grid.taps) if manifest.grid else ())
     if installed is not None:
         return installed
     raise BundleCorrupt(
@@ -305,15 +307,17 @@ def _read_trunk(
     )
 
 
-def _installed_trunk(backbone: BackboneEntry) -> bytes | None:
-    """The trunk of an installed backbone of that name, if it is the very same one."""
+def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | None:
+    """The trunk of an installed backbone of that name, whole or cut behind these taps, if it is the very same one."""
     if backbone.id not in registry.names("backbones"):
         return None
     try:
-        trunk: bytes = registry.load("backbones", backbone.id).trunk()
-    except (GelgateError, ImportError):
+        whole: bytes = registry.load("backbones", backbone.id).trunk()
+        candidates = (whole, cut_trunk(whole, taps))
+    except (GelgateError, GraphRefused, ImportError):
         return None
-    return trunk if hashlib.sha256(trunk).hexdigest() == backbone.trunk.sha256 else None
+    wanted = backbone.trunk.sha256
+    return next((trunk for trunk in candidates if hashlib.sha256(trunk).hexdigest() == wanted), None)
 
 
 def _read_array(archive: Archive, name: str, entry: ArrayEntry) -> NDArray[Any]:

@@ -95,7 +95,7 @@ def test_an_existing_bundle_is_kept_unless_told(pictures: Path, tmp_path: Path) 
 def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
     pictures: Path, tmp_path: Path
 ) -> None:
-    """`--no-trunk` leaves it out; the installed backbone of that name and hash gives it back."""
+    """`--no-trunk` leaves it out; the installed backbone of that name, whole or cut, gives it back by its hash."""
     assert fit(pictures, tmp_path / "bolt", "--no-trunk").exit_code == 0
     assert not (tmp_path / "bolt" / "trunk.onnx").exists()
     assert run("verify", tmp_path / "bolt").exit_code == 0

@@ -7,8 +7,8 @@ import onnxruntime as ort
 import pytest
 
 from calibration.backbones import open_trunk
-from calibration.trunk_cut import cut_trunk
 from edge.graphcheck import GraphRefused, output_names
+from edge.trunk_cut import cut_trunk
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.graph import Graph
 
