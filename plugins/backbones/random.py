@@ -1,20 +1,16 @@
-"""Seeded random weights: a stand-in where no trained backbone is at hand, and what the tests run on.
+"""Seeded random weights: what trained weights are compared with, and what topologies are tested on.
 
-A random ResNet whose batch norms fit its inputs keeps edges and textures apart, so a detector on top of it works, but
-it is no trained backbone and its bundles say so.
+A random ResNet whose batch norms fit its inputs keeps edges and textures apart, so a detector on top of it works.
 """
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plugins.backbones.reference import forward
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS, build_trunk
+from plugins.backbones.resnet import NORM_EPS
 from plugins.backbones.topology import Conv, State, expected_shapes, topology
 
-__all__ = ["RandomBackbone", "random_resnet18", "random_state"]
+__all__ = ["random_state"]
 
 # Statistics are rounded to so many decimals: sums differ in their last bits between machines, weights should not.
 DECIMALS = 2
@@ -53,34 +49,3 @@ def _smooth_pictures(rng: np.random.Generator) -> NDArray[np.float32]:
         noise = rng.normal(size=(4, 3, size, size))
         planes += np.kron(noise, np.ones((64 // size, 64 // size))) / np.sqrt(3)
     return planes.astype(np.float32)
-
-
-@dataclass(frozen=True)
-class RandomBackbone:
-    """A backbone under the entry points `gelgate.backbones`, with seeded random weights.
-
-    Every backbone answers `name`, `topology`, `facts()` for the manifest and `trunk(taps)`.
-    """
-
-    topology: str
-    seed: int = 0
-
-    @property
-    def name(self) -> str:
-        return f"random_{self.topology}"
-
-    def facts(self) -> dict[str, object]:
-        """What a manifest records beside the trunk's SHA-256."""
-        return {
-            "topology": self.topology,
-            "weights": f"random, seed {self.seed}: a stand-in, not trained",
-            "mean": list(IMAGENET_MEAN),
-            "std": list(IMAGENET_STD),
-        }
-
-    def trunk(self, taps: Sequence[str] = TAPS) -> bytes:
-        """The serialised trunk with these taps."""
-        return build_trunk(random_state(self.topology, self.seed), self.topology, taps)
-
-
-random_resnet18 = RandomBackbone("resnet18")

@@ -10,7 +10,8 @@ from calibration.backbone.evaluation import evaluate, main
 from calibration.backbone.evaluation_sets import Trial, real_trials, simulated_trials
 from calibration.presses import NominalPresses
 from calibration.simulator.field import LR
-from plugins.backbones.random import random_resnet18
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
 
 
 def trial(name: str, seed: int) -> Trial:
@@ -31,7 +32,7 @@ def trial(name: str, seed: int) -> Trial:
 def test_a_black_square_is_found() -> None:
     """Two trials of an obvious defect: image AUROC 1, foreign frames far out, intervals around the mean of both."""
     found = evaluate(
-        {"random": random_resnet18.trunk()},
+        {"random": build_trunk(random_state("resnet18"), "resnet18")},
         {"squares": lambda: [trial("a", 0), trial("b", 1)]},
         ("padim",),
         replicates=20,

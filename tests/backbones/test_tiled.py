@@ -114,9 +114,9 @@ def test_the_layout_survives_writing() -> None:
 
 
 def test_the_command_tiles_an_installed_backbone(tmp_path: Path) -> None:
-    """`gelgate export tiles random_resnet18` writes a trunk with its layout inside, and names what it cannot do."""
+    """`gelgate export tiles tactile_resnet18` writes a trunk with its layout inside, and names what it cannot do."""
     output = tmp_path / "tiled.onnx"
-    arguments = ["export", "tiles", "random_resnet18", "-o", str(output), "--size", "64", "--overlap", "32"]
+    arguments = ["export", "tiles", "tactile_resnet18", "-o", str(output), "--size", "64", "--overlap", "32"]
     done = CliRunner().invoke(build(), [*arguments, "--frame", "160x96"], catch_exceptions=False)
     assert done.exit_code == 0
     assert "8 tiles of 64 over 160x96" in done.output

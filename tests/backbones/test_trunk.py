@@ -6,7 +6,7 @@ import onnxruntime
 import pytest
 
 from edge.core.errors import ConfigError
-from plugins.backbones.random import random_resnet18, random_state
+from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import expected_shapes, known_taps, topology
@@ -201,10 +201,3 @@ def test_random_weights_keep_their_scale() -> None:
     again = random_state("resnet18", 3)
     assert all(np.array_equal(RESNET18[key], again[key]) for key in RESNET18)
     assert not np.array_equal(RESNET18["conv1.weight"], random_state("resnet18", 4)["conv1.weight"])
-
-
-def test_the_stand_in_says_what_it_is() -> None:
-    """Its name and facts say random; its trunk gives the three usual taps."""
-    assert random_resnet18.name == "random_resnet18"
-    assert "not trained" in str(random_resnet18.facts()["weights"])
-    assert list(run(random_resnet18.trunk(), frames(1, 32, 32))) == ["layer1", "layer2", "layer3"]

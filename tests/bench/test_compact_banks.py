@@ -1,7 +1,7 @@
 """What compact storage costs: AU-PRO up to 1 % false positives with the bank as stored, as computed, and whole.
 
 Run with `pytest tests/bench/test_compact_banks.py -m bench -s`; GELGATE_BENCH_BACKBONE names another backbone than
-random_resnet18, installed or a trunk's file. Budget: within 0.005 of the whole bank, 16 MB at 224.
+the default, installed or a trunk's file. Budget: within 0.005 of the whole bank, 16 MB at 224.
 `whole` is the same method without what makes its bank small: full rank, all channels, all rows, float32. Two simulated
 parts are pressed by hand-like jitter; the maps are the oracle's, so that nothing but the bank differs.
 """

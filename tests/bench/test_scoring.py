@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.backbones import Trunk, open_trunk
+from calibration.backbones import DEFAULT_BACKBONE, Trunk, open_trunk
 from calibration.fit import Recipe, fit_files
 from calibration.presses import NominalPresses
 from edge import registry
@@ -31,7 +31,7 @@ class Row:
     """One measurement: a method with its settings on a backbone, for a frame of (h, w), from n nominal presses."""
 
     method: str
-    backbone: str = "random_resnet18"
+    backbone: str = DEFAULT_BACKBONE
     frame: tuple[int, int] = (224, 224)
     presses: int = 20
     mode: str = "corrected"
@@ -59,11 +59,6 @@ def pictures(n: int, frame: tuple[int, int]) -> NDArray[np.uint8]:
     return np.clip(noisy, 0, 255).astype(np.uint8)
 
 
-@pytest.fixture(scope="module")
-def trunks() -> dict[str, Trunk]:
-    return {}
-
-
 @pytest.fixture(scope="module", autouse=True)
 def heading() -> None:
     print(
@@ -73,11 +68,11 @@ def heading() -> None:
 
 @pytest.mark.bench
 @pytest.mark.parametrize("row", ROWS, ids=str)
-def test_score_against_bare_trunk(row: Row, trunks: dict[str, Trunk]) -> None:
+def test_score_against_bare_trunk(row: Row) -> None:
     """Frame to score map takes its trunk's time and a little more: medians in ms, bank in MB, fit in s."""
     detector = registry.load("detectors", row.method)
     parameters = detector.parameters(row.mode, **row.overrides)
-    trunk = trunks.setdefault(row.backbone, open_trunk(row.backbone, detector.taps(parameters)))
+    trunk = open_trunk(row.backbone, detector.taps(parameters))
     h, w = row.frame
     recipe = Recipe(
         part="bench",

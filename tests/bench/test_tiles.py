@@ -120,7 +120,7 @@ def test_a_large_frame_against_the_bare_trunk(detector: Any) -> None:
                 seconds[name].append(time.perf_counter() - start)
     medians = {name: float(np.median(found)) for name, found in seconds.items()}
     one = medians["bare trunk over the touched rectangle"]
-    print(f"\n{detector.name}, random_resnet18, 1280x720, touched 640x384")
+    print(f"\n{detector.name}, random resnet18, 1280x720, touched 640x384")
     for name, median in medians.items():
         runs = scorers[name][0].tiles_run if name in scorers else 0
         note = ""

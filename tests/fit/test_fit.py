@@ -11,12 +11,15 @@ import tiny
 from calibration.backbones import Trunk, open_trunk
 from calibration.fit import Recipe, fit_bundle, fit_files
 from calibration.presses import NominalPresses
+from edge import registry
 from edge.bundle import Bundle
 from edge.core.detector import Bank, Grid, Nominal, Progress
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.core.touch import Touch
 from edge.graphcheck import output_names
 from edge.scorer import Scorer
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
 
 
 def presses(n: int, **changes: object) -> NominalPresses:
@@ -288,14 +291,23 @@ def test_a_trunk_comes_from_a_file_or_by_name(tmp_path: Path) -> None:
     assert open_trunk(str(tmp_path / "mine.onnx")).id == "mine"
     with pytest.raises(FitError, match="cannot be read"):
         open_trunk(str(tmp_path / "none.onnx"))
-    with pytest.raises(ConfigError, match=r"no backbone is named 'renset'; known: .*random_resnet18"):
+    with pytest.raises(ConfigError, match=r"no backbone is named 'renset'; known: .*tactile_resnet18"):
         open_trunk("renset")
 
 
-def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself() -> None:
-    """The usual trunk is kept where it has the taps, so that all parts of a line share one file."""
-    usual = open_trunk("random_resnet18")
-    assert open_trunk("random_resnet18", ("layer1", "layer3")).sha256 == usual.sha256
-    deep = open_trunk("random_resnet18", ("layer2.0",))
+class Resnet18:
+    """A backbone that can give any tap, and usually gives layer1 and layer2."""
+
+    def trunk(self, taps: tuple[str, ...] = ("layer1", "layer2")) -> bytes:
+        return build_trunk(random_state("resnet18"), "resnet18", taps)
+
+
+def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The usual trunk is kept where it has the taps, so that parts which read equally deep share one file."""
+    monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
+    monkeypatch.setattr(registry, "load", lambda kind, name: Resnet18())
+    usual = open_trunk("mine")
+    assert open_trunk("mine", ("layer2",)).sha256 == usual.sha256
+    deep = open_trunk("mine", ("layer2.0",))
     assert output_names(deep.graph) == ["layer2.0"]
     assert deep.facts["taps"] == ["layer2.0"]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.backbones import open_trunk
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.fit import Recipe, fit_files
 from calibration.presses import read_presses
 from edge import registry
@@ -33,9 +33,9 @@ def scorer(gelslam: Path) -> Scorer:
     folders = [gelslam / "6.310mm" / str(k) for k in range(24)]
     presses = read_presses(folders, PROFILE, REGION, no_contact=[gelslam / "background.png"])
     assert len(presses.touches) == 24
-    recipe = Recipe(
-        "ball", "any", PROFILE, REGION, registry.load("detectors", "subspace"), open_trunk("random_resnet18")
-    )
+    detector = registry.load("detectors", "subspace")
+    trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
+    recipe = Recipe("ball", "any", PROFILE, REGION, detector, trunk)
     return Scorer(fit_files(presses, recipe, created="test").bundle())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from station import JSONL, station_config
 
-from calibration.backbones import open_trunk
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.fit import Recipe, fit_bundle
 from calibration.presses import read_presses
 from edge import registry
@@ -43,7 +43,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording."""
     folder = tmp_path_factory.mktemp("real")
     detector = registry.load("detectors", "padim")
-    trunk = open_trunk("random_resnet18", detector.taps(detector.parameters()))
+    trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
     bundle = fit_bundle(
