@@ -21,6 +21,10 @@ def train_backbone(
     geometry: Annotated[float, typer.Option(help="weight of reading slopes and depth", min=0)] = 1.0,
     pair: Annotated[float, typer.Option(help="weight of pulling and pushing pairs", min=0)] = 1.0,
     rank: Annotated[float, typer.Option(help="weight of ranking changes above one per cent", min=0)] = 0.5,
+    window_mm: Annotated[
+        float, typer.Option(help="half width of the window where a cell's partner is looked for", min=0)
+    ] = 0.5,
+    finest_weight: Annotated[float, typer.Option(help="weight of layer1 beside 1 of each other stage")] = 2.0,
     max_rate: Annotated[float, typer.Option(help="peak of the one-cycle learning rate")] = 2e-3,
     high_resolution: Annotated[
         float, typer.Option(help="share of batches at the spacing of 1280x720", min=0, max=1)
@@ -57,6 +61,8 @@ def train_backbone(
         "geometry_weight": geometry,
         "pair_weight": pair,
         "rank_weight": rank,
+        "window_mm": window_mm,
+        "finest_weight": finest_weight,
         "max_rate": max_rate,
         "high_resolution": high_resolution,
         "start": weights_sha256(start) if start else "",

@@ -1,8 +1,8 @@
 """What the backbone is taught, at each of its three stages.
 
 geometry: a 1x1 head must read slopes, depth and gradient energy from the features of a cell.
-pair: unit-normalised features of two presses of one part lie together where the imprint is the same, and at least a
-margin apart where damage changed it.
+pair: features of two presses of one part lie together where the imprint is the same, and at least a margin apart where
+damage changed it; looked for within a window, as a detector does, so that a shift needs no blur to be forgiven.
 rank: a changed cell must lie farther apart than the hundredth most distant unchanged one: what a detector at one per
 cent false alarms needs.
 """
@@ -15,15 +15,17 @@ from torch import Tensor, nn
 
 from calibration.backbone.presses import Pairs
 from calibration.backbone.recipe import STAGES, Recipe
-from calibration.backbone.render import slopes
+from calibration.backbone.render import Spacing, slopes
 
-__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation"]
+__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation", "window_cells"]
 
 # Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
 _SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
 # Softness of the rank loss, in feature distance.
 _RANK_SOFTNESS = 0.1
 _FALSE_ALARMS = 0.01
+# Cells to either side that a match is looked for in at most: fine pictures would ask for hundreds of places.
+_MOST_REACH = 3
 
 
 @dataclass(frozen=True)
@@ -46,17 +48,18 @@ class Losses:
 def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Recipe) -> Losses:
     """The losses of one batch. maps: the trunk's output for `batch.frames`."""
     geometry = _geometry(batch)
-    parts: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    parts: list[Tensor] = []
     for stage, features in zip(STAGES, maps, strict=True):
         stride = batch.change_mm.shape[-1] // features.shape[-1]
         target = F.avg_pool2d(geometry, stride)
         wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
-        distance = cell_distances(features)
+        reach = window_cells(recipe.window_mm, stride, batch.spacing)
+        distance = cell_distances(features, reach)
         changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
-        parts.append(
-            (wrong, *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged))
-        )
-    return Losses(*(torch.stack(column).mean() for column in zip(*parts, strict=True)))
+        pair = _pair(distance, changed, unchanged, recipe.margin)
+        parts.append(torch.stack([wrong, *pair, _rank(distance, changed, unchanged)]))
+    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0], device=parts[0].device)
+    return Losses(*(weight @ torch.stack(parts) / weight.sum()))
 
 
 def _geometry(batch: Pairs) -> Tensor:
@@ -66,10 +69,28 @@ def _geometry(batch: Pairs) -> Tensor:
     return torch.stack([sx / _SLOPE, sy / _SLOPE, batch.surface_mm / _DEPTH, energy / _ENERGY], dim=1)
 
 
-def cell_distances(features: Tensor) -> Tensor:
-    """Distance of unit-normalised features between the two presses of each pair, (n, rows, columns), 0 to 2."""
+def window_cells(window_mm: float, stride: int, spacing: Spacing) -> tuple[int, int]:
+    """Cells up and down, and left and right, that a window of this half width holds."""
+    x, y = (min(_MOST_REACH, round(window_mm / (stride * mm))) for mm in spacing)
+    return y, x
+
+
+def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0)) -> Tensor:
+    """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns), 0 to 2.
+
+    Features count by their direction. reach: rows and columns to either side of its own place where the nearest may
+    lie, as a detector looks for it; outside the map there is nothing.
+    """
     first, second = F.normalize(features.float(), dim=1).chunk(2)
-    return torch.sqrt(((first - second) ** 2).sum(dim=1) + 1e-6)
+    down, across = reach
+    wide = F.pad(first, (across, across, down, down))
+    rows, columns = first.shape[-2:]
+    alike = torch.full_like(second[:, 0], -1.0)
+    for top in range(2 * down + 1):
+        for left in range(2 * across + 1):
+            there = wide[:, :, top : top + rows, left : left + columns]
+            alike = torch.maximum(alike, (there * second).sum(dim=1))
+    return torch.sqrt((2 - 2 * alike).clamp(min=0) + 1e-6)
 
 
 def changed_cells(change_mm: Tensor, stride: int, recipe: Recipe) -> tuple[Tensor, Tensor]:

@@ -120,13 +120,13 @@ def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float
 
 def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float) -> _Views:
     """A command per part and a jitter per press; how well a part is held differs from part to part."""
-    shift_sd = draws.log_uniform(0.02, 0.3, n) * scale
-    turn_sd = draws.log_uniform(0.15, 3.0, n) * (math.pi / 180)
+    shift_sd = draws.log_uniform(0.02, 0.2, n) * scale
+    turn_sd = draws.log_uniform(0.15, 2.0, n) * (math.pi / 180)
     tilt_sd = draws.log_uniform(0.1, 0.6, n) * (math.pi / 180)
     lean = draws.chance(0.3, n) * draws.uniform(0, 2.0, n) * (math.pi / 180)
     side = draws.uniform(0, 2 * math.pi, n)
     depth = draws.uniform(0.15, 0.7, n)
-    depth_sd = draws.log_uniform(0.02, 0.1, n)
+    depth_sd = draws.log_uniform(0.02, 0.08, n)
 
     def twice(values: Tensor) -> Tensor:
         return torch.cat([values, values])

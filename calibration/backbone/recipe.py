@@ -21,9 +21,10 @@ class Recipe:
     seed: of weights and of every batch. steps, pairs, side: optimiser steps, pairs per step, pixels per side.
     The weights of the three losses: 0 leaves one out. max_rate: the peak of the one-cycle learning rate.
     margin: the distance, 0 to 2, that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
-    more is a change, one that differs by less is none, and what lies between is not judged. high_resolution: share of
-    batches at the spacing of 1280x720 pictures. precision: of the forward pass. start: SHA-256 of the weights of
-    another run that this one begins with, empty to begin at random.
+    more is a change, one that differs by less is none, and what lies between is not judged. window_mm: half width of
+    the window where a cell's partner is looked for, 0 for its own place. finest_weight: of layer1 beside 1 of each
+    other stage. high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
+    start: SHA-256 of the weights of another run that this one begins with, empty to begin at random.
     """
 
     seed: int = 0
@@ -39,6 +40,8 @@ class Recipe:
     margin: float = 1.0
     changed_mm: float = 0.02
     unchanged_mm: float = 0.004
+    window_mm: float = 0.5
+    finest_weight: float = 2.0
     high_resolution: float = 0.25
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     start: str = ""
@@ -53,6 +56,10 @@ class Recipe:
         if not 0 <= self.unchanged_mm < self.changed_mm:
             raise ConfigError(
                 f"unchanged_mm lies below changed_mm, found {self.unchanged_mm} and {self.changed_mm}"
+            )
+        if not (self.window_mm >= 0 and self.finest_weight > 0):
+            raise ConfigError(
+                f"window_mm is at least 0 and finest_weight positive, found {self.window_mm} and {self.finest_weight}"
             )
         if self.precision not in ("float32", "bfloat16"):
             raise ConfigError(f"precision is float32 or bfloat16, found '{self.precision}'")

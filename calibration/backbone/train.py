@@ -23,7 +23,14 @@ from calibration.backbone import checkpoint as checkpoints
 from calibration.backbone.ahead import draw_step, drawn_ahead
 from calibration.backbone.checkpoint import Checkpoint
 from calibration.backbone.figure import draw_losses
-from calibration.backbone.losses import Losses, cell_distances, changed_cells, losses, separation
+from calibration.backbone.losses import (
+    Losses,
+    cell_distances,
+    changed_cells,
+    losses,
+    separation,
+    window_cells,
+)
 from calibration.backbone.network import Trunk, heads
 from calibration.backbone.presses import Pairs, draw_pairs
 from calibration.backbone.recipe import STAGES, Recipe
@@ -130,9 +137,9 @@ class _Learner:
                 for stage, features in zip(STAGES, self._maps(batch), strict=True):
                     stride = self.recipe.side // features.shape[-1]
                     cells = changed_cells(batch.change_mm, stride, self.recipe)
-                    found[stage].append(
-                        (cell_distances(features).flatten(), cells[0].flatten(), cells[1].flatten())
-                    )
+                    reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
+                    distance = cell_distances(features, reach)
+                    found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
         joined = {s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in found.items()}
         return {f"recall_fpr01_{stage}": separation(*columns) for stage, columns in joined.items()}
 

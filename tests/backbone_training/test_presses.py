@@ -11,7 +11,7 @@ import torch
 
 from calibration.backbone import render
 from calibration.backbone.draws import draws_for
-from calibration.backbone.losses import cell_distances, changed_cells, separation
+from calibration.backbone.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.backbone.parts import draw_parts
 from calibration.backbone.presses import TRAINING_UNITS, Pairs, draw_pairs
 from calibration.backbone.recipe import Recipe
@@ -129,6 +129,24 @@ def test_distances_are_of_unit_features() -> None:
     near = cell_distances(torch.cat([first, 7 * first]))
     assert torch.allclose(far, torch.full_like(far, 2.0), atol=1e-3)
     assert float(near.max()) < 2e-3
+
+
+def test_a_shift_within_the_window_costs_nothing() -> None:
+    """A cell moved by one column is found at distance 0 one column away, not beyond the window nor outside the map."""
+    cells = torch.rand(2, 8, 6, 6, generator=torch.Generator().manual_seed(0))
+    moved = torch.cat([cells, cells.roll(1, 3)])
+    assert float(cell_distances(moved, (0, 1))[:, :, 1:].max()) < 2e-3
+    assert float(cell_distances(moved, (1, 0)).min()) > 0.1
+    # What left at the right came in at the left, where it has no neighbour within one column.
+    assert float(cell_distances(moved, (0, 1))[:, :, 0].min()) > 0.1
+
+
+def test_the_window_keeps_its_width_in_mm() -> None:
+    """Half a millimetre is two cells of layer1 at 320x240, one of layer2, none of layer3; three at most anywhere."""
+    found = [window_cells(0.5, stride, (0.0634, 0.0634)) for stride in (4, 8, 16)]
+    assert found == [(2, 2), (1, 1), (0, 0)]
+    assert window_cells(0.5, 4, (0.045, 0.06)) == (2, 3)
+    assert window_cells(0.5, 4, (0.015, 0.02)) == (3, 3)
 
 
 def test_no_evaluated_part_scene_or_sensor_is_drawn(tmp_path: Path) -> None:
