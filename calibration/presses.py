@@ -5,7 +5,7 @@ of the free gel. Pictures are presses already; with a picture of the free gel th
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from edge.core.touch import Touch, touched, touched_mask
 from edge.core.tracker import ContactTracker
 from edge.recording import Recording
 
-__all__ = ["NominalPresses", "is_recording", "read_presses"]
+__all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 
@@ -128,15 +128,36 @@ def read_presses(
             _read_recording(source, gathered)
     files = _listed([source for source in sources if not is_recording(source)])
     for path, picture in _pictures(files, profile, resize):
-        match = SPECIMEN.search(path.stem)
-        mask = None if reference is None else touched_mask(reference.difference(_view(picture)))
-        gathered.add(picture, _name(path), match["specimen"] if match else None, mask)
+        _add_picture(picture, _name(path), reference, gathered)
     if not gathered.frames:
         raise FitError(
             f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
             "folder of pictures"
         )
     return gathered.presses()
+
+
+def named_presses(
+    pictures: Mapping[str, NDArray[np.uint8]],
+    profile: SensorProfile,
+    region: Region,
+    *,
+    no_contact: Sequence[NDArray[np.uint8]] = (),
+) -> NominalPresses:
+    """The same from at least one picture in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
+    gathered = _Gathered(profile, region, free=[region.crop(picture) for picture in no_contact])
+    reference = _reference(no_contact)
+    for name, picture in pictures.items():
+        _add_picture(picture, name, reference, gathered)
+    return gathered.presses()
+
+
+def _add_picture(
+    picture: NDArray[np.uint8], name: str, reference: Reference | None, gathered: _Gathered
+) -> None:
+    match = SPECIMEN.search(Path(name).stem)
+    mask = None if reference is None else touched_mask(reference.difference(_view(picture)))
+    gathered.add(picture, name, match["specimen"] if match else None, mask)
 
 
 def _read_recording(folder: Path, gathered: _Gathered) -> None:

@@ -1,41 +1,67 @@
 """The model card and the page about the backbone, written from the facts and the evaluation beside the trunks.
 
-`python3 -m calibration.backbone.card FOLDER --page docs/backbone.md` writes both. Nothing is typed in by hand:
-`tactile_resnet18.json` comes from the training run, `tactile_resnet18_evaluation.json` from the evaluation, and a
-number that is in neither is not in the card.
+`python3 -m calibration.backbone.card FOLDER --page docs/backbone.md` writes both, and `gelgate evaluate-backbone` does
+with `--page`. Nothing is typed in by hand: `tactile_resnet18.json` comes from the training run,
+`tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from whoever tried other
+settings, and a number that is in none of them is not in the card.
+
+Trials: {"format": 1, "measure": what the numbers are, "rows": [{"name": ..., "settings": ..., "values": {column: number
+or null}}]}; the columns are those of the first row.
 """
 
 import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from calibration.backbone.package import NAME
 from edge.core.errors import ConfigError
 
-__all__ = ["card", "main", "page", "write_card"]
+__all__ = ["card", "evaluation_tables", "main", "page", "write_card"]
 
 _LIMITS = (
     "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
     "threshold on presses of your own sensor.",
     "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
-    "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out "
-    "(foreign_out: the share that scores above every sound held-out press). Tell a wrong sensor by other means.",
-    "JPEG compression, motion blur and a gel rim were not drawn in training.",
-    "The optical check on pictures of screws, each loss alone, other widths and int8-aware fine-tuning are untried.",
+    "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out. "
+    "Tell a wrong sensor by other means.",
+    "Motion blur and a gel rim were not drawn in training.",
 )
 
 
-# Settings of a recipe that the verb takes as options.
-_OPTIONS = ("steps", "pairs", "side", "seed", "max_rate", "high_resolution", "precision")
+# Settings of a recipe that the verb takes as options; a run made before one of them existed does not have it.
+_OPTIONS = {
+    "steps": "steps",
+    "pairs": "pairs",
+    "side": "side",
+    "seed": "seed",
+    "geometry": "geometry_weight",
+    "pair": "pair_weight",
+    "rank": "rank_weight",
+    "window-mm": "window_mm",
+    "finest-weight": "finest_weight",
+    "max-rate": "max_rate",
+    "high-resolution": "high_resolution",
+    "precision": "precision",
+}
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The three files, parsed; None where one is not there."""
+
+    facts: dict[str, Any]
+    evaluation: dict[str, Any] | None
+    trials: dict[str, Any] | None
 
 
 def write_card(folder: Path) -> Path:
     """Write `<name>.md` beside the facts; gives its path. Errors: ConfigError when the facts are missing or broken."""
     path = folder / f"{NAME}.md"
-    path.write_text(_text(folder, card))
+    path.write_text(_text(folder, _card))
     return path
 
 
@@ -44,19 +70,27 @@ def page(folder: Path) -> str:
     return _text(folder, _page)
 
 
-def _text(folder: Path, write: Callable[[dict[str, Any], dict[str, Any] | None], str]) -> str:
+def _text(folder: Path, write: Callable[["_Known"], str]) -> str:
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text())
-        evaluation_file = folder / f"{NAME}_evaluation.json"
-        evaluation = json.loads(evaluation_file.read_text()) if evaluation_file.is_file() else None
-        return write(facts, evaluation)
+        return write(_Known(facts, _beside(folder, "evaluation"), _beside(folder, "trials")))
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
 
 
-def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
-    title, rest = card(facts, evaluation).split("\n", 1)
+def _beside(folder: Path, what: str) -> dict[str, Any] | None:
+    file = folder / f"{NAME}_{what}.json"
+    found: dict[str, Any] | None = json.loads(file.read_text()) if file.is_file() else None
+    return found
+
+
+def _card(known: _Known) -> str:
+    return card(known.facts, known.evaluation, known.trials)
+
+
+def _page(known: _Known) -> str:
+    title, rest = _card(known).split("\n", 1)
     return "\n".join(
         [
             "<!-- Printed from the facts and the evaluation beside the weights by calibration.backbone.card. -->",
@@ -70,11 +104,12 @@ def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
             "Make it again, judge it, and write this page:",
             "",
             "```",
-            *_commands(facts),
-            f"python3 -m calibration.backbone.evaluation --out plugins/backbones random=random_resnet18 trained={NAME} "
-            f"trained_int8={NAME}_int8 --real REAL_FRAMES",
-            "python3 -m calibration.backbone.card plugins/backbones --page docs/backbone.md",
+            *_commands(known.facts),
+            _evaluation_command(known.evaluation),
             "```",
+            "",
+            "`REAL_TACTILE` and `SCREWS` are folders of pictures that are no part of the product; a table that needs",
+            "one says so where it is not given. Any other trunk is compared as a further `NAME=TRUNK`.",
             "",
             "Training goes on with `--resume` after an interruption, and a resumed run gives the same weights as one",
             "that was left alone on the same CPU. On a CPU that other programs use, keep to `--threads 1`.",
@@ -85,7 +120,9 @@ def _page(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
     )
 
 
-def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
+def card(
+    facts: dict[str, Any], evaluation: dict[str, Any] | None, trials: dict[str, Any] | None = None
+) -> str:
     """The card as Markdown."""
     recipe, last = facts["recipe"], facts["last_entry"]
     lines = [
@@ -132,8 +169,9 @@ def card(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
         "",
         "## Evaluation",
         "",
-        *_evaluated(evaluation),
+        *(["Not evaluated yet."] if evaluation is None else evaluation_tables(evaluation)),
         "",
+        *_tried(trials),
         "## Known limits",
         "",
         *(f"- {limit}" for limit in (*_LIMITS, *_scales(recipe))),
@@ -172,19 +210,65 @@ def _scales(recipe: dict[str, Any]) -> list[str]:
     ]
 
 
-def _evaluated(evaluation: dict[str, Any] | None) -> list[str]:
-    """One table per set of the evaluation: rows of backbone and detector, columns of measures with intervals."""
-    if evaluation is None:
-        return ["Not evaluated yet."]
-    lines: list[str] = []
-    for title, rows in evaluation["sets"].items():
-        names = list(dict.fromkeys(name for row in rows for name in row["measures"]))
-        body = [
-            (row["backbone"], row["detector"], *(_interval(row["measures"].get(name)) for name in names))
-            for row in rows
-        ]
-        lines += [f"### {title}", "", *_table(("backbone", "detector", *names), body), ""]
+def evaluation_tables(evaluation: dict[str, Any]) -> list[str]:
+    """Markdown lines: a table per set, rows of backbone and detector, columns of measures with intervals."""
+    replicates, settings = evaluation["replicates"], evaluation["settings"]
+    lines = [
+        f"In brackets: 95 % intervals from {replicates} bootstrap replicates over presses, within each part. AU-PRO is "
+        "integrated up to 1 % false positives.",
+        "",
+        "The detectors' settings:",
+        "",
+        *(f"- {method}: {_listed(chosen)}" for method, chosen in settings.items()),
+        "",
+    ]
+    for of in evaluation["sets"].values():
+        lines += [f"### {of['title']}", "", of["text"], "", *_rows(of), ""]
     return lines
+
+
+def _rows(of: dict[str, Any]) -> list[str]:
+    if "rows" not in of:
+        return [f"Not measured: {of['missing']}."]
+    names = list(dict.fromkeys(name for row in of["rows"] for name in row["measures"]))
+    body = [
+        (row["backbone"], row["detector"], *(_interval(row["measures"].get(name)) for name in names))
+        for row in of["rows"]
+    ]
+    return [f"Trials: {', '.join(of['trials'])}.", "", *_table(("backbone", "detector", *names), body)]
+
+
+def _listed(chosen: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {_short(value)}" for name, value in chosen.items() if value is not None)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return " and ".join(map(str, value)) or "all"
+    return _number(value)
+
+
+def _tried(trials: dict[str, Any] | None) -> list[str]:
+    """The section on other settings, empty where nobody wrote any down."""
+    if not trials or not trials["rows"]:
+        return []
+    columns = list(trials["rows"][0]["values"])
+    body = [
+        (
+            row["name"],
+            row["settings"],
+            *("-" if row["values"].get(c) is None else f"{row['values'][c]:.3f}" for c in columns),
+        )
+        for row in trials["rows"]
+    ]
+    return [
+        "## What was tried",
+        "",
+        f"{trials['measure']}.",
+        "",
+        *_table(("trial", "settings", *columns), body),
+        "",
+    ]
 
 
 def _interval(measure: dict[str, Any] | None) -> str:
@@ -207,13 +291,27 @@ def _commands(facts: dict[str, Any]) -> list[str]:
     runs = [*facts.get("before", []), {"recipe": facts["recipe"], "steps": facts["recipe"]["steps"]}]
     lines = []
     for number, run in enumerate(runs, start=1):
-        options = " ".join(f"--{name.replace('_', '-')} {run['recipe'][name]}" for name in _OPTIONS)
+        chosen = {option: run["recipe"].get(name) for option, name in _OPTIONS.items()}
+        options = " ".join(f"--{option} {value}" for option, value in chosen.items() if value is not None)
         start = f" --start RUN{number - 1}" if run["recipe"].get("start") else ""
         last = " --package plugins/backbones" if number == len(runs) else ""
         is_cut = run["steps"] < run["recipe"]["steps"]
         cut = f"  # interrupted after step {run['steps']}" if is_cut else ""
         lines.append(f"gelgate train-backbone RUN{number}{start} {options}{last}{cut}")
     return lines
+
+
+def _evaluation_command(evaluation: dict[str, Any] | None) -> str:
+    """The call that compares the same trunks again; those that do not ship come from runs of their names."""
+    shipped = {"trained": NAME, "trained_int8": f"{NAME}_int8"}
+    names = list((evaluation or {}).get("trunks", {}))
+    others = [name for name in names if name not in shipped and name != "random"]
+    columns = [f"{name}={trunk}" for name, trunk in shipped.items()]
+    columns += [f"{name}=RUN_{name}/{NAME}.onnx" for name in others]
+    return (
+        f"gelgate evaluate-backbone plugins/backbones {' '.join(columns)} --workers 2 "
+        "--tactile REAL_TACTILE --screws SCREWS --page docs/backbone.md"
+    )
 
 
 def main(words: Sequence[str] | None = None) -> int:

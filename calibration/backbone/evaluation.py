@@ -1,36 +1,43 @@
-"""Backbones side by side: the same detectors, presses and measures, on trunks that differ in their weights alone.
+"""Backbones side by side: the same detectors, presses and measures, on trunks that differ in their weights alone."""
 
-`python3 -m calibration.backbone.evaluation --out FOLDER NAME=TRUNK ...` writes `tactile_resnet18_evaluation.json`,
-which the model card prints. A trunk is an installed backbone's name or a path ending in `.onnx`.
-"""
-
-import argparse
-import json
-import sys
-import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.backbone.evaluation_sets import SCENE_SEED, Trial, real_trials, simulated_trials
-from calibration.backbone.package import NAME
-from calibration.backbones import open_trunk
+from calibration.backbone.evaluation_sets import EvaluationSet, Trial
 from calibration.features import extract, trunk_grid
+from calibration.heads import head_of
 from calibration.metrics import image_weights, interval, pixel_measures
+from calibration.simulator.workers import in_order
 from edge import registry
 from edge.core.detector import Detector, Features, Grid, Nominal
-from edge.core.errors import ConfigError, GelgateError
 from edge.packing import pack, unpack
 from edge.runtime import open_session
+from edge.trunk_cut import cut_trunk
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
 
-__all__ = ["DETECTORS", "Column", "evaluate", "main", "trial_columns"]
+__all__ = [
+    "DETECTORS",
+    "FORMAT",
+    "RANDOM",
+    "Column",
+    "evaluate",
+    "random_trunk",
+    "scored_columns",
+    "trial_columns",
+    "used_settings",
+]
 
 DETECTORS = ("padim", "spade", "fapm", "inreach")
+FORMAT = 2
+RANDOM = "random"
+"""The name of the column with random weights."""
+
 _MEASURES = ("image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01")
 _FALSE_ALARMS = 0.01
 _PIXELS_PER_MM = 1 / 0.0634
@@ -38,6 +45,14 @@ _THREADS = 1
 
 Column = NDArray[np.float64]
 """One measure: its value, then one value per bootstrap replicate."""
+
+Scored = dict[tuple[str, str], dict[str, Column]]
+"""(backbone, detector) to the measures of one trial."""
+
+
+def random_trunk() -> bytes:
+    """A ResNet-18 with random weights, seed 0: what training is compared with."""
+    return build_trunk(random_state("resnet18"), "resnet18")
 
 
 @dataclass(frozen=True)
@@ -49,47 +64,115 @@ class _Taken:
     scored: Features
 
 
+@dataclass(frozen=True)
+class _Task:
+    """One trial of a set with the trunks to compare on it."""
+
+    make: Callable[[], Trial]
+    trunks: Mapping[str, bytes]
+    detectors: Sequence[str]
+    replicates: int
+
+
 def evaluate(
-    trunks: dict[str, bytes],
-    sets: dict[str, Callable[[], Iterable[Trial]]],
+    trunks: Mapping[str, bytes],
+    sets: Mapping[str, EvaluationSet],
     detectors: Sequence[str] = DETECTORS,
     *,
     replicates: int = 200,
+    workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
+    advance: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Any]:
     """One row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
 
-    trunks: name to graph. The intervals are bootstrapped over presses, within each trial.
+    trunks: name to graph, the one that ships first. The intervals are bootstrapped over presses, within each trial.
+    Brief sets compare the first trunk and `random` alone. advance: called with the trials done.
     """
-    found: dict[str, list[dict[str, Any]]] = {}
-    for title, trials in sets.items():
-        columns: dict[tuple[str, str], list[dict[str, Column]]] = {}
-        names: list[str] = []
-        for trial in trials():
-            names.append(trial.name)
-            for trunk, graph in trunks.items():
-                taken = _features(graph, trial)
-                for method in detectors:
-                    one = trial_columns(registry.load("detectors", method), taken, trial, replicates)
-                    columns.setdefault((trunk, method), []).append(one)
-                    first = ", ".join(f"{name} {column[0]:.3f}" for name, column in one.items())
-                    say(f"{title} / {trial.name} / {trunk} / {method}: {first}")
-        found[f"{title} ({', '.join(names)})"] = [
-            {
-                "backbone": trunk,
-                "detector": method,
-                "measures": {name: _mean(rows, name) for name in rows[0]},
-                "trials": {
-                    trial: {name: _plain(column[0]) for name, column in row.items()}
-                    for trial, row in zip(names, rows, strict=True)
-                },
-            }
-            for (trunk, method), rows in columns.items()
-        ]
-    return {"format": 1, "scene_seed": SCENE_SEED, "replicates": replicates, "sets": found}
+    tasks = list(_tasks(trunks, sets, detectors, replicates))
+    results = in_order(_run, [task for _, task in tasks], workers)
+    found: dict[str, list[tuple[str, Scored]]] = {name: [] for name in sets}
+    for done, ((name, _), (trial, scored)) in enumerate(zip(tasks, results, strict=True), start=1):
+        found[name].append((trial, scored))
+        for (trunk, method), columns in scored.items():
+            first = ", ".join(f"{measure} {column[0]:.3f}" for measure, column in columns.items())
+            say(f"{name} / {trial} / {trunk} / {method}: {first}")
+        advance(done)
+    return {
+        "format": FORMAT,
+        "replicates": replicates,
+        "settings": {method: used_settings(method) for method in detectors},
+        "sets": {name: _written(sets[name], trials) for name, trials in found.items()},
+    }
 
 
-def _mean(rows: list[dict[str, Column]], name: str) -> dict[str, Any]:
+def _tasks(
+    trunks: Mapping[str, bytes], sets: Mapping[str, EvaluationSet], detectors: Sequence[str], replicates: int
+) -> Iterator[tuple[str, _Task]]:
+    taps = _taps(detectors)
+    shallow = {name: cut_trunk(graph, taps) for name, graph in trunks.items()}
+    first = next(iter(shallow))
+    brief = {name: graph for name, graph in shallow.items() if name in (first, RANDOM)}
+    for name, chosen in sets.items():
+        for make in chosen.trials:
+            yield name, _Task(make, brief if chosen.is_brief else shallow, detectors, replicates)
+
+
+def _run(task: _Task) -> tuple[str, Scored]:
+    """One trial's name and measures; runs in any process."""
+    trial = task.make()
+    return trial.name, scored_columns(task.trunks, trial, task.detectors, task.replicates)
+
+
+def scored_columns(
+    trunks: Mapping[str, bytes], trial: Trial, detectors: Sequence[str], replicates: int
+) -> Scored:
+    """The measures of every trunk with every detector on one trial."""
+    scored: Scored = {}
+    for trunk, graph in trunks.items():
+        taken = _features(graph, trial, _taps(detectors))
+        for method in detectors:
+            detector = registry.load("detectors", method)
+            scored[trunk, method] = trial_columns(detector, taken, trial, replicates)
+    return scored
+
+
+def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
+    """Every tap that one of the detectors reads."""
+    loaded = [registry.load("detectors", method) for method in detectors]
+    return tuple(sorted({tap for detector in loaded for tap in detector.taps(detector.parameters())}))
+
+
+def used_settings(method: str) -> dict[str, Any]:
+    """The settings that the rows are of: where the method reads, and how wide it blurs."""
+    parameters = registry.load("detectors", method).parameters()
+    named = ("taps", "layers", "grid_tap", "channels", "dims", "rank", "neighbours", "sigma")
+    return {name: getattr(parameters, name) for name in named if hasattr(parameters, name)}
+
+
+def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:
+    if not trials:
+        return {"title": of.title, "text": of.text, "missing": of.missing}
+    pairs = list(trials[0][1])
+    return {
+        "title": of.title,
+        "text": of.text,
+        "trials": [name for name, _ in trials],
+        "rows": [_row(*pair, [(name, scored[pair]) for name, scored in trials]) for pair in pairs],
+    }
+
+
+def _row(trunk: str, method: str, trials: Sequence[tuple[str, dict[str, Column]]]) -> dict[str, Any]:
+    columns = [column for _, column in trials]
+    return {
+        "backbone": trunk,
+        "detector": method,
+        "measures": {name: _mean(columns, name) for name in columns[0]},
+        "trials": {trial: {name: _plain(column[0]) for name, column in row.items()} for trial, row in trials},
+    }
+
+
+def _mean(rows: Sequence[dict[str, Column]], name: str) -> dict[str, Any]:
     column = np.mean([row[name] for row in rows], axis=0)
     span = interval(column[1:]) if len(column) > 1 else None
     return {
@@ -102,9 +185,10 @@ def _plain(value: float) -> float | None:
     return round(float(value), 5) if np.isfinite(value) else None
 
 
-def _features(graph: bytes, trial: Trial) -> _Taken:
+def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
+    """taps: those that are read, all of the trunk's when not given."""
     session = open_session(graph, _THREADS, "trunk")
-    taps = [output.name for output in session.get_outputs()]
+    taps = list(taps) or [output.name for output in session.get_outputs()]
     shape = (trial.frames.shape[1], trial.frames.shape[2])
     grid = trunk_grid(session, taps, shape, _PIXELS_PER_MM)
 
@@ -147,7 +231,7 @@ def _scored(detector: Detector, taken: _Taken) -> tuple[NDArray[np.float32], NDA
     taps = detector.taps(parameters)
     grid = Grid(taken.grid.frame, {t: taken.grid.taps[t] for t in taps}, taken.grid.pixels_per_mm)
     bank = detector.fit(taken.nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
-    head = open_session(detector.head(grid, bank, parameters), _THREADS, f"head of {detector.name}")
+    head = open_session(head_of(detector, grid, bank, parameters), _THREADS, f"head of {detector.name}")
     wanted = {given.name for given in head.get_inputs()}
     stored = {
         name: unpack(pack(array, packing), packing)
@@ -174,43 +258,3 @@ def _image_auroc(scores: NDArray[np.float64], label: NDArray[np.bool_], weights:
     w_bad, w_good = weights[:, label], weights[:, ~label]
     right: Column = ((w_bad @ wins) * w_good).sum(axis=1) / (w_bad.sum(axis=1) * w_good.sum(axis=1))
     return right
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """The command line; 0 when done, else the sentence and its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="calibration.backbone.evaluation", description=__doc__.splitlines()[0]
-    )
-    parser.add_argument("trunks", nargs="+", metavar="NAME=TRUNK")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the evaluation file")
-    parser.add_argument("--real", type=Path, help="folder of real tactile frames")
-    parser.add_argument("--parts", nargs="*", default=[], help="part analogues, all when not given")
-    parser.add_argument("--replicates", type=int, default=200)
-    parser.add_argument("--keep", type=Path, help="folder for the simulated pictures, kept for the next time")
-    given = parser.parse_args(words)
-    try:
-        pairs = [word.partition("=") for word in given.trunks]
-        trunks = {name: open_trunk(trunk or name).graph for name, _, trunk in pairs}
-        with tempfile.TemporaryDirectory(prefix="gelgate-evaluation-") as fresh:
-            folder, parts = given.keep or Path(fresh), tuple(given.parts)
-            sets: dict[str, Callable[[], Iterable[Trial]]] = {
-                "Unseen parts": lambda: simulated_trials(folder, is_unseen_sensor=False, parts=parts),
-                "Unseen parts on an unseen sensor": lambda: simulated_trials(
-                    folder, is_unseen_sensor=True, parts=parts
-                ),
-            }
-            if given.real:
-                sets["Real presses"] = lambda: real_trials(given.real)
-            found = evaluate(
-                trunks, sets, replicates=given.replicates, say=lambda line: print(line, file=sys.stderr)
-            )
-        given.out.mkdir(parents=True, exist_ok=True)
-        (given.out / f"{NAME}_evaluation.json").write_text(json.dumps(found, indent=1) + "\n")
-    except GelgateError as error:
-        print(error, file=sys.stderr)
-        return 3 if isinstance(error, ConfigError) else 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

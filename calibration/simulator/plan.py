@@ -7,15 +7,17 @@ was cut and resumed.
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
+
 from calibration.scene import Run, Scene
 from calibration.simulator.defects import Defect, place_defect
 from calibration.simulator.field import Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
-from calibration.simulator.pose import Pose
+from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
 from calibration.simulator.streams import Streams, named_streams
 
-__all__ = ["PressPlan", "damage", "dataset_plan", "piece", "recording_plan"]
+__all__ = ["PressPlan", "damage", "dataset_plan", "piece", "placed_damage", "recording_plan"]
 
 # A press with the robot's way there and back; the seed paper's acquisition waits 3 s after each picture.
 PRESS_CYCLE_S = 8.0
@@ -88,7 +90,20 @@ def _damage(
     streams: Streams,
 ) -> Defect:
     sound = PARTS[part].positions[position]
-    rng = streams("defect", part, position, number)
+    return placed_damage(
+        sound, kind, severity, depth_mm, mask_depth_mm, streams("defect", part, position, number)
+    )
+
+
+def placed_damage(
+    sound: HeightField,
+    kind: str,
+    severity: float,
+    depth_mm: float,
+    mask_depth_mm: float,
+    rng: np.random.Generator,
+) -> Defect:
+    """A defect on a sound shape, where its imprint shows it if a few tries find such a spot."""
     look = Renderer(_LOOK, ("deformation",))
     for _ in range(_TRIES):
         defect = place_defect(kind, severity, sound, depth_mm, rng)

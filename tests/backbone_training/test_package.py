@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from calibration.backbone import package as packaging
-from calibration.backbone.card import card, write_card
+from calibration.backbone.card import card, page, write_card
 from calibration.backbone.network import Trunk, state_arrays
 from calibration.backbone.recipe import STAGES
 from edge import cli
@@ -84,15 +84,57 @@ FACTS = {
 }
 
 
+def evaluation(measures: dict[str, object]) -> dict[str, object]:
+    """An evaluation file with one row, and a set that was left out."""
+    row = {"backbone": "trained", "detector": "padim", "measures": measures}
+    return {
+        "format": 2,
+        "replicates": 200,
+        "settings": {"padim": {"taps": ["layer1", "layer2"], "rank": 16, "channels": None}},
+        "trunks": {"trained": {}, "pairs": {}, "random": {}},
+        "sets": {
+            "parts": {"title": "Unseen parts", "text": "Five.", "trials": ["PZ1"], "rows": [row]},
+            "screws": {"title": "Screws", "text": "Turned.", "missing": "no folder was given"},
+        },
+    }
+
+
 def test_the_card_has_the_facts_and_the_evaluation() -> None:
     """Every number of the card stands in the facts or the evaluation; without an evaluation it says so."""
     assert "Not evaluated yet" in card(FACTS, None)
     measures = {"aupro_fpr01": {"value": 0.71, "over_images": [0.65, 0.77]}, "image_auroc": {"value": None}}
-    rows = [{"backbone": "trained", "detector": "padim", "measures": measures}]
-    text = card(FACTS, {"sets": {"unseen parts": rows}})
+    text = card(FACTS, evaluation(measures))
     assert "| trained | padim | 0.710 (0.650 to 0.770) | - |" in text
+    assert "- padim: taps layer1 and layer2, rank 16" in text
+    assert "Not measured: no folder was given." in text
     assert "0.1235" in text
     assert "abababababababab" in text
+    assert "What was tried" not in text
+
+
+def test_the_card_tells_what_was_tried() -> None:
+    """One row per trial under the measure's name; what was not measured is a dash."""
+    rows = [
+        {"name": "wider", "settings": "width 96", "values": {"padim": 0.7512, "spade": None}},
+        {"name": "longer", "settings": "8000 steps", "values": {"padim": 0.76}},
+    ]
+    text = card(FACTS, None, {"format": 1, "measure": "AU-PRO up to 1 %", "rows": rows})
+    assert "## What was tried\n\nAU-PRO up to 1 %.\n\n| trial | settings | padim | spade |" in text
+    assert "| wider | width 96 | 0.751 | - |" in text
+    assert "| longer | 8000 steps | 0.760 | - |" in text
+    assert "What was tried" not in card(FACTS, None, {"format": 1, "measure": "", "rows": []})
+
+
+def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:
+    """Trunks that do not ship are named as runs of their own; random weights need no name."""
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    found = evaluation({"aupro_fpr01": {"value": 0.7}})
+    (tmp_path / "tactile_resnet18_evaluation.json").write_text(json.dumps(found))
+    assert "gelgate train-backbone RUN1 --steps 5 --seed 0 --package plugins/backbones" in page(tmp_path)
+    assert (
+        "gelgate evaluate-backbone plugins/backbones trained=tactile_resnet18 trained_int8=tactile_resnet18_int8 "
+        "pairs=RUN_pairs/tactile_resnet18.onnx --workers 2"
+    ) in page(tmp_path)
 
 
 def test_the_card_needs_its_facts(tmp_path: Path) -> None:
