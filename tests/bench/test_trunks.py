@@ -1,18 +1,28 @@
-"""What trunks and the PaDiM and subspace heads cost, in one run: milliseconds, ratio to the bare trunk, bank bytes."""
+"""What trunks and heads cost, in one run: milliseconds, ratio to the bare trunk, bank bytes.
+
+The shipped backbone in each precision, cut where a method stops reading and whole, with every method's own settings;
+then operating points of PaDiM and the subspace on random weights.
+"""
 
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
+from onnx import numpy_helper
 from presses import fitted
 
+from calibration.heads import head_of
+from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.tiles import tiling
+from edge.trunk_cut import cut_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
+from plugins.backbones.tactile import tactile_resnet18, tactile_resnet18_int8
 from plugins.backbones.tiled import mosaic_trunk
 from plugins.detectors.padim import padim
 from plugins.detectors.subspace import subspace
@@ -147,3 +157,57 @@ def test_high_resolution() -> None:
         3,
         lambda t: Grid((720, 1280), t, 63.0, tiles),
     )
+
+
+def widened(graph: bytes) -> bytes:
+    """The same trunk with its weights stored as float32."""
+    model = onnx.load_from_string(graph)
+    for tensor in model.graph.initializer:
+        if tensor.data_type == onnx.TensorProto.FLOAT16:
+            wide = numpy_helper.to_array(tensor).astype(np.float32)
+            tensor.CopyFrom(numpy_helper.from_array(wide, tensor.name))
+    return bytes(model.SerializeToString())
+
+
+METHODS = ("padim", "spade", "fapm", "inreach", "subspace", "patchcore")
+
+
+def test_the_shipped_backbone_in_each_precision() -> None:
+    """Per precision: the trunk after each tap; then, per method with its own settings, trunk and head together, beside
+    the bare trunk that it needs and the whole one. 24 presses, every cell touched, two threads.
+    """
+    stored = tactile_resnet18.trunk()
+    trunks = {"fp32": widened(stored), "fp16 stored": stored, "int8": tactile_resnet18_int8.trunk()}
+    rgb = frames(PRESSES, 224, 224)
+    opened = {(name, tap): session(cut_trunk(graph, (tap,))) for name, graph in trunks.items() for tap in ALL}
+    bare = {key: bound(one, {"frames": rgb[:1]}) for key, one in opened.items()}
+    times = dict(zip(bare, best_ms(*bare.values(), repeats=25), strict=True))
+    print("\ntrunk, ms" + "".join(f"{tap:>9s}" for tap in ALL))
+    for name in trunks:
+        print(f"  {name:12s}" + "".join(f"{times[name, tap]:9.2f}" for tap in ALL))
+    whole = opened["fp16 stored", "layer3"]
+    maps = [whole.run(list(ALL), {"frames": rgb[i : i + 1]}) for i in range(PRESSES)]
+    features = {tap: np.concatenate([m[i] for m in maps]) for i, tap in enumerate(ALL)}
+    print(
+        f"{'':12s}{'precision':>12s}{'trunk':>8s}{'head':>8s}{'both':>8s}{'x trunk':>9s}{'x whole trunk':>15s}"
+    )
+    for method in METHODS:
+        detector = registry.load("detectors", method)
+        parameters = detector.parameters()
+        taps = detector.taps(parameters)
+        grid = Grid((224, 224), {tap: features[tap].shape[1:] for tap in taps}, 15.77)
+        bank = fitted(detector, parameters, Nominal({tap: features[tap] for tap in taps}), grid)
+        head = session(head_of(detector, grid, bank, parameters))
+        feeds = {
+            i.name: features[i.name][:1] if i.name in features else bank.arrays[i.name]
+            for i in head.get_inputs()
+        }
+        run_head = bound(head, feeds)
+        for name in trunks:
+            needed, all_taps = bare[name, max(taps)], bare[name, "layer3"]
+            trunk, taken, complete = best_ms(needed, run_head, all_taps, repeats=15)
+            both = trunk + taken
+            print(
+                f"{method:12s}{name:>12s}{trunk:8.2f}{taken:8.2f}{both:8.2f}{both / trunk:9.2f}{both / complete:15.2f}"
+            )
+    assert set(times) == set(opened)
