@@ -21,9 +21,9 @@ from edge.manifest import GridEntry
 from edge.runtime import open_session
 from edge.scorer import Scorer
 from edge.tiled import QUIET_LEVELS, FreeGel, TiledMaps, TileRunner, plainest, untouched_tiles
+from edge.trunk_cut import cut_trunk
 from export.merge import merge_bundle
-from plugins.backbones.random import random_state
-from plugins.backbones.resnet import build_trunk
+from plugins.backbones.tactile import tactile_resnet18
 from plugins.backbones.tiled import tile_trunk
 from plugins.detectors.padim import padim
 
@@ -31,7 +31,7 @@ SIZE = (160, 96)
 TILES = tiling((96, 160), 64, 32)
 """Two rows and four columns of tiles; the presses touch the two columns on the left."""
 UNTOUCHED = (2, 3, 6, 7)
-TRUNK = tile_trunk(build_trunk(random_state("resnet18"), "resnet18", ("layer1", "layer2")), TILES)
+TRUNK = tile_trunk(cut_trunk(tactile_resnet18.trunk(), ("layer2",)), TILES)
 SESSION = open_session(TRUNK, 1, "trunk")
 TOUCHED = np.zeros((96, 160), bool)
 TOUCHED[10:80, 8:60] = True

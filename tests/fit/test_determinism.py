@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.backbones import Trunk
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.fit import Recipe, fit_files
 from calibration.presses import NominalPresses
 from edge import registry
@@ -11,11 +11,8 @@ from edge.bundle import Bundle
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
 from edge.scorer import Scored, Scorer
-from plugins.backbones.random import random_state
-from plugins.backbones.resnet import build_trunk
 
 SIDE = 96
-TRUNK = build_trunk(random_state("resnet18"), "resnet18", ("layer1", "layer2", "layer3", "avgpool"))
 
 
 def frames(n: int, seed: int) -> np.ndarray:
@@ -30,13 +27,14 @@ def frames(n: int, seed: int) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=registry.names("detectors"))
 def bundle(request: pytest.FixtureRequest) -> Bundle:
+    detector = registry.load("detectors", request.param)
     recipe = Recipe(
         part="pin",
         position="top",
         profile=SensorProfile("small", (SIDE, SIDE), (0.0, 0.0), (SIDE, SIDE), 1, 15.77),
         region=Region.full((SIDE, SIDE)),
-        detector=registry.load("detectors", request.param),
-        trunk=Trunk("random", TRUNK),
+        detector=detector,
+        trunk=open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters())),
         threshold=1.0,
     )
     return fit_files(NominalPresses(frames(8, 0), ("",) * 8), recipe, created="2026-01-01").bundle()
