@@ -29,11 +29,20 @@ def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
     assert score_error < 1e-5
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
-    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
+@pytest.mark.parametrize(
+    ("mode", "choice"),
+    [
+        ("paper", {"grid_tap": "layer2"}),
+        ("corrected", {"grid_tap": "layer2", "descriptor": "binned"}),
+        ("corrected", {"grid_tap": "layer2", "descriptor": "means", "dims": 20}),
+        ("corrected", {"taps": ("layer1",), "dims": 20}),
+        ("corrected", {"taps": ("layer1",)}),
+    ],
+)
+def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str, choice: dict[str, object]) -> None:
+    """The same with the tap sizes of a ResNet-18 on the 224 crop, several taps and one, every kind of descriptor."""
     nominal, asked = presses_of(4, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
-    p = parameters(mode, is_fallback=True, grid_tap="layer2")
+    p = inreach.parameters(mode, is_fallback=True, **HERE | choice)
     _, map_error, score_error = parity(inreach, p, nominal, asked, grid(RESNET18))
     assert map_error < 1e-4
     assert score_error < 1e-4
@@ -176,7 +185,7 @@ def test_hard_nominal_sets_keep_the_error_bound(
 def test_features_that_are_not_finite_are_refused() -> None:
     """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
     broken = presses_of(3)
-    broken["layer3"][1, 0, 0, 0] = np.nan
+    broken["layer1"][1, 0, 0, 0] = np.nan
     p = parameters("corrected")
     with pytest.raises(FitError, match="not finite"):
         fit(inreach, p, broken, grid())

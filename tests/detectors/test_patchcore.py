@@ -112,7 +112,12 @@ def test_a_balanced_bank_is_not_ruled_by_one_tap() -> None:
 
     change = {}
     for is_balanced in (True, False):
-        p = patchcore.parameters(is_balanced=is_balanced, coreset_fraction=1.0, most_rows=None)
+        p = patchcore.parameters(
+            layers=("layer1", "layer2", "layer3"),
+            is_balanced=is_balanced,
+            coreset_fraction=1.0,
+            most_rows=None,
+        )
         maps = []
         for change_of in (lambda f: f, loud):
             bank = fit(patchcore, p, change_of(presses_of(6)), grid())
@@ -207,7 +212,7 @@ def test_the_place_can_be_part_of_the_descriptor() -> None:
 def test_features_that_are_not_finite_are_refused() -> None:
     """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
     broken = presses_of(3)
-    broken["layer3"][1, 0, 0, 0] = np.nan
+    broken["layer1"][1, 0, 0, 0] = np.nan
     p = patchcore.parameters()
     with pytest.raises(FitError, match="not finite"):
         fit(patchcore, p, broken, grid())

@@ -42,6 +42,6 @@ def test_presses_that_are_all_alike_have_a_bank() -> None:
     nominal = {tap: np.repeat(maps, 8, axis=0) for tap, maps in presses_of(1).items()}
     p = inreach.parameters()
     bank = fit(inreach, p, nominal, grid())
-    assert bank.facts["channels_kept"] == 16
+    assert bank.facts["channels_kept"] == 64
     assert bank.facts["warnings"] == []
     assert inreach.reference_score(nominal, grid(), bank, p).score.max() < 1e-4

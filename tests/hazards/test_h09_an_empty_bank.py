@@ -17,7 +17,7 @@ def test_one_press_is_its_own_bank() -> None:
     """N = 1 has no channels at all: the bank is its patches, said in a warning, and the map is finite."""
     p = inreach.parameters()
     bank = fit(inreach, p, presses_of(1), grid())
-    assert len(bank.arrays["bank"]) == 16
+    assert len(bank.arrays["bank"]) == 64
     assert "every patch" in bank.facts["warnings"][0]
     oracle, map_error, _ = parity(inreach, p, presses_of(1), presses_of(2, 1), grid())
     assert np.isfinite(oracle.score_map).all()

@@ -13,21 +13,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.detector import Bank, Features, Grid
+from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.errors import FitError
 from plugins.detectors.maths.descriptor import Descriptor
 from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.embedding import touched_cells
 from plugins.detectors.maths.mosaic import emit_join, join, layout, split
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
 from plugins.graph import Graph, Value
 
-__all__ = ["PatchBank"]
+__all__ = ["PatchBank", "drawn"]
 
 # Presses and cells that the mean and the leading directions are learnt from at most.
 SAMPLE_PRESSES = 16
 SAMPLE_CELLS = 4096
 # A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
 DEVIATION_FLOOR = 1e-2
+# Rows measured exactly for each cell: with one the nearest by the product decides, and a rounding could choose
+# another; two more than that were never the nearest, and each costs as much as a fifth of the product.
+EXACT = 2
+# Around what the nominal presses touch, this much counts as touched: the gel is bent there.
+MARGIN_MM = 1.0
+# Rows of untouched gel that the bank is chosen from at most: it looks alike everywhere and needs few of them.
+FREE_GEL_ROWS = 4096
 
 
 @dataclass(frozen=True)
@@ -61,16 +70,50 @@ class PatchBank:
         arrays["mean"] = rotation.mean
         if rotation.basis is not None:
             arrays["basis"] = rotation.basis
-        rows = np.stack([rotation(self._described(features, grid, k, arrays), np.float32) for k in range(n)])
-        return arrays, self._placed(rows, grid).astype(np.float32)
+        rows = np.concatenate(
+            [self.rows(_press(features, taps, k), grid, arrays, np.float32) for k in range(n)]
+        )
+        return arrays, rows.astype(np.float32)
+
+    def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
+        """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where nothing is known.
+        Errors: FitError where none is touched."""
+        cells = grid.taps[self.descriptor.grid_tap][1:]
+        mask = touched_cells(nominal, grid, cells, MARGIN_MM)
+        if not mask.any():
+            raise FitError("no nominal press touches the inspected region; move the region or press the part")
+        order = split(np.arange(mask.size, dtype=np.float64).reshape(1, 1, *cells), grid)
+        return mask[order.ravel().astype(np.int64)]
+
+    def free_gel(
+        self,
+        nominal: Nominal,
+        grid: Grid,
+        arrays: Mapping[str, NDArray[Any]],
+        rows: NDArray[np.float32],
+        rng: np.random.Generator,
+    ) -> NDArray[np.float32]:
+        """Rows (m, width) of gel that nothing touches, at most FREE_GEL_ROWS: from the presses' untouched cells and the
+        frames without contact. The bank needs some, or gel that lies free would be foreign to it."""
+        untouched = rows[:, ~self.touched(nominal, grid)].reshape(-1, rows.shape[2])
+        found = [drawn(untouched, FREE_GEL_ROWS, rng)]
+        if nominal.no_contact is not None:
+            free = self.rows(nominal.no_contact, grid, arrays, np.float32)
+            found.append(drawn(free.reshape(-1, rows.shape[2]), FREE_GEL_ROWS, rng))
+        return drawn(np.concatenate(found), FREE_GEL_ROWS, rng)
 
     def rows(
-        self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]]
+        self,
+        features: Features,
+        grid: Grid,
+        arrays: Mapping[str, NDArray[Any]],
+        dtype: type[np.floating] = np.float64,
     ) -> NDArray[np.floating]:
-        """Rows (n, cells of all tiles, width) of presses to be scored, in float64."""
+        """Rows (n, cells of all tiles, width) of presses."""
         rotation = Rotation(arrays["mean"], arrays.get("basis"))
-        rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays)))
-        return self._placed(rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2]), grid)
+        rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays), dtype), dtype)
+        rows = rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2])
+        return self._placed(rows, grid).astype(dtype)
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
@@ -118,7 +161,8 @@ class PatchBank:
             asked = rows
             if count < h * w:
                 asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
-            found = emit_group_nearest(graph, graph.reshape(asked, 1, -1, size[1]), bank, size[1])
+            asked = graph.reshape(asked, 1, -1, size[1])
+            found = emit_group_nearest(graph, asked, bank, size[1], shortlist=EXACT)
             parts.append(graph.reshape(found, -1, count))
         raw = graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
         return emit_join(graph, raw, (h, w), grid)
@@ -127,7 +171,7 @@ class PatchBank:
         self, features: Features, grid: Grid, press: int, arrays: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.floating]:
         """Descriptors (cells, c) of one press, float32."""
-        one = {tap: features[tap][press : press + 1] for tap in self.descriptor.taps}
+        one = _press(features, self.descriptor.taps, press)
         described: NDArray[np.floating] = self.descriptor.numpy(one, grid, self._scales(arrays), np.float32)
         return described.reshape(-1, described.shape[2])
 
@@ -154,6 +198,17 @@ class PatchBank:
             return rows
         places = np.broadcast_to(self._places(grid), (*rows.shape[:-1], 2))
         return np.concatenate([rows, places], axis=-1)
+
+
+def _press(features: Features, taps: tuple[str, ...], press: int) -> Features:
+    return {tap: features[tap][press : press + 1] for tap in taps}
+
+
+def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
+    """At most so many of the rows, in their order; None: all."""
+    if most is not None and len(rows) > most:
+        rows = rows[np.sort(rng.choice(len(rows), most, replace=False))]
+    return rows.astype(np.float32)
 
 
 def _deviation(layer: NDArray[np.float32]) -> float:
