@@ -2,17 +2,22 @@
 
 import numpy as np
 import pytest
-from heads import RESNET18, fit, grid, parity, presses_of, run_head, with_spot
+from heads import RESNET18, fit, grid, parity, presses_of, run_head, stored_bytes, with_spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edge.core.detector import Grid
+from edge.core.detector import Grid, Mode
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.fapm import fapm
+from plugins.detectors.fapm import FapmParameters, fapm
 from plugins.detectors.maths.coreset import greedy_from_distances, k_centre
 
 MODES = ("paper", "corrected")
 TAPS = {"layer2": (6, 8, 8), "layer3": (8, 4, 4)}
+
+
+def choices(mode: Mode = "corrected", **overrides: object) -> FapmParameters:
+    """A mode's parameters on the two layers of TAPS."""
+    return fapm.parameters(mode, **{"layers": ("layer2", "layer3"), "pooling": 3, **overrides})
 
 
 def at(taps: dict[str, tuple[int, int, int]] = TAPS) -> Grid:
@@ -24,7 +29,7 @@ def at(taps: dict[str, tuple[int, int, int]] = TAPS) -> Grid:
 @pytest.mark.parametrize("n", [1, 2, 11, 25])
 def test_the_graph_is_the_oracle(mode: str, banks: str, n: int) -> None:
     """Map and score agree to 1e-5, also with fewer prototypes than neighbours, for several presses at once."""
-    p = fapm.parameters(mode, banks=banks, weighting="largest")
+    p = choices(mode, banks=banks, weighting="largest")
     _, map_error, score_error = parity(fapm, p, presses_of(n, 0, TAPS), presses_of(3, 1, TAPS), at())
     assert map_error < 1e-5
     assert score_error < 1e-5
@@ -43,7 +48,7 @@ def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
 def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
     """Cells cut off by the border have prototypes and scores of their own (a 720 line frame has 22.5 cells)."""
     taps = {"layer2": (4, 9, 6), "layer3": (5, 5, 3)}
-    p = fapm.parameters(banks=banks)
+    p = choices(banks=banks)
     oracle, map_error, _ = parity(
         fapm, p, presses_of(6, 0, taps), presses_of(2, 1, taps), Grid((72, 48), taps, 15.77)
     )
@@ -55,7 +60,7 @@ def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
 def test_a_press_of_the_bank_scores_nothing(banks: str) -> None:
     """With every descriptor kept, a nominal press is at distance 0 from its own."""
     nominal = presses_of(5, 0, TAPS)
-    p = fapm.parameters(banks=banks, near_fraction=1.0, is_calibrated=False, packing="none")
+    p = choices(banks=banks, near_fraction=1.0, is_calibrated=False, packing="none")
     bank = fit(fapm, p, nominal, at())
     own = run_head(fapm.head(at(), bank, p), nominal, bank)["score_map"]
     foreign = run_head(fapm.head(at(), bank, p), presses_of(1, 9, TAPS), bank)["score_map"]
@@ -65,7 +70,7 @@ def test_a_press_of_the_bank_scores_nothing(banks: str) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
     """A patch unlike anything nominal is found at its place."""
-    p = fapm.parameters(mode)
+    p = choices(mode)
     bank = fit(fapm, p, presses_of(20, 0, TAPS), at())
     spotted = fapm.reference_score(with_spot(presses_of(1, 3, TAPS), 0.75), at(), bank, p).score_map[0]
     row, column = np.unravel_index(spotted.argmax(), spotted.shape)
@@ -82,7 +87,7 @@ def test_a_shared_cell_forgives_a_small_shift() -> None:
     moved["layer2"] = np.roll(moved["layer2"], 1, axis=3)
     score = {}
     for banks in ("cell", "location"):
-        p = fapm.parameters(banks=banks, near_fraction=1.0, is_calibrated=False)
+        p = choices(banks=banks, near_fraction=1.0, is_calibrated=False)
         bank = fit(fapm, p, nominal, place)
         usual = fapm.reference_score(presses_of(1, 5, taps, spread=0.01), place, bank, p).score_map
         score[banks] = fapm.reference_score(moved, place, bank, p).score_map.mean() / usual.mean()
@@ -96,7 +101,7 @@ def test_calibration_lowers_the_restless_cells() -> None:
     nominal, asked = _restless(30, 0, taps), _restless(10, 1, taps)
     ratio = {}
     for is_calibrated in (True, False):
-        p = fapm.parameters(is_calibrated=is_calibrated, sigma=0.0)
+        p = choices(is_calibrated=is_calibrated, sigma=0.0)
         bank = fit(fapm, p, nominal, place)
         raw = fapm.reference_score(asked, place, bank, p).score_map
         ratio[is_calibrated] = raw[:, 4:12, 4:12].mean() / raw[:, 32:, 32:].mean()
@@ -121,35 +126,31 @@ def test_restless_cells_get_the_far_bank() -> None:
     for maps in nominal.values():
         half = maps.shape[2] // 2
         maps[:, :, :half, :half] *= np.random.default_rng(0).uniform(0, 4, (20, 1, 1, 1)).astype(np.float32)
-    bank = fit(fapm, fapm.parameters(), nominal, at())
-    assert bank.arrays["layer2_far_groups"].tolist() == [0]
-    assert bank.arrays["layer2_near_groups"].tolist() == [1, 2, 3]
+    bank = fit(fapm, choices(), nominal, at())
+    assert bank.arrays["layer2_far_places"][:, 0].tolist() == [0]
+    assert bank.arrays["layer2_near_places"][:, 0].tolist() == [4, 32, 36]
     near, far = bank.arrays["layer2_near"].shape[1], bank.arrays["layer2_far"].shape[1]
     assert (near, far) == (int(0.1 * 20 * 16), 2 * int(0.1 * 20 * 16))
 
 
 def test_one_prototype_is_the_least() -> None:
     """A tenth of nine presses is still one prototype per place."""
-    bank = fit(fapm, fapm.parameters(banks="location"), presses_of(9, 0, TAPS), at())
+    bank = fit(fapm, choices(banks="location"), presses_of(9, 0, TAPS), at())
     assert bank.arrays["layer2_near"].shape[1] == 1
 
 
 def test_the_prototypes_fit_into_the_bank() -> None:
-    """`auto` stores float16, int8 where that is too large, and says when even that is."""
-    nominal = presses_of(20, 0, TAPS)
-    size = sum(
-        a.size
-        for n, a in fit(fapm, fapm.parameters(), nominal, at()).arrays.items()
-        if n.endswith(("near", "far"))
-    )
-    for bank_mb, packing, warns in (
-        (3e-6 * size, "float16", 0),
-        (1.5e-6 * size, "int8", 0),
-        (5e-7 * size, "int8", 1),
-    ):
-        bank = fit(fapm, fapm.parameters(bank_mb=bank_mb), nominal, at())
-        assert bank.packing["layer2_near"] == packing
+    """`auto` stores float16, int8 where that is too large, and fewer prototypes where even that is; it says so."""
+    taps = {"layer1": (64, 8, 8)}
+    nominal = presses_of(40, 0, taps)
+    whole = fit(fapm, fapm.parameters(), nominal, at(taps))
+    for part, packing, warns in ((1.01, "float16", 0), (0.7, "int8", 0), (0.4, "int8", 1)):
+        room = part * stored_bytes(whole)
+        bank = fit(fapm, fapm.parameters(bank_mb=room / 1e6), nominal, at(taps))
+        assert bank.packing["layer1_near"] == packing
         assert len(bank.facts["warnings"]) == warns
+        assert (bank.facts["near_fraction"] < 0.1) == warns
+        assert stored_bytes(bank) <= room
 
 
 @settings(max_examples=15, deadline=None)
@@ -170,7 +171,7 @@ def test_hard_nominal_sets_keep_the_error_bound(
         elif kind == "dead":
             maps[:, ::2] = 0
     asked = with_spot(presses_of(1, seed + 1, TAPS, scale=scale))
-    p = fapm.parameters(mode, weighting="none")
+    p = choices(mode, weighting="none")
     oracle, map_error, score_error = parity(fapm, p, nominal, asked, at())
     assert np.isfinite(oracle.score_map).all()
     assert map_error < 1e-4
@@ -181,7 +182,7 @@ def test_features_that_are_not_finite_are_refused() -> None:
     """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
     broken = presses_of(3, 0, TAPS)
     broken["layer3"][1, 0, 0, 0] = np.nan
-    p = fapm.parameters()
+    p = choices()
     with pytest.raises(FitError, match="not finite"):
         fit(fapm, p, broken, at())
     bank = fit(fapm, p, presses_of(3, 0, TAPS), at())
@@ -200,7 +201,7 @@ def test_layers_that_do_not_follow_each_other_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("near_fraction", 0), ("banks", "both"), ("neighbours", 0), ("layers", ["layer2"]), ("far", 2)],
+    [("near_fraction", 0), ("banks", "both"), ("neighbours", 0), ("layers", []), ("pooling", 2), ("far", 2)],
 )
 def test_nonsense_is_refused(name: str, value: object) -> None:
     """Unknown names and values out of range are refused by name."""

@@ -34,7 +34,7 @@ def test_one_prototype_counts_as_one_neighbour() -> None:
             weighting="largest", banks="location", far_factor=1.0, is_single_unweighted=is_unweighted
         )
         bank = fit(fapm, p, presses_of(5), grid())
-        assert bank.arrays["layer2_far"].shape[1] == 1
+        assert bank.arrays["layer1_far"].shape[1] == 1
         found = run_head(fapm.head(grid(), bank, p), asked, bank)
         np.testing.assert_allclose(found["score"], weight * found["raw_map"].max(axis=(1, 2)), rtol=1e-5)
         assert any("no second neighbour" in warning for warning in bank.facts["warnings"])

@@ -53,7 +53,7 @@ def test_fapm_by_hand() -> None:
     nominal = {"a": np.zeros((1, 1, 1, 2), np.float32), "b": np.zeros((1, 1, 1, 1), np.float32)}
     # 3x3 means with zeros around: both fine cells see 9 + 0 = 9 -> 1, so one is raised by the other as well.
     asked = {"a": np.array([[[[9, 0]]]], np.float32), "b": np.full((1, 1, 1, 1), 18, np.float32)}
-    p = fapm.parameters(layers=("a", "b"), banks="location", is_calibrated=False, is_sampled=False, sigma=0.0)
+    p = fapm.parameters(layers=("a", "b"), pooling=3, banks="location", is_sampled=False, sigma=0.0)
     bank = fit(fapm, p, nominal, at)
     found = run_head(fapm.head(at, bank, p), asked, bank)
     np.testing.assert_allclose(found["score_map"], [[[3.0, 3.0]]], rtol=1e-6)

@@ -23,7 +23,7 @@ def heat(fusion: str, row: int, column: int) -> np.ndarray:
     for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         if 0 <= row + dy < 4 and 0 <= column + dx < 4:
             asked["layer3"][0, :, row + dy, column + dx] = 4.0
-    p = fapm.parameters(fusion=fusion, is_calibrated=False)
+    p = fapm.parameters(layers=tuple(TAPS), pooling=3, fusion=fusion)
     bank = fit(fapm, p, nominal, AT)
     raw = run_head(fapm.head(AT, bank, p), asked, bank)["raw_map"][0]
     return np.argwhere(raw > 0.999 * raw.max())

@@ -41,7 +41,7 @@ def test_quiet_cells_do_not_shout() -> None:
         noise = rng.normal(0, 0.1, (21, *shape)).astype(np.float32)
         noise[..., : shape[1] // 2, : shape[2] // 2] *= 1e-4
         nominal[tap], asked[tap] = noise[:20], noise[20:] + np.float32(0.05)
-    p = fapm.parameters(sigma=0.0)
+    p = fapm.parameters(layers=tuple(taps), pooling=3, is_calibrated=True, sigma=0.0)
     bank = fit(fapm, p, nominal, place)
     raw = fapm.reference_score(asked, place, bank, p).score_map[0]
     assert raw[:16, :16].max() < 2 * np.median(raw)

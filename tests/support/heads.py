@@ -7,6 +7,7 @@ import numpy as np
 import onnxruntime as ort
 
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
+from edge.packing import pack
 
 __all__ = [
     "RESNET18",
@@ -17,6 +18,7 @@ __all__ = [
     "parity",
     "presses_of",
     "run_head",
+    "stored_bytes",
     "with_spot",
 ]
 
@@ -77,6 +79,12 @@ def with_spot(features: Features, fraction: float = 0.5, amount: float = 5.0) ->
 
 def fit(detector: Detector, parameters: Any, features: Features, at: Grid, seed: int = 0) -> Bank:
     return detector.fit(Nominal(features), at, parameters, np.random.default_rng(seed), lambda fraction: None)
+
+
+def stored_bytes(bank: Bank) -> int:
+    """Bytes of a bank as a bundle keeps it."""
+    packed = [pack(array, bank.packing.get(name, "none")) for name, array in bank.arrays.items()]
+    return sum(each.data.nbytes + (0 if each.scale is None else each.scale.nbytes) for each in packed)
 
 
 def run_head(head: bytes, features: Features, bank: Bank, threads: int = 1) -> dict[str, np.ndarray]:

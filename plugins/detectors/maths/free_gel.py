@@ -1,0 +1,90 @@
+"""Places that no nominal press touches: one row each, the untouched gel, instead of rows of every press.
+
+What is seen there, in the presses and in the frames without contact alike, is the free gel. A press is compared with
+its mean, in the same features and by the same plain distance as elsewhere, so that a touch where none belongs stands
+out like any other defect. Gel that is restless there by itself (noise, drift of the light) is only ever lowered: to
+where its own nominal distances do not stand above those of touched places.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Grid, Nominal
+from edge.core.errors import FitError
+from plugins.detectors.maths.embedding import touched_cells
+from plugins.detectors.maths.mosaic import layout, split
+from plugins.graph import Graph, Value
+
+__all__ = ["emit_gel_distances", "gel_distances", "gel_mean", "gel_weight", "touched_places"]
+
+# The free gel's nominal distances are brought below the touched places' median up to this quantile of them.
+QUANTILE = 0.99
+# Places whose scatter is measured at once: bounds the memory at BLOCK * presses * channels float64 numbers.
+BLOCK = 512
+
+
+def touched_places(
+    detector: str, nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
+) -> NDArray[np.bool_]:
+    """Which cells see a touched pixel within the margin, flat bool (tiles * h * w,), tile by tile.
+
+    cells: (h, w) of one tile. All of them where nothing is known about the touch. Errors: FitError for none.
+    """
+    (down, across), (h, w) = layout(grid), cells
+    touched = touched_cells(nominal, grid, (down * h, across * w), margin_mm)
+    if not touched.any():
+        raise FitError(
+            f"{detector}: no nominal press touches the inspected region; move the region or press the part"
+        )
+    tiles = split(touched.reshape(1, 1, down * h, across * w).astype(np.float32), grid)
+    return tiles.ravel() > 0
+
+
+def gel_mean(
+    pressed: NDArray[np.floating], free: NDArray[np.floating] | None
+) -> tuple[NDArray[np.float32], float]:
+    """The mean gel float32 (places, c), and how far nominal frames lie from the mean of the others (a high quantile).
+
+    pressed: (n, places, c) of the nominal presses at untouched places. free: (m, places, c) of frames without contact.
+    The distance is nan where there is but one frame.
+    """
+    frames = pressed if free is None else np.concatenate([pressed, free])
+    n, places, c = frames.shape
+    mean, distances = np.empty((places, c), np.float32), np.empty((n, places))
+    for first in range(0, places, BLOCK):
+        part = slice(first, first + BLOCK)
+        x = frames[:, part].astype(np.float64)
+        mean[part] = x.mean(axis=0)
+        x -= x.mean(axis=0)
+        distances[:, part] = np.sqrt(np.einsum("npc,npc->np", x, x))
+    if n < 2 or not places:
+        return mean, math.nan
+    # A frame's distance to the mean of all is (n - 1) / n of its distance to the mean of the others.
+    return mean, float(np.quantile(distances, QUANTILE)) * n / (n - 1)
+
+
+def gel_weight(scatter: float, nominal: float) -> float:
+    """What the free gel's distances are multiplied by: at most 1, and 1 where nothing is known.
+
+    scatter: from `gel_mean`. nominal: the median distance of nominal presses to each other where they touch.
+    """
+    is_known = math.isfinite(scatter) and math.isfinite(nominal) and nominal > 0
+    return min(1.0, nominal / scatter) if is_known and scatter > 0 else 1.0
+
+
+def gel_distances(
+    rows: NDArray[np.floating], mean: NDArray[np.floating], weight: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """The oracle: weighted distances (n, places) of rows (n, places, c) from the free gel (places, c)."""
+    difference = rows.astype(np.float64) - mean
+    distances: NDArray[np.float64] = np.sqrt(np.einsum("npc,npc->np", difference, difference))
+    return distances * weight.astype(np.float64)
+
+
+def emit_gel_distances(graph: Graph, rows: Value, mean: Value, weight: Value) -> Value:
+    """The same in a graph."""
+    difference = graph.op("Sub", rows, mean)
+    squared = graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0)
+    return graph.op("Mul", graph.op("Sqrt", squared), weight)

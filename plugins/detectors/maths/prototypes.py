@@ -1,0 +1,216 @@
+"""A few prototypes for each group of places: which places share a bank, and which of their nominal rows it keeps.
+
+k-centre within each group, from pairwise distances of all its rows at once. Groups whose cell is left farthest from
+its prototypes keep more of them ("far").
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.detectors.maths.coreset import greedy_from_distances
+from plugins.detectors.maths.distances import nearest
+from plugins.detectors.maths.free_gel import emit_gel_distances, gel_distances
+from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest, emit_ranked
+from plugins.graph import Graph, Value
+
+__all__ = [
+    "Layout",
+    "Prototypes",
+    "cell_layout",
+    "cell_scales",
+    "choose_prototypes",
+    "emit_prototype_distances",
+    "prototype_distances",
+]
+
+# Pairwise distances held at once during a fit (float32 numbers, 16 MB: they stay in the cache).
+PAIRS = 4 * 2**20
+# A squared distance below this part of the two squared lengths is rounding of the float32 product form.
+ROUNDING = 2e-6
+
+
+class Layout(NamedTuple):
+    """One layer's places. cell: int64 (groups,), the cell of each group. groups: int64 (g, s), the places that share a
+    bank; the last cell of an axis repeats its border where the grid ends inside it."""
+
+    cell: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Layout":
+        """The chosen groups."""
+        return Layout(self.cell[chosen], self.groups[chosen])
+
+
+def cell_layout(shape: tuple[int, int], side: int, is_shared: bool) -> Layout:
+    """The places of a map (h, w) in cells of side x side. is_shared: a cell's places share a bank."""
+    h, w = shape
+    rows, columns = -(-h // side), -(-w // side)
+    if not is_shared:
+        cell = (np.arange(h)[:, None] // side * columns + np.arange(w)[None] // side).ravel()
+        return Layout(cell, np.arange(h * w)[:, None])
+    y = np.minimum(np.arange(rows * side), h - 1).reshape(rows, 1, side, 1)
+    x = np.minimum(np.arange(columns * side), w - 1).reshape(1, columns, 1, side)
+    return Layout(np.arange(rows * columns), (y * w + x).reshape(rows * columns, -1))
+
+
+class Prototypes(NamedTuple):
+    """What was chosen. mean: float32 (g, c). rows: float32 (g, far, c), centred, in the order of picking. near: how
+    many of them a group keeps that is not far. is_far: bool (g,). apart: float64 (g, s * n), how far each nominal row
+    is from the kept prototypes of other presses, infinite where there are none."""
+
+    mean: NDArray[np.float32]
+    rows: NDArray[np.float32]
+    near: int
+    is_far: NDArray[np.bool_]
+    apart: NDArray[np.float64]
+
+
+def choose_prototypes(
+    rows: NDArray[np.floating], places: Layout, counts: tuple[int, int], far_quantile: float, start: float
+) -> Prototypes:
+    """Prototypes of each group from nominal rows (n, places, c).
+
+    counts: near and far. far_quantile: cells at or above this quantile are far. start: which row is picked first, as a
+    share of the set, so that it means the same at every size.
+    """
+    n, _, c = rows.shape
+    groups, s = places.groups.shape
+    near, far = counts
+    mean = np.empty((groups, c), np.float32)
+    chosen = np.empty((groups, far, c), np.float32)
+    radius = np.empty((groups, s))
+    apart = np.empty((2, groups, s * n))
+    step = max(1, PAIRS // (n * s) ** 2)
+    for first in range(0, groups, step):
+        part = slice(first, first + step)
+        # (groups, presses * sub-patches, c), press by press.
+        x = rows[:, places.groups[part]].swapaxes(0, 1).reshape(-1, n * s, c)
+        mean[part] = x.mean(axis=1, dtype=np.float64)
+        x = x - mean[part, None]
+        lengths, squared = _pairwise(x)
+        picks = greedy_from_distances(squared, far, int(start * n * s))
+        chosen[part] = np.take_along_axis(x, picks[:, :, None], axis=1)
+        distances = _to_picks(lengths, squared, picks)
+        radius[part] = distances[:, :, :near].min(axis=2).reshape(-1, n, s).max(axis=1)
+        press = np.arange(n * s) // s
+        distances[press[:, None] == press[picks][:, None, :]] = np.inf
+        apart[0, part], apart[1, part] = distances[:, :, :near].min(axis=2), distances.min(axis=2)
+    cells, of_group = np.unique(places.cell, return_inverse=True)
+    reach = np.bincount(of_group, radius.mean(axis=1), len(cells)) / np.bincount(of_group)
+    is_far = (reach >= np.quantile(reach, far_quantile))[of_group]
+    return Prototypes(mean, chosen, near, is_far, np.where(is_far[:, None], apart[1], apart[0]))
+
+
+def _pairwise(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Squared lengths (g, n) and pairwise squared distances (g, n, n) of each group's centred rows (g, n, c)."""
+    lengths = np.einsum("gnc,gnc->gn", x, x)
+    squared = x @ np.ascontiguousarray(x.swapaxes(1, 2))
+    squared *= -2
+    squared += lengths[:, :, None]
+    squared += lengths[:, None, :]
+    np.maximum(squared, 0, out=squared)
+    return lengths, squared
+
+
+def _to_picks(
+    lengths: NDArray[np.float32], squared: NDArray[np.float32], picks: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Plain distances (g, n, picks) of every row to the picked ones; what is rounding is 0."""
+    chosen = np.take_along_axis(squared, picks[:, None, :], axis=2)
+    both = lengths[:, :, None] + np.take_along_axis(lengths, picks, axis=1)[:, None, :]
+    chosen[chosen <= ROUNDING * both] = 0.0
+    return np.sqrt(chosen, dtype=np.float64)
+
+
+def cell_scales(
+    apart: NDArray[np.float64], cell: NDArray[np.int64], floor_quantile: float
+) -> NDArray[np.float64]:
+    """The scale of each group's cell (g,): the median of its nominal distances to other presses' prototypes.
+
+    Scales are floored at a quantile of all; where no press has another to be compared with, they are all 1.
+    """
+    cells, of_group = np.unique(cell, return_inverse=True)
+    scale = np.empty(len(cells))
+    for number in range(len(cells)):
+        values = apart[of_group == number]
+        values = values[np.isfinite(values)]
+        scale[number] = np.median(values) if values.size else np.nan
+    known = scale[np.isfinite(scale) & (scale > 0)]
+    if not known.size:
+        return np.ones(len(cell))
+    scale = np.where(np.isfinite(scale), scale, np.median(known))
+    floored: NDArray[np.float64] = np.maximum(scale, np.quantile(known, floor_quantile))[of_group]
+    return floored
+
+
+def prototype_distances(
+    rows: NDArray[np.floating], tap: str, arrays: Mapping[str, NDArray[Any]], k: int
+) -> NDArray[np.float64]:
+    """The oracle: distances (n, places, k) of rows (n, places, c) to each place's nearest prototypes.
+
+    The last distance is repeated where there are fewer than k. arrays: FAPM's bank, see there.
+    """
+    distances = np.empty((*rows.shape[:2], k))
+    for kind in ("near", "far"):
+        names = (f"{tap}_{kind}", f"{tap}_{kind}_mean", f"{tap}_{kind}_places")
+        for bank, mean, places in zip(*(arrays.get(name, ()) for name in names), strict=True):
+            asked = rows[:, places] - mean
+            found = nearest(asked.reshape(-1, rows.shape[2]), bank, k).distances
+            repeated = found[:, np.minimum(np.arange(k), found.shape[1] - 1)]
+            distances[:, places] = repeated.reshape(len(rows), len(places), -1)
+    if f"{tap}_gel" in arrays:
+        places = arrays[f"{tap}_gel_places"]
+        gel = gel_distances(rows[:, places], arrays[f"{tap}_gel"], arrays[f"{tap}_gel_weight"])
+        distances[:, places] = gel[:, :, None]
+    return distances
+
+
+def emit_prototype_distances(
+    graph: Graph, rows: Value, tap: str, arrays: Mapping[str, NDArray[Any]], k: int
+) -> Value:
+    """The same in a graph. rows: (places, n, c). Groups, prototypes and touched places are free."""
+    parts = [
+        _emit_kind(graph, rows, f"{tap}_{kind}", arrays, k)
+        for kind in ("near", "far")
+        if f"{tap}_{kind}" in arrays
+    ]
+    if f"{tap}_gel" in arrays:
+        parts.append(_emit_gel(graph, rows, tap, arrays[f"{tap}_gel"].shape[1], k))
+    distances = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    order = graph.input(f"{tap}_order", arrays[f"{tap}_order"].shape, "int64")
+    return graph.op("Gather", distances, order, axis=1)
+
+
+def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArray[Any]], k: int) -> Value:
+    """Distances (n, groups * s, k) of the groups of one kind."""
+    c, s = arrays[name].shape[2], arrays[f"{name}_places"].shape[1]
+    groups = f"{name}_groups"
+    here = graph.op("Gather", rows, graph.input(f"{name}_places", (groups, s), "int64"), axis=0)
+    mean = graph.op("Unsqueeze", graph.input(f"{name}_mean", (groups, c)), graph.ints(1))
+    asked = graph.op("Sub", graph.reshape(here, 0, -1, c), mean)
+    prototypes = graph.input(name, (groups, f"{name}_prototypes", c))
+    found = emit_group_nearest(graph, asked, emit_ranked(graph, prototypes), c, k, max(k, SHORTLIST))
+    repeated = _emit_repeated(graph, found, k)
+    by_press = graph.transpose(graph.reshape(repeated, 0, s, -1, k), 2, 0, 1, 3)
+    return graph.reshape(by_press, 0, -1, k)
+
+
+def _emit_gel(graph: Graph, rows: Value, tap: str, c: int, k: int) -> Value:
+    """Distances (n, places, k) from the free gel, all neighbours alike."""
+    count = f"{tap}_gel_places"
+    here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=0)
+    mean = graph.op("Unsqueeze", graph.input(f"{tap}_gel", (count, c)), graph.ints(1))
+    found = emit_gel_distances(graph, here, mean, graph.input(f"{tap}_gel_weight", (1,)))
+    found = graph.op("Unsqueeze", graph.transpose(found, 1, 0), graph.ints(2))
+    return graph.op("Concat", *[found] * k, axis=2) if k > 1 else found
+
+
+def _emit_repeated(graph: Graph, distances: Value, k: int) -> Value:
+    """Distances (g, q, found) brought to (g, q, k) by repeating the last."""
+    if k == 1:
+        return distances
+    last = graph.op("Sub", graph.op("Shape", distances, start=2, end=3), graph.ints(1))
+    return graph.op("Gather", distances, graph.op("Min", graph.ints(*range(k)), last), axis=2)

@@ -1,0 +1,155 @@
+"""Places that no nominal press touches keep no rows of presses: they are compared with the free gel."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from heads import run_head, stored_bytes
+
+from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.errors import FitError
+from edge.core.tiles import tiling
+from plugins.detectors.fapm import fapm
+
+FRAME = (128, 128)
+TAPS = {"layer1": (32, 32, 32), "layer2": (48, 16, 16)}
+GRID = Grid(FRAME, TAPS, 15.77)
+TILED = Grid((96, 128), {"layer1": (32, 32, 48)}, 15.77, tiling((96, 128), 64, 32))
+# The part touches the upper left; 1 mm around it counts as touched.
+TOUCHED = np.zeros(FRAME, bool)
+TOUCHED[:48, :48] = True
+KEPT = np.s_[:64, :64]
+NEAR, FAR = (24, 24), (108, 108)
+"""A pixel that nominal presses touch, and one that they never do."""
+
+METHODS = {
+    "fapm": (fapm, {}),
+    "fapm calibrated": (fapm, {"is_calibrated": True}),
+    "fapm of two layers": (fapm, {"layers": ("layer1", "layer2"), "weighting": "largest"}),
+}
+EACH = pytest.mark.parametrize(("detector", "choice"), METHODS.values(), ids=METHODS)
+
+
+def frames(n: int, seed: int, touched: np.ndarray = TOUCHED, restless: float = 1.0) -> Features:
+    """n presses: still gel with a little noise, and where it is touched a relief that varies from press to press.
+
+    restless: how many times more the gel that is not touched moves.
+    """
+    part, rng = np.random.default_rng(7), np.random.default_rng(seed)
+    found = {}
+    for tap, shape in TAPS.items():
+        here = touched[:: FRAME[0] // shape[1], :: FRAME[1] // shape[2]]
+        gel, relief = part.uniform(1, 2, (shape[0], 1, 1)), part.normal(0, 1, shape)
+        varied = relief + rng.normal(0, 0.2, (n, *shape))
+        noise = rng.normal(0, 0.02, (n, *shape)) * np.where(here, 1.0, restless)
+        found[tap] = (gel + noise + here * varied).astype(np.float32)
+    return found
+
+
+def fitted(
+    detector: Any, choice: dict[str, object], touched: np.ndarray | None = TOUCHED, restless: float = 1.0
+) -> tuple[Any, Bank]:
+    p = detector.parameters(**choice)
+    free = frames(3, 5, np.zeros(FRAME, bool), restless)
+    nominal = Nominal(frames(30, 0, restless=restless), touched, None if touched is None else free)
+    return p, detector.fit(nominal, GRID, p, np.random.default_rng(0), lambda done: None)
+
+
+def scored(detector: Any, p: Any, bank: Bank, asked: Features) -> np.ndarray:
+    return run_head(detector.head(GRID, bank, p), asked, bank)["score_map"][0]
+
+
+def around(score_map: np.ndarray, pixel: tuple[int, int]) -> float:
+    """The highest score within 12 pixels."""
+    row, column = pixel
+    return float(score_map[max(row - 12, 0) : row + 13, max(column - 12, 0) : column + 13].max())
+
+
+@EACH
+def test_the_graph_is_the_oracle(detector: Any, choice: dict[str, object]) -> None:
+    """Map and score agree to 1e-5 for several presses at once."""
+    p, bank = fitted(detector, choice)
+    assert any("gel" in name for name in bank.arrays)
+    asked = {tap: np.concatenate([maps, 1.5 * maps]) for tap, maps in frames(2, 1).items()}
+    oracle = detector.reference_score(asked, GRID, bank, p)
+    found = run_head(detector.head(GRID, bank, p), asked, bank)
+    assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
+    np.testing.assert_allclose(found["score"], oracle.score, atol=1e-5 * oracle.score_map.max())
+
+
+@EACH
+def test_the_bank_shrinks(detector: Any, choice: dict[str, object]) -> None:
+    """Two thirds of the gel are touched by no press: six tenths of the bytes are left at most."""
+    whole, small = (fitted(detector, choice, touched)[1] for touched in (None, TOUCHED))
+    assert not any("gel" in name for name in whole.arrays)
+    assert stored_bytes(small) < 0.6 * stored_bytes(whole)
+
+
+@EACH
+def test_a_press_where_none_belongs_scores_high(detector: Any, choice: dict[str, object]) -> None:
+    """A relief like the part's, on gel that no nominal press touched, is louder than anything nominal."""
+    p, bank = fitted(detector, choice)
+    far = np.zeros(FRAME, bool)
+    far[96:, 96:] = True
+    usual = scored(detector, p, bank, frames(1, 2))
+    foreign = scored(detector, p, bank, frames(1, 2, TOUCHED | far))
+    assert around(foreign, FAR) > 2 * usual.max()
+    assert np.unravel_index(foreign.argmax(), FRAME) > (90, 90)
+
+
+@EACH
+def test_still_gel_raises_no_alarm(detector: Any, choice: dict[str, object]) -> None:
+    """The gel's own noise where nothing touches, even thirty times that of before, stays below where rows are kept."""
+    for restless in (1.0, 30.0):
+        p, bank = fitted(detector, choice, restless=restless)
+        nominal = scored(detector, p, bank, frames(1, 2, restless=restless))
+        assert around(nominal, FAR) < nominal[KEPT].max()
+
+
+@EACH
+def test_without_frames_of_the_free_gel(detector: Any, choice: dict[str, object]) -> None:
+    """The presses themselves show the gel where none of them touches it; one press alone does too."""
+    p = detector.parameters(**choice)
+    for n in (1, 12):
+        bank = detector.fit(
+            Nominal(frames(n, 0), TOUCHED), GRID, p, np.random.default_rng(0), lambda done: None
+        )
+        found = scored(detector, p, bank, frames(1, 2))
+        assert np.isfinite(found).all()
+        assert around(found, FAR) < around(found, NEAR)
+
+
+@EACH
+def test_the_published_mode_knows_no_touch(detector: Any, choice: dict[str, object]) -> None:
+    """`paper` keeps rows everywhere, whatever is touched."""
+    p = detector.parameters("paper", layers=("layer1", "layer2"))
+    nominal = Nominal(frames(6, 0), TOUCHED, frames(2, 1))
+    bank = detector.fit(nominal, GRID, p, np.random.default_rng(0), lambda done: None)
+    assert not any("gel" in name for name in bank.arrays)
+
+
+@EACH
+def test_nothing_touched_is_refused(detector: Any, choice: dict[str, object]) -> None:
+    """Presses that touch nothing leave nothing to learn from: a FitError that says so."""
+    with pytest.raises(FitError, match="no nominal press touches"):
+        fitted(detector, choice, np.zeros(FRAME, bool))
+
+
+@pytest.mark.parametrize("detector", [fapm], ids=lambda d: d.name)
+def test_untouched_places_of_tiles(detector: Any) -> None:
+    """On a mosaic the touched places of each tile are its own: the graph is the oracle, and the bank is smaller."""
+    rng = np.random.default_rng(0)
+    nominal, asked = (
+        {"layer1": rng.normal(1, 0.1, (n, *TILED.taps["layer1"])).astype(np.float32)} for n in (30, 2)
+    )
+    touched = np.zeros(TILED.frame, bool)
+    touched[60:70, 100:110] = True
+    p = detector.parameters(margin_mm=0.25)
+    banks = [
+        detector.fit(Nominal(nominal, t), TILED, p, np.random.default_rng(0), lambda done: None)
+        for t in (touched, None)
+    ]
+    assert stored_bytes(banks[0]) < 0.6 * stored_bytes(banks[1])
+    oracle = detector.reference_score(asked, TILED, banks[0], p)
+    found = run_head(detector.head(TILED, banks[0], p), asked, banks[0])
+    assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
