@@ -169,7 +169,7 @@ def card(
         "",
         "## Evaluation",
         "",
-        *(["Not evaluated yet."] if evaluation is None else evaluation_tables(evaluation)),
+        *_evaluated(facts, evaluation),
         "",
         *_tried(trials),
         "## Known limits",
@@ -208,6 +208,14 @@ def _scales(recipe: dict[str, Any]) -> list[str]:
         f"Regions of {recipe['side']} pixels a side at 0.063 mm per pixel and, in {recipe['high_resolution']:.0%} of "
         "the batches, at 0.015 to 0.045. Other scales are untried."
     ]
+
+
+def _evaluated(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> list[str]:
+    """The tables, if they are of these weights: an evaluation of others lies there until the next one."""
+    compared = [trunk["sha256"] for trunk in evaluation["trunks"].values()] if evaluation else []
+    if evaluation is None or facts["variants"][NAME]["sha256"] not in compared:
+        return ["Not evaluated yet."]
+    return evaluation_tables(evaluation)
 
 
 def evaluation_tables(evaluation: dict[str, Any]) -> list[str]:

@@ -40,6 +40,7 @@ def evaluate_backbone(
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
     """Compare backbones on presses that training never draws: every table of the model card in one run."""
+    import os
     import sys
     from json import dumps
 
@@ -48,6 +49,9 @@ def evaluate_backbone(
     from calibration.progress import progress
     from edge.core.errors import StoreError
 
+    # Workers are processes of their own; several threads of linear algebra in each would fight over the cores.
+    if workers > 1:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _chosen_sets(tactile, screws, only or [], trials)
     given = _named(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"])
     graphs = {name: open_trunk(trunk).graph for name, trunk in given.items()}

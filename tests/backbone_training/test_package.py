@@ -91,7 +91,7 @@ def evaluation(measures: dict[str, object]) -> dict[str, object]:
         "format": 2,
         "replicates": 200,
         "settings": {"padim": {"taps": ["layer1", "layer2"], "rank": 16, "channels": None}},
-        "trunks": {"trained": {}, "pairs": {}, "random": {}},
+        "trunks": {"trained": {"sha256": "ab" * 32}, "pairs": {"sha256": "cd" * 32}},
         "sets": {
             "parts": {"title": "Unseen parts", "text": "Five.", "trials": ["PZ1"], "rows": [row]},
             "screws": {"title": "Screws", "text": "Turned.", "missing": "no folder was given"},
@@ -110,6 +110,14 @@ def test_the_card_has_the_facts_and_the_evaluation() -> None:
     assert "0.1235" in text
     assert "abababababababab" in text
     assert "What was tried" not in text
+
+
+def test_the_card_prints_no_evaluation_of_other_weights() -> None:
+    """An evaluation that compared no file of these facts is as good as none."""
+    other = {**evaluation({"aupro_fpr01": {"value": 0.7}}), "trunks": {"trained": {"sha256": "ef" * 32}}}
+    text = card(FACTS, other)
+    assert "Not evaluated yet" in text
+    assert "0.700" not in text
 
 
 def test_the_card_tells_what_was_tried() -> None:
