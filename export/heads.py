@@ -1,14 +1,15 @@
 """`make heads`: the heads that ship with the product, written by the detectors' own authors.
 
-Each detector is fitted with its default settings on invented features of the shipped trunk's sizes, once with every
-cell touched and once with some, and whatever different graphs result are stored. `plugins/detectors/shipped.py` finds
-them again.
+Each detector is fitted with its default settings on invented features of the shipped trunk's sizes, with all cells and
+with some touched, with and without the free gel, and whatever different graphs result are stored.
+`plugins/detectors/shipped.py` finds them again.
 """
 
 import hashlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from edge.runtime import open_session
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.detectors.shipped import FORMAT, INDEX, identity, written_grid, written_parameters
 
-__all__ = ["FRAMES", "METHODS", "Authored", "authored", "invented", "main", "shipped_grid"]
+__all__ = ["FRAMES", "METHODS", "Authored", "Situation", "authored", "invented", "main", "shipped_grid"]
 
 METHODS = ("padim", "spade", "fapm", "inreach", "subspace", "patchcore")
 # The default region at low resolution, and the whole picture: (h, w).
@@ -42,19 +43,35 @@ def shipped_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
     return Grid(frame, {tap: m.shape[1:] for tap, m in zip(taps, maps, strict=True)}, LR_PIXELS_PER_MM)
 
 
-def invented(grid: Grid, presses: int, is_touched: bool) -> Nominal:
-    """Nominal features of noise. is_touched: a disc in the middle is touched, otherwise nothing is known of it."""
+@dataclass(frozen=True)
+class Situation:
+    """What is known of the gel. touched: radius of the disc in the middle that presses touch, as a part of the frame's
+    height; None where nothing is known of it. has_free_gel: whether there are frames of the untouched gel."""
+
+    touched: float | None
+    has_free_gel: bool
+
+
+SITUATIONS = (Situation(None, False), Situation(0.25, False), Situation(0.25, True), Situation(None, True))
+
+
+def invented(grid: Grid, presses: int, situation: Situation) -> Nominal:
+    """Nominal features of noise."""
     rng = np.random.default_rng(0)
-    features: Features = {
-        tap: np.abs(rng.normal(1, 0.3, (presses, *shape))).astype(np.float32)
-        for tap, shape in grid.taps.items()
-    }
-    return Nominal(features, _disc(grid.frame) if is_touched else None)
+
+    def noise(n: int) -> Features:
+        return {
+            tap: np.abs(rng.normal(1, 0.3, (n, *shape))).astype(np.float32)
+            for tap, shape in grid.taps.items()
+        }
+
+    touched = None if situation.touched is None else _disc(grid.frame, situation.touched)
+    return Nominal(noise(presses), touched, noise(2) if situation.has_free_gel else None)
 
 
-def _disc(frame: tuple[int, int]) -> NDArray[np.bool_]:
+def _disc(frame: tuple[int, int], part: float) -> NDArray[np.bool_]:
     rows, columns = np.indices(frame)
-    disc: NDArray[np.bool_] = np.hypot(rows - frame[0] / 2, columns - frame[1] / 2) < frame[0] / 4
+    disc: NDArray[np.bool_] = np.hypot(rows - frame[0] / 2, columns - frame[1] / 2) < part * frame[0]
     return disc
 
 
@@ -63,23 +80,20 @@ def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
     detector: Detector = registry.load("detectors", method)
     parameters = detector.parameters()
     grid = shipped_grid(frame, detector.taps(parameters))
-    seen: set[bytes] = set()
-    for is_touched in (False, True):
-        nominal = invented(grid, _PRESSES, is_touched)
+    seen: list[Authored] = []
+    for situation in SITUATIONS:
+        nominal = invented(grid, _PRESSES, situation)
         bank = detector.fit(nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
         graph = detector.head(grid, bank, parameters)
-        if graph in seen:
-            continue
-        seen.add(graph)
-        yield (
-            {
-                "detector": identity(detector),
-                "parameters": written_parameters(parameters),
-                "grid": written_grid(grid),
-                "arrays": _arrays(graph, bank),
-            },
-            graph,
-        )
+        entry = {
+            "detector": identity(detector),
+            "parameters": written_parameters(parameters),
+            "grid": written_grid(grid),
+            "arrays": _arrays(graph, bank),
+        }
+        if (entry, graph) not in seen:
+            seen.append((entry, graph))
+            yield entry, graph
 
 
 def _arrays(graph: bytes, bank: Bank) -> dict[str, Any]:
@@ -106,7 +120,7 @@ def main(home: Path = HOME) -> None:
     for method in METHODS:
         for frame in FRAMES:
             for number, (entry, graph) in enumerate(authored(method, frame)):
-                name = f"{method}_{frame[1]}x{frame[0]}{'_some_touched' if number else ''}.onnx"
+                name = f"{method}_{frame[1]}x{frame[0]}_{number + 1}.onnx"
                 (home / name).write_bytes(graph)
                 sha256 = hashlib.sha256(graph).hexdigest()
                 entries.append({"file": name, "sha256": sha256, **entry})

@@ -14,7 +14,7 @@ from edge import registry
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.tiles import tiling
-from export.heads import FRAMES, METHODS, authored, invented, shipped_grid
+from export.heads import FRAMES, METHODS, Situation, authored, invented, shipped_grid
 from plugins.detectors import shipped
 from plugins.detectors.shipped import load_index, shipped_head
 
@@ -58,12 +58,17 @@ def bank_of(method: str, nominal: Nominal, grid: Grid) -> Bank:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("presses", "is_touched"), [(1, False), (2, True), (7, True)])
-def test_a_head_that_fits_is_the_head_of_that_bank(method: str, presses: int, is_touched: bool) -> None:
+@pytest.mark.parametrize(
+    ("presses", "touched", "has_free_gel"),
+    [(1, None, False), (2, 0.4, False), (3, 0.1, True), (7, 0.3, True), (4, 9.0, True)],
+)
+def test_a_head_that_fits_is_the_head_of_that_bank(
+    method: str, presses: int, touched: float | None, has_free_gel: bool
+) -> None:
     """Whatever the presses a shipped head is found, and the detector would have written the same for this bank."""
     detector = registry.load("detectors", method)
     grid = shipped_grid(FRAMES[0], detector.taps(detector.parameters()))
-    bank = bank_of(method, invented(grid, presses, is_touched), grid)
+    bank = bank_of(method, invented(grid, presses, Situation(touched, has_free_gel)), grid)
     found = shipped_head(detector, grid, bank, detector.parameters())
     assert found is not None
     assert_same_head(found, detector.head(grid, bank, detector.parameters()))
@@ -74,7 +79,7 @@ def test_another_frame_setting_trunk_or_plugin_has_no_shipped_head() -> None:
     padim = registry.load("detectors", "padim")
     p = padim.parameters()
     grid = shipped_grid(FRAMES[0], padim.taps(p))
-    bank = bank_of("padim", invented(grid, 4, True), grid)
+    bank = bank_of("padim", invented(grid, 4, Situation(0.25, True)), grid)
     assert shipped_head(padim, grid, bank, p) is not None
     assert shipped_head(padim, grid, bank, replace(p, ridge=2 * p.ridge)) is None
     assert shipped_head(padim, replace(grid, pixels_per_mm=63.0), bank, p) is None
@@ -100,7 +105,7 @@ def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch)
         subspace = registry.load("detectors", "subspace")
         p = subspace.parameters()
         grid = shipped_grid((64, 64), subspace.taps(p))
-        bank = bank_of("subspace", invented(grid, 2, False), grid)
+        bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
         assert load_index() == ()
         assert head_of(subspace, grid, bank, p) == subspace.head(grid, bank, p)
     finally:
@@ -167,7 +172,7 @@ def test_a_missing_package_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     subspace = registry.load("detectors", "subspace")
     p = subspace.parameters(sigma=1.0)
     grid = shipped_grid((64, 64), subspace.taps(p))
-    bank = bank_of("subspace", invented(grid, 2, False), grid)
+    bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(FitError, match=r"the package onnx is missing; pip install 'gelgate\[export\]'"):
         head_of(subspace, grid, bank, p)
