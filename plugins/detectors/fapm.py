@@ -446,8 +446,8 @@ def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameter
             pads=[p.pooling // 2] * 4,
             count_include_pad=1,
         )
-    rows = graph.transpose(graph.reshape(maps, -1, tiles, c, h * w), 1, 3, 0, 2)
-    rows = graph.reshape(rows, tiles * h * w, -1, c)
+    rows = graph.transpose(graph.reshape(maps, -1, c, h * w), 0, 2, 1)
+    rows = graph.reshape(rows, -1, tiles * h * w, c)
     distances = emit_prototype_distances(graph, rows, tap, bank.arrays, p.looked_at)
     if p.is_calibrated:
         weight = graph.op("Unsqueeze", graph.input(f"{tap}_weight", (tiles * h * w,)), graph.ints(1))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plugins.detectors.maths.coreset import greedy_from_distances
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.free_gel import emit_gel_distances, gel_distances
-from plugins.detectors.maths.shortlist import SHORTLIST, emit_group_nearest, emit_ranked
+from plugins.detectors.maths.shortlist import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
 from plugins.graph import Graph, Value
 
 __all__ = [
@@ -171,7 +171,7 @@ def prototype_distances(
 def emit_prototype_distances(
     graph: Graph, rows: Value, tap: str, arrays: Mapping[str, NDArray[Any]], k: int
 ) -> Value:
-    """The same in a graph. rows: (places, n, c). Groups, prototypes and touched places are free."""
+    """The same in a graph. rows: (n, places, c). Groups, prototypes and touched places are free."""
     parts = [
         _emit_kind(graph, rows, f"{tap}_{kind}", arrays, k)
         for kind in ("near", "far")
@@ -188,12 +188,17 @@ def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArra
     """Distances (n, groups * s, k) of the groups of one kind."""
     c, s = arrays[name].shape[2], arrays[f"{name}_places"].shape[1]
     groups = f"{name}_groups"
-    here = graph.op("Gather", rows, graph.input(f"{name}_places", (groups, s), "int64"), axis=0)
+    here = graph.op("Gather", rows, graph.input(f"{name}_places", (groups, s), "int64"), axis=1)
     mean = graph.op("Unsqueeze", graph.input(f"{name}_mean", (groups, c)), graph.ints(1))
-    asked = graph.op("Sub", graph.reshape(here, 0, -1, c), mean)
+    asked = graph.op("Sub", here, mean)
     prototypes = graph.input(name, (groups, f"{name}_prototypes", c))
+    if k == 1:
+        return graph.reshape(emit_closest(graph, asked, prototypes, c), 0, -1, 1)
+    # All presses under their group's bank at once: (groups, s * n, c).
+    asked = graph.reshape(graph.transpose(asked, 1, 2, 0, 3), 0, -1, c)
     found = emit_group_nearest(graph, asked, emit_ranked(graph, prototypes), c, k, max(k, SHORTLIST))
-    repeated = _emit_repeated(graph, found, k)
+    last = graph.op("Sub", graph.op("Shape", found, start=2, end=3), graph.ints(1))
+    repeated = graph.op("Gather", found, graph.op("Min", graph.ints(*range(k)), last), axis=2)
     by_press = graph.transpose(graph.reshape(repeated, 0, s, -1, k), 2, 0, 1, 3)
     return graph.reshape(by_press, 0, -1, k)
 
@@ -201,16 +206,7 @@ def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArra
 def _emit_gel(graph: Graph, rows: Value, tap: str, c: int, k: int) -> Value:
     """Distances (n, places, k) from the free gel, all neighbours alike."""
     count = f"{tap}_gel_places"
-    here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=0)
-    mean = graph.op("Unsqueeze", graph.input(f"{tap}_gel", (count, c)), graph.ints(1))
-    found = emit_gel_distances(graph, here, mean, graph.input(f"{tap}_gel_weight", (1,)))
-    found = graph.op("Unsqueeze", graph.transpose(found, 1, 0), graph.ints(2))
+    here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=1)
+    mean, weight = graph.input(f"{tap}_gel", (count, c)), graph.input(f"{tap}_gel_weight", (1,))
+    found = graph.op("Unsqueeze", emit_gel_distances(graph, here, mean, weight), graph.ints(2))
     return graph.op("Concat", *[found] * k, axis=2) if k > 1 else found
-
-
-def _emit_repeated(graph: Graph, distances: Value, k: int) -> Value:
-    """Distances (g, q, found) brought to (g, q, k) by repeating the last."""
-    if k == 1:
-        return distances
-    last = graph.op("Sub", graph.op("Shape", distances, start=2, end=3), graph.ints(1))
-    return graph.op("Gather", distances, graph.op("Min", graph.ints(*range(k)), last), axis=2)

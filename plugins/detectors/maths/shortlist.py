@@ -18,6 +18,7 @@ __all__ = [
     "PRODUCT_LIMIT",
     "SHORTLIST",
     "Blocks",
+    "emit_closest",
     "emit_group_nearest",
     "emit_ranked",
     "emit_window_nearest",
@@ -83,6 +84,26 @@ def emit_group_nearest(
             "TopK", 2, exact, graph.op("Min", graph.ints(k), rows_there), axis=2, largest=0
         )
     return graph.op("Sqrt", nearest)
+
+
+def emit_closest(graph: Graph, queries: Value, bank: Value, width: int) -> Value:
+    """Plain distances (n, g, q) from queries (n, g, q, width) to the closest row of their group's bank (g, m, width).
+
+    The product chooses one row, which is measured again. That is right where rows that are nearly as close lie apart,
+    as prototypes picked by k-centre do: a row mistaken within rounding is then measured within rounding. Several times
+    faster than a shortlist.
+    """
+    squares = graph.op("ReduceSumSquare", bank, graph.ints(2), keepdims=0)
+    half = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(0.5)), graph.ints(1))
+    closeness = graph.op("Sub", graph.op("MatMul", queries, graph.transpose(bank, 0, 2, 1)), half)
+    best = graph.op("ArgMax", closeness, axis=3, keepdims=0)
+    groups, rows = (graph.op("Squeeze", graph.op("Shape", bank, start=axis, end=axis + 1)) for axis in (0, 1))
+    zero, one = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
+    first = graph.op("Mul", graph.op("Range", zero, groups, one), rows)
+    flat = graph.op("Add", best, graph.op("Unsqueeze", first, graph.ints(1)))
+    chosen = graph.op("Gather", graph.reshape(bank, -1, width), flat, axis=0)
+    difference = graph.op("Sub", queries, chosen)
+    return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
 
 
 class Blocks:
