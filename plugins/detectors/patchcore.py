@@ -45,7 +45,8 @@ class PatchcoreParameters:
     coreset_fraction: patches kept; at most most_rows of them, chosen from at most most_patches drawn ones (None: no
     limit). is_touched_only: those are of cells that a nominal press touches; to them come a few of free gel.
     is_coreset_exact: k-centre over the descriptors themselves from one start, instead of over a random projection with
-    ten random points as the first bounds. is_squared: squared distances, as published (layer means, blur and tile means then differ).
+    ten random points as the first bounds. is_squared: squared distances, as published (layer means, blur and tile
+    means then differ).
     image_score: `map` is the maximum of the score map, `patches` the largest distance before upsampling and blur.
     sigma: the blur, in `sigma_unit`. is_sampled: a cell stands where its convolution looks, its top left pixel.
     """

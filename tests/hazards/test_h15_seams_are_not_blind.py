@@ -69,14 +69,16 @@ def test_the_layout_has_seams_and_a_shifted_tile() -> None:
 
 
 @pytest.mark.parametrize(
-    "choice", [{"grid_tap": "layer1"}, {"grid_tap": "layer2"}, {"is_sampled": False}], ids=str
+    "choice",
+    [{"taps": ("layer1",), "grid_tap": "layer1"}, {"grid_tap": "layer2"}, {"is_sampled": False}],
+    ids=str,
 )
 @pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
 def test_the_graph_equals_the_oracle_on_tiles(detector: object, choice: dict[str, object]) -> None:
     """Blending and blur inside the head: within 2e-6 of float64, with and without a known touch."""
     touched = np.zeros((112, 176), bool)
     touched[40:70, 30:150] = True
-    parameters = detector.parameters(**choice)  # type: ignore[attr-defined]
+    parameters = detector.parameters(**{"taps": ("layer1", "layer2")} | choice)  # type: ignore[attr-defined]
     for mask in (None, touched):
         fit = fitted(detector, parameters, Nominal(features(12, GRID, seed=1), mask), GRID)
         query = features(2, GRID, seed=3)

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 from edge.core.detector import Grid
 from plugins.graph import Graph, Value
 
-__all__ = ["emit_join", "emit_split", "join", "layout", "split", "stacked", "stepped", "tile_grid"]
+__all__ = [
+    "cell_blocks",
+    "emit_join",
+    "emit_split",
+    "join",
+    "layout",
+    "neighbourhood",
+    "split",
+    "stacked",
+    "stepped",
+    "tile_grid",
+]
 
 
 def layout(grid: Grid) -> tuple[int, int]:
@@ -53,6 +64,35 @@ def stepped(index: NDArray[np.int64], step: int, period: int) -> NDArray[np.int6
     """Rows or columns of a mosaic, `step` further on but held within their own tile of `period` cells."""
     first = index // period * period
     return np.clip(index + step, first, first + period - 1)
+
+
+def neighbourhood(
+    cells: NDArray[np.int64], shape: tuple[int, int], tiles: tuple[int, int], reach: int
+) -> NDArray[np.int64]:
+    """The square of cells around each of flat `cells` (m,) of a mosaic of `shape`: (m, (2 * reach + 1)^2).
+
+    A cell beyond the border of a tile is replaced by the one at it. tiles: how many lie down and across.
+    """
+    (height, width), (down, across) = shape, tiles
+    steps = range(-reach, reach + 1)
+    rows = [stepped(cells // width, step, height // down) for step in steps]
+    columns = [stepped(cells % width, step, width // across) for step in steps]
+    return np.stack([row * width + column for row in rows for column in columns], axis=1)
+
+
+def cell_blocks(shape: tuple[int, int], tiles: tuple[int, int], side: int) -> NDArray[np.int64]:
+    """The flat cells of each block of side x side cells, (blocks, side^2): none reaches into another tile.
+
+    Where the blocks do not fill a tile its last cells stand twice.
+    """
+    axes = []
+    for size, count in zip(shape, tiles, strict=True):
+        period = size // count
+        inside = np.minimum(np.arange(0, period, side)[:, None] + np.arange(side), period - 1)
+        axes.append((np.arange(count)[:, None, None] * period + inside).reshape(-1, side))
+    rows, columns = axes
+    table: NDArray[np.int64] = rows[:, None, :, None] * shape[1] + columns[None, :, None, :]
+    return table.reshape(-1, side * side)
 
 
 def emit_split(graph: Graph, maps: Value, shape: tuple[int, int, int], grid: Grid) -> Value:
