@@ -246,8 +246,23 @@ def _rows(of: dict[str, Any]) -> list[str]:
     return [f"Trials: {', '.join(of['trials'])}.", "", *_table(("backbone", "detector", *names), body)]
 
 
+# The parameters that say where a method reads and how much it keeps; the evaluation's file has them all.
+_SHOWN = (
+    "taps",
+    "layers",
+    "grid_tap",
+    "channels",
+    "dims",
+    "rank",
+    "neighbours",
+    "block",
+    "window_mm",
+    "sigma",
+)
+
+
 def _listed(chosen: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {_short(value)}" for name, value in chosen.items() if value is not None)
+    return ", ".join(f"{name} {_short(chosen[name])}" for name in _SHOWN if chosen.get(name) is not None)
 
 
 def _short(value: Any) -> str:

@@ -1,5 +1,6 @@
 """Backbones side by side: the same detectors, presses and measures, on trunks that differ in their weights alone."""
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -144,10 +145,8 @@ def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
 
 
 def used_settings(method: str) -> dict[str, Any]:
-    """The settings that the rows are of: where the method reads, and how wide it blurs."""
-    parameters = registry.load("detectors", method).parameters()
-    named = ("taps", "layers", "grid_tap", "channels", "dims", "rank", "neighbours", "sigma")
-    return {name: getattr(parameters, name) for name in named if hasattr(parameters, name)}
+    """Every parameter of the method that the rows are of."""
+    return dict(dataclasses.asdict(registry.load("detectors", method).parameters()))
 
 
 def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:

@@ -36,22 +36,25 @@ BYTES = {"int8": 1, "float16": 2}
 ALL = ("layer1", "layer2", "layer3")
 POINTS: dict[str, tuple[Any, Any]] = {
     "padim": (padim, padim.parameters()),
-    "padim 56x56": (padim, padim.parameters(grid_tap="layer1")),
-    "padim layer1": (padim, padim.parameters(taps=("layer1",), grid_tap="layer1", channels=64)),
+    "padim each cell its own": (padim, padim.parameters(block=1)),
     "padim exact": (padim, padim.parameters(rank=None)),
     "padim 448 rank 16": (
         padim,
-        padim.parameters(taps=ALL, grid_tap="layer1", channels=448, rank=16, neighbours=0),
+        padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0, block=1),
     ),
     "padim 448 rank 16 28x28": (
         padim,
-        padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0, grid_tap="layer2"),
+        padim.parameters(taps=ALL, channels=448, rank=16, neighbours=0, block=1, grid_tap="layer2"),
     ),
     "padim paper": (padim, padim.parameters("paper")),
     "subspace": (subspace, subspace.parameters()),
 }
 LARGE: dict[str, tuple[Any, Any]] = {
-    "padim 28x28 rank 16": (padim, padim.parameters(grid_tap="layer2", rank=16)),
+    "padim": (padim, padim.parameters()),
+    "padim layer2's grid": (
+        padim,
+        padim.parameters(taps=("layer1", "layer2"), grid_tap="layer2", channels=96, block=1),
+    ),
     "subspace": (subspace, subspace.parameters()),
 }
 
