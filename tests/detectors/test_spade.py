@@ -1,24 +1,45 @@
 """SPADE: the graph against the oracle, each repair against the published behaviour, and hard nominal sets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from heads import RESNET18, SMALL, fit, grid, hard_presses, parity, presses_of, run_head, with_spot
+from heads import (
+    RESNET18,
+    SMALL,
+    fit,
+    grid,
+    hard_presses,
+    parity,
+    presses_of,
+    run_head,
+    stored_bytes,
+    with_spot,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edge.core.detector import Grid
 from edge.core.errors import FitError, NotScorable
 from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.shortlist import Blocks, window_nearest
+from plugins.detectors.maths.window import Blocks, Tables, window_nearest
 from plugins.detectors.spade import spade
 
 MODES = ("paper", "corrected")
+# Three layers in few directions and of unit length, which the default does not use.
+LAYERED = {"layers": tuple(SMALL), "dims": (3, 4, 5), "is_normalised": True}
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("mode", "choice"),
+    [("paper", {}), ("corrected", {}), ("corrected", LAYERED)],
+    ids=["paper", "corrected", "layered"],
+)
 @pytest.mark.parametrize("n", [1, 2, 4, 9])
-def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
+def test_the_graph_is_the_oracle(mode: str, choice: dict[str, object], n: int) -> None:
     """Map and score agree to 1e-5, also with fewer presses than neighbours, for several presses at once."""
-    _, map_error, score_error = parity(spade, spade.parameters(mode), presses_of(n), presses_of(3, 1), grid())
+    p = spade.parameters(mode, **choice)
+    _, map_error, score_error = parity(spade, p, presses_of(n), presses_of(3, 1), grid())
     assert map_error < 1e-5
     assert score_error < 1e-5
 
@@ -65,7 +86,7 @@ def test_the_window_keeps_matches_near() -> None:
         maps[..., 0, 0] = maps[..., -1, -1]
     corner = {}
     for window_mm in (0.25, None):
-        p = spade.parameters(window_mm=window_mm, finest=None, layers=("layer1",), dims=(), packing="none")
+        p = spade.parameters(window_mm=window_mm, dims=(), packing="none")
         bank = fit(spade, p, nominal, grid())
         corner[window_mm] = spade.reference_score(moved, grid(), bank, p).score_map[0, :4, :4].max()
     assert corner[0.25] > 5 * corner[None]
@@ -150,15 +171,30 @@ def test_cells_are_drawn_where_they_look() -> None:
         assert abs(column - place[1]) <= (not is_sampled)
 
 
-def test_the_bank_stays_within_its_size() -> None:
-    """Presses are left out until the bank fits, the most different ones stay, and the bundle says so."""
+@pytest.mark.parametrize("packing", ["float16", "int8"])
+def test_the_bank_stays_within_its_size(packing: str) -> None:
+    """Presses are left out until the bank fits, scales of int8 included; the most different stay, and it says so."""
     nominal = presses_of(20)
-    whole = fit(spade, spade.parameters(packing="float16"), nominal, grid())
-    size = sum(whole.arrays[f"{tap}_bank"].nbytes // 2 for tap in SMALL) / 20e6
-    small = fit(spade, spade.parameters(bank_mb=8 * size, packing="float16"), nominal, grid())
-    assert 5 <= len(small.arrays["layer1_bank"]) <= 8
+    p = spade.parameters(packing=packing, **LAYERED)
+    room = 0.45 * stored_bytes(fit(spade, p, nominal, grid()))
+    small = fit(spade, replace(p, bank_mb=room / 1e6), nominal, grid())
+    assert 6 <= len(small.arrays["layer1_bank"]) <= 9
+    assert stored_bytes(small) <= room
     assert "left out" in small.facts["warnings"][0]
     assert len(small.facts["presses"]) == len(small.arrays["layer1_bank"])
+
+
+def test_small_cells_are_averaged() -> None:
+    """At four times the resolution a cell is a quarter as large: 2x2 of them become one."""
+    taps = {"layer1": (6, 32, 32)}
+    nominal, asked = presses_of(5, 0, taps), presses_of(2, 1, taps)
+    fine = Grid((128, 128), taps, 4 * 15.77)
+    for cell_mm, cells in ((0.127, 16 * 16), (None, 32 * 32), (0.254, 8 * 8)):
+        p = spade.parameters(cell_mm=cell_mm)
+        _, map_error, _ = parity(spade, p, nominal, asked, fine)
+        assert map_error < 1e-5
+        assert fit(spade, p, nominal, fine).arrays["layer1_bank"].shape[1] == cells
+    assert fit(spade, spade.parameters(), nominal, grid(taps)).arrays["layer1_bank"].shape[1] == 32 * 32
 
 
 @settings(max_examples=15, deadline=None)
@@ -195,7 +231,7 @@ def test_the_order_of_the_bank_is_free(mode: str) -> None:
     bank = fit(spade, p, nominal, grid())
     order = np.random.default_rng(0).permutation(7)
     shuffled = fit(spade, p, nominal, grid())
-    for name in ("press_descriptors", *(f"{tap}_bank" for tap in SMALL)):
+    for name in ("press_descriptors", *(name for name in bank.arrays if name.endswith("_bank"))):
         shuffled.arrays[name][:] = bank.arrays[name][order]  # type: ignore[index]
     a = spade.reference_score(asked, grid(), bank, p)
     b = spade.reference_score(asked, grid(), shuffled, p)
@@ -205,7 +241,7 @@ def test_the_order_of_the_bank_is_free(mode: str) -> None:
 def test_features_that_are_not_finite_are_refused() -> None:
     """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
     broken = presses_of(3)
-    broken["layer2"][1, 0, 0, 0] = np.nan
+    broken["layer1"][1, 0, 0, 0] = np.nan
     p = spade.parameters()
     with pytest.raises(FitError, match="not finite"):
         fit(spade, p, broken, grid())
@@ -219,7 +255,14 @@ def test_features_that_are_not_finite_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("image_neighbours", 0), ("dims", [1, 2]), ("sigma", -1.0), ("layers", []), ("windw_mm", 1)],
+    [
+        ("image_neighbours", 0),
+        ("dims", [1, 2]),
+        ("cell_mm", -1.0),
+        ("sigma", -1.0),
+        ("layers", []),
+        ("windw_mm", 1),
+    ],
 )
 def test_nonsense_is_refused(name: str, value: object) -> None:
     """Unknown names and values out of range are refused by name."""
@@ -228,20 +271,21 @@ def test_nonsense_is_refused(name: str, value: object) -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(1, 15), st.integers(1, 15), st.integers(0, 4))
-def test_blocks_reach_their_windows(h: int, w: int, window: int) -> None:
-    """Every cell finds in its block exactly the cells of its clamped window."""
-    blocks = Blocks((h, w), window)
-    queries, gallery, bias = blocks.queries(), blocks.gallery(), blocks.bias()
-    place = blocks.back()
-    assert (queries.reshape(-1)[place] == np.arange(h * w)).all()
-    per_block = queries.shape[1]
-    for cell, at in enumerate(place):
-        block, slot = divmod(int(at), per_block)
-        reached = set(gallery[block][bias[slot] == 0].tolist())
-        rows = range(max(0, cell // w - window), min(h, cell // w + window + 1))
-        columns = range(max(0, cell % w - window), min(w, cell % w + window + 1))
-        assert reached == {r * w + c for r in rows for c in columns}
+@given(st.integers(1, 15), st.integers(1, 15), st.integers(0, 4), st.integers(1, 2), st.integers(0, 1000))
+def test_blocks_reach_their_windows(h: int, w: int, window: int, tiles: int, seed: int) -> None:
+    """Every stored cell finds in its block exactly the stored cells of its clamped window."""
+    stored = np.flatnonzero(np.random.default_rng(seed).random(tiles * h * w) < 0.7)
+    blocks = Blocks((h, w), window, tiles)
+    tables, bias = Tables.of(blocks, stored), blocks.bias()
+    assert (tables.queries.reshape(-1)[tables.back] == stored).all()
+    for cell, at in zip(stored, tables.back, strict=True):
+        block, slot = divmod(int(at), tables.queries.shape[1])
+        reached = tables.reached[block][bias[slot] == 0]
+        first, own = divmod(int(cell), h * w)
+        rows = range(max(0, own // w - window), min(h, own // w + window + 1))
+        columns = range(max(0, own % w - window), min(w, own % w + window + 1))
+        expected = {first * h * w + r * w + c for r in rows for c in columns} & set(stored.tolist())
+        assert set(stored[reached[reached < len(stored)]].tolist()) == expected
 
 
 def test_a_window_over_the_whole_map_is_the_whole_search() -> None:

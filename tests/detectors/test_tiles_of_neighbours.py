@@ -18,9 +18,14 @@ TAPS = {"layer1": (4, 32, 48), "layer2": (6, 16, 24), "layer3": (8, 8, 12)}
 GRID = Grid((96, 128), TAPS, 15.77, TILES)
 CASES = {
     "spade": (spade, "corrected", {}),
-    "spade finest": (spade, "corrected", {"finest": None}),
+    "spade of averaged cells": (
+        spade,
+        "corrected",
+        {"cell_mm": 0.6, "layers": ("layer1", "layer2"), "dims": (3, 3)},
+    ),
     "spade paper": (spade, "paper", {}),
     "fapm": (fapm, "corrected", {}),
+    "fapm of two layers": (fapm, "corrected", {"layers": ("layer2", "layer3"), "pooling": 3}),
     "fapm paper": (fapm, "paper", {}),
     "inreach": (inreach, "corrected", {"position_weight": 2.0}),
     "patchcore": (patchcore, "corrected", {}),

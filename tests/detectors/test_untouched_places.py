@@ -10,6 +10,7 @@ from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.tiles import tiling
 from plugins.detectors.fapm import fapm
+from plugins.detectors.spade import spade
 
 FRAME = (128, 128)
 TAPS = {"layer1": (32, 32, 32), "layer2": (48, 16, 16)}
@@ -25,6 +26,9 @@ NEAR, FAR = (24, 24), (108, 108)
 METHODS = {
     "fapm": (fapm, {}),
     "fapm calibrated": (fapm, {"is_calibrated": True}),
+    "spade": (spade, {}),
+    "spade in few directions": (spade, {"dims": (7,), "is_normalised": True}),
+    "spade of two layers": (spade, {"layers": ("layer1", "layer2"), "dims": ()}),
     "fapm of two layers": (fapm, {"layers": ("layer1", "layer2"), "weighting": "largest"}),
 }
 EACH = pytest.mark.parametrize(("detector", "choice"), METHODS.values(), ids=METHODS)
@@ -135,7 +139,7 @@ def test_nothing_touched_is_refused(detector: Any, choice: dict[str, object]) ->
         fitted(detector, choice, np.zeros(FRAME, bool))
 
 
-@pytest.mark.parametrize("detector", [fapm], ids=lambda d: d.name)
+@pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
 def test_untouched_places_of_tiles(detector: Any) -> None:
     """On a mosaic the touched places of each tile are its own: the graph is the oracle, and the bank is smaller."""
     rng = np.random.default_rng(0)

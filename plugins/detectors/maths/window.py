@@ -1,0 +1,239 @@
+"""The nearest row of a few presses within a window around each cell, block by block.
+
+Cells that lie together share most of their windows, so a block of them is compared with everything that the windows of
+the block reach, in one product; what lies outside a cell's own window is then forbidden. The rules are those of
+`shortlist`: centred rows, the winner measured again, plain distances.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.detectors.maths.shortlist import FORBIDDEN, PRODUCT_LIMIT
+from plugins.graph import Graph, Value
+
+__all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]
+
+# Cells along one side of a block, at most.
+MOST_SIDE = 10
+# What a number of a gathered row costs, in products of a number with one query's: measured on two cores with
+# onnxruntime 1.31. Small blocks gather every cell many times, large ones compare with many cells in vain.
+GATHER_COST = 12
+# Numbers gathered at once (4 MB: they stay in the cache, twice as fast), unless that makes more parts than these.
+GATHERED, PARTS = 2**20, 16
+# ONNX's number for float32.
+_FLOAT = 1
+
+
+class Blocks:
+    """A grid of cells cut into blocks, each with the cells that its window reaches.
+
+    cells: (h, w). window: how many cells a query may look away from its own, in both directions. Cells beyond the
+    edge are clamped onto it: clamping never brings a cell into a window that it was outside of, and a cell met
+    twice changes no nearest distance. tiles: so many such grids, one after the other, none reaching into another.
+    """
+
+    def __init__(self, cells: tuple[int, int], window: int, tiles: int = 1) -> None:
+        if min(cells) < 1 or window < 0:
+            raise ValueError(f"blocks need cells and a window of at least 0, found {cells} and {window}")
+        self.cells = cells
+        self.window = window
+        self.tiles = tiles
+        side = min(range(1, MOST_SIDE + 1), key=lambda side: _cost(cells, side, window))
+        self.side = tuple(min(side, n) for n in cells)
+        self.count = tuple(-(-n // side) for n, side in zip(cells, self.side, strict=True))
+
+    def queries(self) -> NDArray[np.int64]:
+        """The cells of each block, row-major numbers, (blocks, cells per block); clamped in the last block."""
+        return self._table(0)
+
+    def gallery(self) -> NDArray[np.int64]:
+        """The cells that a block's window reaches, (blocks, cells reached)."""
+        return self._table(self.window)
+
+    def bias(self) -> NDArray[np.float32]:
+        """0 where a query of a block may use a cell reached and `FORBIDDEN` outside its window, (queries, reached)."""
+        near = []
+        for side in self.side:
+            q, g = np.arange(side)[:, None], np.arange(side + 2 * self.window)[None, :]
+            near.append(np.abs(g - self.window - q) <= self.window)
+        allowed = near[0][:, None, :, None] & near[1][None, :, None, :]
+        count = self.side[0] * self.side[1]
+        return np.where(allowed.reshape(count, -1), 0.0, FORBIDDEN).astype(np.float32)
+
+    def step(self, numbers: int) -> int:
+        """How many blocks to search at once where a cell has so many numbers in a gallery."""
+        reached = int(self.gallery().shape[1]) * numbers
+        count = self.tiles * math.prod(self.count)
+        wanted = max(GATHERED // reached, -(-count // PARTS))
+        return max(1, min(wanted, count, PRODUCT_LIMIT // reached))
+
+    def _table(self, margin: int) -> NDArray[np.int64]:
+        axes = []
+        for n, side, count in zip(self.cells, self.side, self.count, strict=True):
+            reach = np.arange(count)[:, None] * side + np.arange(-margin, side + margin)[None, :]
+            axes.append(np.clip(reach, 0, n - 1))
+        rows, columns = axes
+        one = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
+        first = np.arange(self.tiles) * self.cells[0] * self.cells[1]
+        table: NDArray[np.int64] = first[:, None, None, None, None] + one
+        return table.reshape(self.tiles * self.count[0] * self.count[1], -1)
+
+
+def _cost(cells: tuple[int, int], side: int, window: int) -> int:
+    """Blocks of that side, in products."""
+    sides = [min(side, n) for n in cells]
+    blocks = math.prod(-(-n // s) for n, s in zip(cells, sides, strict=True))
+    reached = math.prod(s + 2 * window for s in sides)
+    return blocks * reached * (GATHER_COST + math.prod(sides))
+
+
+class Tables(NamedTuple):
+    """The blocks of the cells of which rows are stored. queries: int64 (blocks, q), flat cells. reached: int64
+    (blocks, r), numbers of stored rows, or how many there are where a cell has none. back: int64 (stored,), where each
+    stored cell stands in the flattened queries."""
+
+    queries: NDArray[np.int64]
+    reached: NDArray[np.int64]
+    back: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, blocks: Blocks, stored: NDArray[np.int64]) -> "Tables":
+        """stored: flat cells with rows, rising. Blocks without any are left out."""
+        cells = blocks.tiles * math.prod(blocks.cells)
+        number = np.full(cells, len(stored))
+        number[stored] = np.arange(len(stored))
+        queries, reached = blocks.queries(), blocks.gallery()
+        is_searched = (number[queries] < len(stored)).any(axis=1)
+        queries, reached = queries[is_searched], number[reached[is_searched]]
+        # A cell that its block repeats at the border is taken where it stands first.
+        asked, first = np.unique(queries, return_index=True)
+        return cls(queries, reached, first[np.searchsorted(asked, stored)])
+
+
+def emit_window_nearest(
+    graph: Graph,
+    rows: Value,
+    presses: Value,
+    gallery: Value,
+    blocks: Blocks,
+    tables: tuple[Value, Value],
+    size: tuple[int, int],
+) -> Value:
+    """Plain distances (n, blocks * q) from the descriptors of each block's cells to the gallery's in their windows.
+
+    rows: (n, cells, width). presses: (m, stored, width), all that there are. gallery: int64 (n, k), which of them.
+    tables: `queries` and `reached` of Tables, as values. size: width, and the most presses in a gallery. The product
+    chooses the cell of the window; every press of the gallery is measured there.
+    """
+    width, most = size
+    chosen = graph.op("Gather", presses, gallery, axis=0)
+    search = _Search(graph, rows, chosen, blocks, width)
+    step = blocks.step(width * most)
+    parts = []
+    for first in range(0, blocks.tiles * math.prod(blocks.count), step):
+        part = [
+            graph.op("Slice", table, graph.ints(first), graph.ints(first + step), graph.ints(0))
+            for table in tables
+        ]
+        parts.append(search.closest(part[0], part[1]))
+    cells = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    return graph.reshape(search.measured(tables[0], cells), 0, -1)
+
+
+class _Search:
+    """The nodes that every part of a search shares: the gallery's rows end to end, and their half squared lengths."""
+
+    def __init__(self, graph: Graph, rows: Value, chosen: Value, blocks: Blocks, width: int) -> None:
+        """chosen: the gallery's rows (n, k, stored, width)."""
+        self.graph, self.rows, self.width = graph, rows, width
+        bias = blocks.bias()
+        self.q, self.r = bias.shape
+        self.bias = graph.constant(np.ascontiguousarray(bias.T))
+        self.flat = graph.reshape(chosen, -1, width)
+        squares = graph.op("ReduceSumSquare", chosen, graph.ints(3), keepdims=1)
+        self.ranked = graph.reshape(graph.op("Concat", chosen, squares, axis=3), -1, width + 1)
+        self.presses, self.stored = (graph.op("Shape", chosen, start=axis, end=axis + 1) for axis in (1, 2))
+        self.last = graph.op("Sub", self.stored, graph.ints(1))
+        # The first row of each press of each gallery, (n, k).
+        batch = graph.op("Shape", chosen, start=0, end=2)
+        numbers = self._range(graph.op("Mul", graph.op("Shape", chosen, start=0, end=1), self.presses))
+        self.first = graph.op("Mul", graph.op("Reshape", numbers, batch), self.stored)
+
+    def closest(self, queries: Value, reached: Value) -> Value:
+        """The stored row of the closest cell, int64 (n, blocks, q), for some blocks."""
+        graph = self.graph
+        asked = graph.op("Gather", self.rows, queries, axis=1)
+        # |query - row|^2 falls as query . row - |row|^2 / 2 rises.
+        ranking = graph.op("Pad", asked, graph.ints(0, 0, 0, 0, 0, 0, 0, 1), graph.scalar(-0.5))
+        here = graph.op("Min", reached, self.last)
+        numbers = graph.op(
+            "Add",
+            graph.op("Unsqueeze", self.first, graph.ints(1, 3)),
+            graph.op("Unsqueeze", here, graph.ints(1)),
+        )
+        # The rows as the left side of the product need no repacking: (n, blocks, k * r, width + 1).
+        found = self._shaped(
+            graph.op("Gather", self.ranked, numbers, axis=0),
+            graph.op("Mul", self.presses, graph.ints(self.r)),
+            graph.ints(self.width + 1),
+        )
+        product = graph.op("MatMul", found, graph.transpose(ranking, 0, 1, 3, 2))
+        product = self._shaped(product, self.presses, graph.ints(self.r, self.q))
+        best = graph.op("ReduceMax", product, graph.ints(2), keepdims=0)
+        absent = graph.op("Cast", graph.op("Greater", reached, self.last), to=_FLOAT)
+        absent = graph.op("Unsqueeze", graph.op("Mul", absent, graph.scalar(FORBIDDEN)), graph.ints(2))
+        allowed = graph.op("Sub", best, graph.op("Add", self.bias, absent))
+        cell = graph.op("ArgMax", graph.transpose(allowed, 0, 1, 3, 2), axis=3, keepdims=0)
+        # Among all blocks' reached rows laid end to end.
+        offset = graph.op("Mul", self._range(graph.op("Shape", here, start=0, end=1)), graph.ints(self.r))
+        at = graph.op("Add", cell, graph.op("Unsqueeze", offset, graph.ints(1)))
+        return graph.op("Gather", self._flat(here), at, axis=0)
+
+    def measured(self, queries: Value, cells: Value) -> Value:
+        """The smallest distance (n, blocks, q) to any press of the gallery at the chosen cells (n, blocks, q)."""
+        graph = self.graph
+        first = graph.op("Unsqueeze", self.first, graph.ints(1, 2))
+        numbers = graph.op("Add", graph.op("Unsqueeze", cells, graph.ints(3)), first)
+        rows = graph.op("Gather", self.flat, numbers, axis=0)
+        asked = graph.op("Unsqueeze", graph.op("Gather", self.rows, queries, axis=1), graph.ints(3))
+        difference = graph.op("Sub", rows, asked)
+        squared = graph.op("ReduceSumSquare", difference, graph.ints(4), keepdims=0)
+        return graph.op("Sqrt", graph.op("ReduceMin", squared, graph.ints(3), keepdims=0))
+
+    def _shaped(self, value: Value, *sizes: Value) -> Value:
+        """The sizes in place of what follows the presses and the blocks, which may be none."""
+        shape = self.graph.op("Concat", self.graph.ints(0, 0), *sizes, axis=0)
+        return self.graph.op("Reshape", value, shape)
+
+    def _flat(self, table: Value) -> Value:
+        """A table end to end, also one of no blocks."""
+        size = self.graph.op("Unsqueeze", self.graph.op("Size", table), self.graph.ints(0))
+        return self.graph.op("Reshape", table, size, allowzero=1)
+
+    def _range(self, count: Value) -> Value:
+        """0, 1, ... of a count held in a vector of one."""
+        zero, one = (self.graph.op("Squeeze", self.graph.ints(number)) for number in (0, 1))
+        return self.graph.op("Range", zero, self.graph.op("Squeeze", count), one)
+
+
+def window_nearest(
+    queries: NDArray[np.floating], gallery: NDArray[np.floating], window: int
+) -> NDArray[np.float64]:
+    """The float64 oracle: for each cell of `queries` (h, w, c) the nearest of `gallery` (k, h, w, c) within the window.
+
+    Plain distances, (h, w). One shift at a time, no products. A cell that is infinite in the gallery is never near.
+    """
+    h, w = queries.shape[:2]
+    q = queries.astype(np.float64)
+    best = np.full((h, w), np.inf)
+    for dy in range(-min(window, h - 1), min(window, h - 1) + 1):
+        rows = np.clip(np.arange(h) + dy, 0, h - 1)
+        for dx in range(-min(window, w - 1), min(window, w - 1) + 1):
+            columns = np.clip(np.arange(w) + dx, 0, w - 1)
+            for press in gallery:
+                difference = q - press[rows][:, columns]
+                best = np.minimum(best, np.einsum("hwc,hwc->hw", difference, difference))
+    return np.asarray(np.sqrt(best))
