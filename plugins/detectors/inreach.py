@@ -45,6 +45,8 @@ PUBLISHED_SIGMA_PX = 13.0
 STRAY_QUANTILE = 0.99
 # Two distances that differ by less than this part are equal: rounding of float32.
 EQUAL = 1e-5
+# A squared distance below this part of the two squared lengths is rounding of the product, in float32.
+ROUNDING = 1e-6
 # The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
 SIGMA_MM = PAPER_SIGMA_PX / 15.77
 
@@ -337,12 +339,21 @@ def associate(
     """
     n, cells = rows.shape[:2]
     keys, presses, patches = [], [], []
-    lengths = np.einsum("npc,npc->np", rows, rows)
+    # Two more columns each, so that a product is the squared distance: (-2a, |a|^2, 1) with (b, 1, |b|^2).
+    ones = np.ones((n, cells, 1), np.float32)
+    lengths = np.einsum("npc,npc->np", rows, rows)[:, :, None]
+    asking, asked_of = (
+        np.concatenate(columns, axis=2) for columns in ((-2 * rows, lengths, ones), (rows, ones, lengths))
+    )
     for press in range(1, n):
         best = np.full(cells, np.inf, np.float32)
         opener, is_joined = np.zeros(cells, np.int64), np.zeros(cells, bool)
-        for seed in range(min(press, p.realisations)):
-            found = _match(rows[press], rows[seed], lengths[press], lengths[seed], p.is_tie_local)
+        seeds = min(press, p.realisations)
+        nearest = _nearest(asking[press], asked_of[:seeds])
+        for seed in range(seeds):
+            found = _match(
+                rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), p.is_tie_local
+            )
             is_better = found.squared < best
             if p.is_mutual_sought:
                 is_better &= found.is_mutual
@@ -384,37 +395,48 @@ def _with_openers(
     return Channels(key[order], press[order], patch[order])
 
 
-def _match(
-    asked: NDArray[np.float32],
-    seed: NDArray[np.float32],
-    asked_squares: NDArray[np.float32],
-    seed_squares: NDArray[np.float32],
-    is_tie_local: bool,
-) -> Match:
-    """The matches of a press's patches (cells, width) with a realisation's, from their squared lengths (cells,).
+class Nearest(NamedTuple):
+    """Both ways between a press and each of k realisations, by the product. there: int64 (k, cells), for each patch of
+    the press the nearest of the realisation. away: float32 (k, cells), how far, squared. back: float32 (k, cells), how
+    far the nearest patch of the press is from each of the realisation's."""
 
-    One product serves both ways, so many rows at a time that it stays bounded; the winners are measured exactly.
-    """
-    cells = len(asked)
-    every = np.arange(cells)
-    there, back = np.empty(cells, np.int64), np.zeros(cells, np.int64)
-    nearest = np.full(cells, np.inf, np.float32)
-    step = max(1, PRODUCT_LIMIT // cells)
+    there: NDArray[np.int64]
+    away: NDArray[np.float32]
+    back: NDArray[np.float32]
+
+
+def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Nearest:
+    """One product serves all realisations both ways; so many rows at a time that it stays bounded."""
+    seeds, cells, width = asked_of.shape
+    there, away = np.empty((seeds, cells), np.int64), np.empty((seeds, cells), np.float32)
+    back = np.full((seeds, cells), np.inf, np.float32)
+    step = max(1, PRODUCT_LIMIT // (seeds * cells))
     for first in range(0, cells, step):
         part = slice(first, first + step)
-        squared = asked[part] @ seed.T
-        squared *= -2
-        squared += seed_squares
-        there[part] = squared.argmin(axis=1)
-        squared += asked_squares[part, None]
-        row = squared.argmin(axis=0)
-        lowest = squared[row, every]
-        is_nearer = lowest < nearest
-        nearest[is_nearer], back[is_nearer] = lowest[is_nearer], first + row[is_nearer]
-    exact = _squared(asked, seed[there])
+        squared = (asking[part] @ asked_of.reshape(-1, width).T).reshape(-1, seeds, cells)
+        found = squared.argmin(axis=2)
+        there[:, part] = found.T
+        away[:, part] = np.take_along_axis(squared, found[:, :, None], axis=2)[:, :, 0].T
+        np.minimum(back, squared.min(axis=0), out=back)
+    return Nearest(there, away, back)
+
+
+def _match(
+    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, is_tie_local: bool
+) -> Match:
+    """The matches of a press's patches (cells, width) with a realisation's, measured exactly.
+
+    Among equally near patches the lowest wins, or the one at the same place.
+    """
+    every, there = np.arange(len(asked)), nearest.there
+    exact, back = _squared(asked, seed[there]), np.full(len(asked), -1)
+    both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
+    back[there[both]] = both
     if is_tie_local:
         here = _squared(asked, seed)
-        is_there, is_back = here <= exact * (1 + EQUAL), here <= _squared(asked[back], seed) * (1 + EQUAL)
+        lengths = sum(np.einsum("pc,pc->p", each, each) for each in (asked, seed))
+        is_there = here <= exact * (1 + EQUAL)
+        is_back = here <= np.maximum(nearest.back, 0) * (1 + EQUAL) + ROUNDING * lengths
         there, back = np.where(is_there, every, there), np.where(is_back, every, back)
         exact = np.where(is_there, here, exact)
     return Match(exact, there, back[there] == every)

@@ -1,26 +1,32 @@
 """What a fit costs beside the features that it is made from, in processor time: the bank, and the threshold's folds.
 
-Run with one thread: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 pytest tests/bench/test_fit.py -m bench -s`. Budget: the
+Run with one thread: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 pytest tests/bench/test_fit.py -m bench -s`;
+GELGATE_BENCH_BACKBONE names another small backbone. Budget: the
 bank takes at most twice the time of extracting the features. The folds are as many banks again, each on four fifths.
 """
 
+import os
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.features import extract, trunk_grid
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
 from edge.runtime import open_session
+from edge.trunk_cut import cut_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 
 pytestmark = pytest.mark.bench
 
+BACKBONE = os.environ.get("GELGATE_BENCH_BACKBONE", DEFAULT_BACKBONE)
 METHODS = ("padim", "subspace", "spade", "fapm", "inreach", "patchcore")
 TAPS = ("layer1", "layer2", "layer3")
 FOLDS = 5
@@ -44,20 +50,31 @@ def frames(n: int) -> np.ndarray:
     return rgb
 
 
-@pytest.mark.parametrize(("name", "presses"), [("resnet18", 40), ("wide_resnet50_2", 20)])
+@pytest.mark.parametrize(("name", "presses"), [(BACKBONE, 40), ("wide_resnet50_2", 20)])
 def test_fit_beside_extraction(name: str, presses: int) -> None:
-    """Prints one line per method at its default: all cells touched, the most that a fit can have to do."""
-    session = open_session(build_trunk(random_state(name), name, TAPS), 1, "trunk")
-    grid = trunk_grid(session, TAPS, (224, 224), 15.77)
-    extraction, features = spent(lambda: extract(session, frames(presses), grid, lambda done: None))
-    print(f"\n{name}, {presses} presses: features {extraction:.2f} s of processor time")
+    """Prints one line per method at its default: all cells touched, the most that a fit can have to do.
+
+    The features are those that the fit makes: of a trunk cut behind the last tap that is read.
+    """
+    is_wide = name == "wide_resnet50_2"
+    whole = build_trunk(random_state(name), name, TAPS) if is_wide else open_trunk(name, TAPS).graph
+    print(f"\n{name}, {presses} presses, processor time")
+    known = {}
     for method in METHODS:
         detector = registry.load("detectors", method)
-        alone = spent(lambda detector=detector: fit(detector, features, grid))[0]  # type: ignore[misc]
+        parameters = detector.parameters()
+        last = max(detector.taps(parameters))
+        if last not in known:
+            session = open_session(cut_trunk(whole, [tap for tap in TAPS if tap <= last]), 1, "trunk")
+            taps = [tap for tap in TAPS if tap <= last]
+            grid = trunk_grid(session, taps, (224, 224), 15.77)
+            work = partial(extract, session, frames(presses), grid, lambda done: None)
+            known[last] = *spent(work), grid
+        extraction, features, grid = known[last]
         less = {tap: maps[: presses - presses // FOLDS] for tap, maps in features.items()}
-        fold = spent(lambda detector=detector, less=less: fit(detector, less, grid))[0]  # type: ignore[misc]
+        alone, fold = (spent(partial(fit, detector, some, grid))[0] for some in (features, less))
         print(
-            f"  {method:10s} bank {alone:6.2f} s = {alone / extraction:5.2f} x features;  "
+            f"  {method:10s} features to {last} {extraction:.2f} s, bank {alone:5.2f} s = {alone / extraction:5.2f} x; "
             f"with {FOLDS} folds {(alone + FOLDS * fold) / extraction:6.2f} x"
         )
 
