@@ -88,7 +88,8 @@ def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str,
         "parts": EvaluationSet(
             "Unseen parts",
             "The analogues PZ1 to PZ5 on a sensor that training varies: neither the parts nor their kinds of damage "
-            "are ever drawn in training, and no setting was chosen on them.",
+            "are ever drawn in training. That finer taps serve better was first seen here, with earlier weights; every "
+            "setting was then chosen on the random parts above.",
             tuple(partial(part_trial, part) for part in PARTS),
         ),
         "sensor": EvaluationSet(
