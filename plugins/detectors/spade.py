@@ -13,8 +13,7 @@ press by its map.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,150 +21,29 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
 from plugins.detectors.maths.coreset import k_centre
-from plugins.detectors.maths.descriptor import resampling_matrix
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.free_gel import (
-    emit_gel_distances,
     gel_distances,
     gel_mean,
     gel_weight,
     touched_places,
 )
-from plugins.detectors.maths.layered import emit_layered_scores
-from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, stacked, tile_grid
-from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling
-from plugins.detectors.maths.window import Blocks, Tables, emit_window_nearest, window_nearest
-from plugins.graph import Graph, Value
+from plugins.detectors.maths.mosaic import join, layout, split, stacked
+from plugins.detectors.maths.rotation import Rotation, fit_rotation
+from plugins.detectors.maths.window import Tables, window_nearest
+from plugins.detectors.spade_head import spade_head
+from plugins.detectors.spade_parameters import PAPER, REPAIRS, SpadeParameters
 
 __all__ = ["SpadeParameters", "spade"]
 
-# SPADE-pytorch src/main.py @077c67b: the gallery is scanned in chunks of this many cells.
-CHUNK = 100
 # The seed scripts divide a descriptor by its length plus this.
 LENGTH_FLOOR = 1e-6
 # Cells that a layer's leading directions are learnt from at most.
 SAMPLES = 4096
 EVERY = slice(None)
-# Presses that tell how far apart nominal presses are at each layer.
-SCALE_PRESSES = 12
-# The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
-SIGMA_MM = PAPER_SIGMA_PX / 15.77
-
-
-@dataclass(frozen=True)
-class SpadeParameters:
-    """What SPADE can be told; every repair is a switch of its own.
-
-    Measured as mean AU-PRO up to 1 % false positives and image AUROC on the development set (six random simulated
-    parts, 24 nominal presses each), with tactile_resnet18 and, in brackets, untrained ResNet-18.
-
-    layers: the taps compared, finest first. layer1 alone, dims 23: 0.752, 0.987 with 16 presses in the gallery; with
-    layer2 on layer2's grid and unit length 0.66; layer1 to layer3 so 0.610, 0.975. descriptor: what stands for a whole
-    press: the tap `avgpool`, the spatial means of the layers, or the first of these that the trunk gives.
-    image_neighbours: presses that a press's own score is averaged over. pixel_neighbours: presses in the gallery (the
-    two pull in opposite directions, so they are two); 5 stood at 0.759, 0.973 (0.619), 6 at 0.757, 0.980 (0.633), 8 at
-    0.756, 0.982 (0.645), and the head's time grows with them. cell_mm: layers with smaller cells are averaged over
-    2x2, 4x4 ... of them, as long as what results is no larger; None keeps all as they are. window_mm: how far from its
-    own place a cell may be matched, None for anywhere: with dims 31 and 8 presses 0.25 stood at 0.751 (0.592), 0.5 at
-    0.754 (0.643). dims: leading directions kept at each layer, plus the length of the rest, which makes multiples of
-    eight whole; empty keeps all: 0.760 (0.632), 39 stood at 0.757 (0.633), 31 at 0.755 (0.632).
-    is_normalised: descriptors divided by their length: 0.706, 0.975 with, where 0.752, 0.987 stood without.
-    is_floor_relative: the term that keeps that division finite is a part of the nominal length, so that scaled
-    features give the same map, instead of the absolute 1e-6.
-    is_gallery_whole: every gallery cell is searched, instead of whole chunks of 100 only.
-    is_balanced: each layer is divided by the median distance between nominal presses, so that none dominates
-    by its scale. image_score: `map` is the maximum of the score map, `presses` the mean distance to the
-    image neighbours. is_squared: those distances squared, as SPADE-fast has them.
-    is_touched_only: cells that no nominal press touches (within margin_mm) keep no rows and are compared with the mean
-    of the free gel; it needs a window. sigma: the blur, in `sigma_unit`. is_sampled: a cell's distance is drawn where
-    its convolution looks, its top left pixel, instead of at the middle of a square. packing: of the stored cells.
-    bank_mb: presses are left out (k-centre) beyond this many megabytes as stored at 224x224, up to four times as many
-    for larger frames; None keeps all.
-    """
-
-    mode: Mode = "corrected"
-    layers: tuple[str, ...] = ("layer1",)
-    descriptor: Literal["auto", "avgpool", "means"] = "auto"
-    image_neighbours: int = 5
-    pixel_neighbours: int = 6
-    cell_mm: float | None = 0.127
-    window_mm: float | None = 0.5
-    dims: tuple[int, ...] = (39,)
-    is_normalised: bool = False
-    is_floor_relative: bool = True
-    is_gallery_whole: bool = True
-    is_balanced: bool = True
-    image_score: Literal["map", "presses"] = "map"
-    is_squared: bool = False
-    is_touched_only: bool = True
-    margin_mm: float = 1.0
-    sigma: float = SIGMA_MM
-    sigma_unit: Literal["mm", "px"] = "mm"
-    is_sampled: bool = True
-    packing: Packing = "int8"
-    bank_mb: float | None = 16.0
-
-    def __post_init__(self) -> None:
-        if not self.layers or len(set(self.layers)) != len(self.layers):
-            raise ValueError(f"layers are different tap names, at least one, found {self.layers}")
-        if self.image_neighbours < 1 or self.pixel_neighbours < 1:
-            raise ValueError(
-                f"neighbours are at least 1, found {self.image_neighbours} and {self.pixel_neighbours}"
-            )
-        if self.dims and (len(self.dims) != len(self.layers) or min(self.dims) < 1):
-            raise ValueError(f"dims are one number per layer or none at all, found {self.dims}")
-        if self.descriptor not in ("auto", "avgpool", "means") or self.image_score not in ("map", "presses"):
-            raise ValueError(f"unknown descriptor '{self.descriptor}' or image_score '{self.image_score}'")
-        if self.packing not in ("none", "float16", "int8") or self.sigma_unit not in ("mm", "px"):
-            raise ValueError(
-                f"packing is none, float16 or int8 and sigma_unit mm or px, found '{self.packing}', '{self.sigma_unit}'"
-            )
-        for name in ("cell_mm", "window_mm", "margin_mm", "sigma", "bank_mb"):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} is at least 0, found {value}")
-
-    def smoothing(self, grid: Grid, tap: str) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        (h, w), (down, across) = _cells(grid, tap, self), layout(grid)
-        return Smoothing((down * h, across * w), grid.frame, sigma_px, kind, grid.tiles)
-
-
-PAPER = SpadeParameters(
-    mode="paper",
-    layers=("layer1", "layer2", "layer3"),
-    pixel_neighbours=5,
-    cell_mm=None,
-    window_mm=None,
-    dims=(),
-    is_normalised=True,
-    is_floor_relative=False,
-    is_gallery_whole=False,
-    is_balanced=False,
-    image_score="presses",
-    is_touched_only=False,
-    sigma=PAPER_SIGMA_PX,
-    sigma_unit="px",
-    is_sampled=False,
-    packing="none",
-    bank_mb=None,
-)
-
-
-REPAIRS = (
-    "window_mm",
-    "is_normalised",
-    "is_floor_relative",
-    "is_gallery_whole",
-    "is_balanced",
-    "image_score",
-    "is_touched_only",
-    "is_sampled",
-)
-"""The switches that set the corrected mode apart; the others are operating points."""
+# Cells, in whole presses of them, that tell how far apart nominal presses are at each layer: 12 presses of layer1 at
+# 224x224, but two at least.
+SCALE_CELLS = 12 * 56 * 56
 
 
 class Spade:
@@ -200,7 +78,7 @@ class Spade:
             self.name,
             nominal,
             grid,
-            tuple(dict.fromkeys((*p.layers, *_descriptor_taps(grid, p)))),
+            tuple(dict.fromkeys((*p.layers, *p.descriptor_taps(grid)))),
             is_tileable=True,
         )
         described = _describe(nominal.features, grid, p)
@@ -251,8 +129,8 @@ class Spade:
 
     def _stored(self, nominal: Nominal, grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.bool_]:
         """Which cells of a layer keep rows, flat, tile by tile."""
-        cells = _cells(grid, tap, p)
-        if not p.is_touched_only or _window(grid, tap, p) is None:
+        cells = p.cells(grid, tap)
+        if not p.is_touched_only or p.window(grid, tap) is None:
             return np.ones(math.prod(layout(grid)) * math.prod(cells), np.bool_)
         return touched_places(self.name, nominal, grid, cells, p.margin_mm)
 
@@ -261,7 +139,7 @@ class Spade:
     ) -> ScoreMaps:
         """The float64 oracle. Errors: NotScorable for features that are not finite."""
         p = parameters
-        require_scorable(self.name, features, (*p.layers, *_descriptor_taps(grid, p)))
+        require_scorable(self.name, features, (*p.layers, *p.descriptor_taps(grid)))
         described = _describe(features, grid, p) - bank.arrays["press_mean"]
         count = min(max(p.image_neighbours, p.pixel_neighbours), len(bank.arrays["press_descriptors"]))
         near = nearest(described, bank.arrays["press_descriptors"], count)
@@ -270,7 +148,9 @@ class Spade:
             raw = np.concatenate(
                 [
                     _distances(row, near.indices[i, : p.pixel_neighbours], bank.arrays, tap, grid, p)
-                    for i, row in enumerate(_rows(_averaged(features[tap], grid, tap, p), tap, bank.arrays))
+                    for i, row in enumerate(
+                        _rows(_averaged(features[tap].astype(np.float64), grid, tap, p), tap, bank.arrays)
+                    )
                 ]
             )
             score_map += p.smoothing(grid, tap)(
@@ -283,78 +163,24 @@ class Spade:
 
     def head(self, grid: Grid, bank: Bank, parameters: SpadeParameters) -> bytes:
         """The graph; the number of presses in the bank is free."""
-        p = parameters
-        graph = Graph(self.name)
-        names = dict.fromkeys((*p.layers, *_descriptor_taps(grid, p)))
-        taps = {tap: graph.input(tap, ("n", *grid.taps[tap])) for tap in names}
-        squared, order = _emit_press_order(graph, taps, grid, p)
-        gallery = _emit_first(graph, order, p.pixel_neighbours)
-        maps = [_emit_layer(graph, tap, taps[tap], gallery, grid, bank, p) for tap in p.layers]
-        score = None
-        if p.image_score == "presses":
-            best = _emit_first(graph, squared, p.image_neighbours)
-            best = best if p.is_squared else graph.op("Sqrt", best)
-            score = graph.op("ReduceMean", best, graph.ints(1), keepdims=0)
-        smoothings = [p.smoothing(grid, tap) for tap in p.layers]
-        emit_layered_scores(graph, maps, smoothings, score)
-        return graph.serialise()
-
-
-def _descriptor_taps(grid: Grid, p: SpadeParameters) -> tuple[str, ...]:
-    """The taps whose spatial means describe a whole press (`avgpool` is its own mean)."""
-    pooled = p.descriptor == "avgpool" or (p.descriptor == "auto" and "avgpool" in grid.taps)
-    return ("avgpool",) if pooled else p.layers
+        return spade_head(self.name, grid, bank, parameters)
 
 
 def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.float64]:
     """Global descriptors (n, d)."""
-    means = [features[tap].mean(axis=(2, 3), dtype=np.float64) for tap in _descriptor_taps(grid, p)]
+    means = [features[tap].mean(axis=(2, 3), dtype=np.float64) for tap in p.descriptor_taps(grid)]
     return np.concatenate(means, axis=1)
-
-
-def _cells(grid: Grid, tap: str, p: SpadeParameters) -> tuple[int, int]:
-    """Rows and columns on which a layer is compared, of one tile where there are tiles."""
-    tile = tile_grid(grid)
-    h, w = tile.taps[tap][1:]
-    if p.cell_mm is None:
-        return h, w
-    own_mm = min(tile.frame[0] / h, tile.frame[1] / w) / grid.pixels_per_mm
-    # A hair below a power of two is one.
-    side = 2 ** max(0, math.floor(math.log2(p.cell_mm / own_mm) + 0.01)) if p.cell_mm else 1
-    return -(-h // side), -(-w // side)
-
-
-def _averaging(
-    grid: Grid, tap: str, p: SpadeParameters
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """The matrices that average a layer onto its compared cells, None where it stays as it is."""
-    own, cells = tile_grid(grid).taps[tap][1:], _cells(grid, tap, p)
-    if own == cells:
-        return None
-    rows, columns = (resampling_matrix(n, to, p.is_sampled) for n, to in zip(own, cells, strict=True))
-    return rows, columns
 
 
 def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
     """A layer on the cells on which it is compared, tiles one under the other: (n, c, tiles * h, w)."""
-    matrices = _averaging(grid, tap, p)
+    matrices = p.averaging(grid, tap)
     if matrices is None:
         return stacked(layer, grid)
-    tiles = matrices[0] @ split(layer, grid) @ matrices[1].T
+    down, across = (matrix.astype(layer.dtype) for matrix in matrices)
+    tiles = down @ split(layer, grid) @ across.T
     under = tiles.reshape(len(layer), -1, *tiles.shape[1:]).swapaxes(1, 2)
     return under.reshape(len(layer), tiles.shape[1], -1, tiles.shape[3])
-
-
-def _window(grid: Grid, tap: str, p: SpadeParameters) -> int | None:
-    """How many cells of a tap a match may be away; None for anywhere on the map."""
-    if p.window_mm is None:
-        return None
-    cell_px = min(
-        size / cells for size, cells in zip(tile_grid(grid).frame, _cells(grid, tap, p), strict=True)
-    )
-    # A hair under a whole number of cells must not become one cell more.
-    cells = math.ceil(p.window_mm * grid.pixels_per_mm / cell_px - 1e-6)
-    return cells if cells < max(_cells(grid, tap, p)) else None
 
 
 def _affordable(
@@ -392,18 +218,11 @@ def _tables(
     stored: NDArray[np.bool_], grid: Grid, tap: str, p: SpadeParameters
 ) -> dict[str, NDArray[np.int64]]:
     """What the search of a layer with some untouched cells is told. See `Spade.fit`."""
-    tables = Tables.of(_blocks(grid, tap, p), np.flatnonzero(stored))
+    tables = Tables.of(p.blocks(grid, tap), np.flatnonzero(stored))
     order = np.empty(len(stored), np.int64)
     order[stored] = tables.back
     order[~stored] = tables.queries.size + np.arange((~stored).sum())
     return {"queries": tables.queries, "reached": tables.reached, "order": order}
-
-
-def _blocks(grid: Grid, tap: str, p: SpadeParameters) -> Blocks:
-    """The blocks in which a layer is searched; only with a window."""
-    window = _window(grid, tap, p)
-    assert window is not None
-    return Blocks(_cells(grid, tap, p), window, math.prod(layout(grid)))
 
 
 def _fit_layer(
@@ -503,7 +322,7 @@ def _search(
 ) -> NDArray[np.float64]:
     """Distances (tiles, h, w) from one press's descriptors (cells, width) to the gallery of the named presses; of no
     meaning at cells without rows."""
-    h, w = _cells(grid, tap, p)
+    h, w = p.cells(grid, tap)
     tiles = rows.reshape(-1, h, w, rows.shape[1])
     gallery = arrays[f"{tap}_bank"][presses]
     if f"{tap}_cells" in arrays:
@@ -511,29 +330,23 @@ def _search(
         every[:, arrays[f"{tap}_cells"]] = gallery
         gallery = every
     gallery = gallery.reshape(len(presses), *tiles.shape)
-    window = _window(grid, tap, p)
+    window = p.window(grid, tap)
     if window is not None:
         return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
     found = []
     for t, tile in enumerate(tiles):
         flat = gallery[:, t].reshape(-1, rows.shape[1])
-        found.append(
-            nearest(tile.reshape(h * w, -1), flat[: _searched(len(flat), p)]).distances.reshape(h, w)
-        )
+        found.append(nearest(tile.reshape(h * w, -1), flat[: p.searched(len(flat))]).distances.reshape(h, w))
     return np.stack(found)
-
-
-def _searched(cells: int, p: SpadeParameters) -> int:
-    """How many gallery cells are searched: all, or whole chunks only (a gallery below one chunk is searched whole)."""
-    return cells if p.is_gallery_whole or cells < CHUNK else cells // CHUNK * CHUNK
 
 
 def _nominal_distance(arrays: Mapping[str, NDArray[Any]], tap: str, grid: Grid, p: SpadeParameters) -> float:
     """The median distance of a nominal press to the others at one layer; nan where there is one press."""
     described, bank = arrays["press_descriptors"], arrays[f"{tap}_bank"]
-    count = math.prod(layout(grid)) * math.prod(_cells(grid, tap, p))
+    count = p.count(grid, tap)
     stored = arrays.get(f"{tap}_cells", np.arange(count))
-    chosen = np.unique(np.linspace(0, len(described) - 1, SCALE_PRESSES).astype(np.int64))
+    presses = max(2, SCALE_CELLS // count)
+    chosen = np.unique(np.linspace(0, len(described) - 1, min(presses, len(described))).astype(np.int64))
     medians = []
     for press in chosen:
         others = np.delete(np.arange(len(described)), press)
@@ -544,124 +357,6 @@ def _nominal_distance(arrays: Mapping[str, NDArray[Any]], tap: str, grid: Grid, 
         rows[stored] = bank[press]
         medians.append(np.median(_search(rows, others[near], arrays, tap, grid, p).reshape(-1)[stored]))
     return float(np.median(medians))
-
-
-def _emit_first(graph: Graph, values: Value, count: int) -> Value:
-    """The first `count` columns, or all where there are fewer."""
-    return graph.op("Slice", values, graph.ints(0), graph.ints(count), graph.ints(1))
-
-
-def _emit_press_order(
-    graph: Graph, taps: Mapping[str, Value], grid: Grid, p: SpadeParameters
-) -> tuple[Value, Value]:
-    """Squared distances (n, k) to the nearest presses, rising, and their numbers."""
-    names = _descriptor_taps(grid, p)
-    width = sum(grid.taps[tap][0] for tap in names)
-    means = [graph.op("ReduceMean", taps[tap], graph.ints(2, 3), keepdims=0) for tap in names]
-    described = graph.op(
-        "Sub",
-        graph.op("Concat", *means, axis=1) if len(means) > 1 else means[0],
-        graph.input("press_mean", (width,)),
-    )
-    presses = graph.input("press_descriptors", ("presses", width))
-    difference = graph.op("Sub", graph.op("Unsqueeze", described, graph.ints(1)), presses)
-    squared = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(2), keepdims=0)
-    wanted = graph.ints(max(p.image_neighbours, p.pixel_neighbours))
-    count = graph.op("Min", wanted, graph.op("Shape", presses, start=0, end=1))
-    nearest_squared, order = graph.ops("TopK", 2, squared, count, axis=1, largest=0)
-    return nearest_squared, order
-
-
-def _emit_layer(
-    graph: Graph, tap: str, layer: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
-) -> Value:
-    """Weighted distances (n, rows, columns) of one layer to the gallery's presses (n, k)."""
-    c, (h, w) = grid.taps[tap][0], _cells(grid, tap, p)
-    tiles = math.prod(layout(grid))
-    layer = emit_split(graph, layer, grid.taps[tap], grid)
-    matrices = _averaging(grid, tap, p)
-    if matrices is not None:
-        down, across = (
-            graph.constant(np.ascontiguousarray(m, np.float32)) for m in (matrices[0], matrices[1].T)
-        )
-        layer = graph.op("MatMul", down, graph.op("MatMul", layer, across))
-    columns = graph.reshape(layer, 0, c, h * w)
-    if p.is_normalised:
-        length = graph.op("ReduceL2", columns, graph.ints(1), keepdims=1)
-        columns = graph.op("Div", columns, graph.op("Add", length, graph.input(f"{tap}_floor", (1,))))
-    mean = graph.input(f"{tap}_mean", (c,))
-    basis = bank.arrays.get(f"{tap}_basis")
-    width = c if basis is None else len(basis) + 1
-    rows = emit_rotation(
-        graph, columns, mean, None if basis is None else graph.input(f"{tap}_basis", basis.shape)
-    )
-    rows = graph.reshape(rows, -1, tiles * h * w, width)
-    if _window(grid, tap, p) is None:
-        presses = graph.input(f"{tap}_bank", ("presses", tiles * h * w, width))
-        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h * w, width), p)
-    else:
-        distances = _emit_windows(graph, tap, rows, gallery, grid, bank, p)
-    weight = graph.input(f"{tap}_weight", (1,))
-    weighted = graph.op("Mul", graph.reshape(distances, -1, h, w), weight)
-    return emit_join(graph, weighted, (h, w), grid)
-
-
-def _emit_windows(
-    graph: Graph, tap: str, rows: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
-) -> Value:
-    """Distances (n, tiles * cells) to the gallery within the windows, and to the free gel where no press touches."""
-    cells, width = (
-        math.prod(layout(grid)) * math.prod(_cells(grid, tap, p)),
-        bank.arrays[f"{tap}_bank"].shape[2],
-    )
-    blocks, size = _blocks(grid, tap, p), (width, p.pixel_neighbours)
-    if f"{tap}_gel" not in bank.arrays:
-        tables = Tables.of(blocks, np.arange(cells))
-        presses = graph.input(f"{tap}_bank", ("presses", cells, width))
-        values = graph.constant(tables.queries), graph.constant(tables.reached)
-        found = emit_window_nearest(graph, rows, presses, gallery, blocks, values, size)
-        return graph.op("Gather", found, graph.constant(tables.back), axis=1)
-    presses = graph.input(f"{tap}_bank", ("presses", f"{tap}_stored", width))
-    queries, reached = (
-        graph.input(f"{tap}_{name}", (f"{tap}_blocks", bank.arrays[f"{tap}_{name}"].shape[1]), "int64")
-        for name in ("queries", "reached")
-    )
-    found = emit_window_nearest(graph, rows, presses, gallery, blocks, (queries, reached), size)
-    count = f"{tap}_untouched"
-    here = graph.op("Gather", rows, graph.input(f"{tap}_gel_cells", (count,), "int64"), axis=1)
-    mean, weight = graph.input(f"{tap}_gel", (count, width)), graph.input(f"{tap}_gel_weight", (1,))
-    both = graph.op("Concat", found, emit_gel_distances(graph, here, mean, weight), axis=1)
-    return graph.op("Gather", both, graph.input(f"{tap}_order", (cells,), "int64"), axis=1)
-
-
-def _emit_whole_search(
-    graph: Graph, rows: Value, presses: Value, gallery: Value, size: tuple[int, int, int], p: SpadeParameters
-) -> Value:
-    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, so many rows at a time that memory stays
-    bounded. size: tiles, cells of one, width."""
-    tiles, cells, width = size
-    count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
-    found = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
-    shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
-    bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
-    rows = graph.reshape(rows, -1, cells, width)
-    if not p.is_gallery_whole:
-        total = graph.op("Shape", bank, start=1, end=2)
-        whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
-        small = graph.op("Less", total, graph.ints(CHUNK))
-        bank = graph.op("Slice", bank, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))
-    bank = emit_ranked(graph, bank)
-    step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
-    parts = [
-        emit_group_nearest(
-            graph,
-            graph.op("Slice", rows, graph.ints(first), graph.ints(first + step), graph.ints(1)),
-            bank,
-            width,
-        )
-        for first in range(0, cells, step)
-    ]
-    return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
 
 
 spade = Spade()

@@ -1,0 +1,154 @@
+"""SPADE's graph: the nearest presses, then each layer's search among them, then one map."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from edge.core.detector import Bank, Grid
+from plugins.detectors.maths.free_gel import emit_gel_distances
+from plugins.detectors.maths.layered import emit_layered_scores
+from plugins.detectors.maths.mosaic import emit_join, emit_split, layout
+from plugins.detectors.maths.rotation import emit_rotation
+from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
+from plugins.detectors.maths.window import Tables, emit_window_nearest
+from plugins.detectors.spade_parameters import CHUNK, SpadeParameters
+from plugins.graph import Graph, Value
+
+__all__ = ["spade_head"]
+
+
+def spade_head(name: str, grid: Grid, bank: Bank, p: SpadeParameters) -> bytes:
+    """The serialised head of a bank; the number of presses is free."""
+    graph = Graph(name)
+    names = dict.fromkeys((*p.layers, *p.descriptor_taps(grid)))
+    taps = {tap: graph.input(tap, ("n", *grid.taps[tap])) for tap in names}
+    squared, order = _emit_press_order(graph, taps, grid, p)
+    gallery = _emit_first(graph, order, p.pixel_neighbours)
+    maps = [_emit_layer(graph, tap, taps[tap], gallery, grid, bank, p) for tap in p.layers]
+    score = None
+    if p.image_score == "presses":
+        best = _emit_first(graph, squared, p.image_neighbours)
+        best = best if p.is_squared else graph.op("Sqrt", best)
+        score = graph.op("ReduceMean", best, graph.ints(1), keepdims=0)
+    smoothings = [p.smoothing(grid, tap) for tap in p.layers]
+    emit_layered_scores(graph, maps, smoothings, score)
+    return graph.serialise()
+
+
+def _emit_first(graph: Graph, values: Value, count: int) -> Value:
+    """The first `count` columns, or all where there are fewer."""
+    return graph.op("Slice", values, graph.ints(0), graph.ints(count), graph.ints(1))
+
+
+def _emit_press_order(
+    graph: Graph, taps: Mapping[str, Value], grid: Grid, p: SpadeParameters
+) -> tuple[Value, Value]:
+    """Squared distances (n, k) to the nearest presses, rising, and their numbers."""
+    names = p.descriptor_taps(grid)
+    width = sum(grid.taps[tap][0] for tap in names)
+    means = [graph.op("ReduceMean", taps[tap], graph.ints(2, 3), keepdims=0) for tap in names]
+    described = graph.op(
+        "Sub",
+        graph.op("Concat", *means, axis=1) if len(means) > 1 else means[0],
+        graph.input("press_mean", (width,)),
+    )
+    presses = graph.input("press_descriptors", ("presses", width))
+    difference = graph.op("Sub", graph.op("Unsqueeze", described, graph.ints(1)), presses)
+    squared = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(2), keepdims=0)
+    wanted = graph.ints(max(p.image_neighbours, p.pixel_neighbours))
+    count = graph.op("Min", wanted, graph.op("Shape", presses, start=0, end=1))
+    nearest_squared, order = graph.ops("TopK", 2, squared, count, axis=1, largest=0)
+    return nearest_squared, order
+
+
+def _emit_layer(
+    graph: Graph, tap: str, layer: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
+) -> Value:
+    """Weighted distances (n, rows, columns) of one layer to the gallery's presses (n, k)."""
+    c, (h, w) = grid.taps[tap][0], p.cells(grid, tap)
+    tiles = math.prod(layout(grid))
+    layer = emit_split(graph, layer, grid.taps[tap], grid)
+    matrices = p.averaging(grid, tap)
+    if matrices is not None:
+        down, across = (
+            graph.constant(np.ascontiguousarray(m, np.float32)) for m in (matrices[0], matrices[1].T)
+        )
+        layer = graph.op("MatMul", down, graph.op("MatMul", layer, across))
+    columns = graph.reshape(layer, 0, c, h * w)
+    if p.is_normalised:
+        length = graph.op("ReduceL2", columns, graph.ints(1), keepdims=1)
+        columns = graph.op("Div", columns, graph.op("Add", length, graph.input(f"{tap}_floor", (1,))))
+    mean = graph.input(f"{tap}_mean", (c,))
+    basis = bank.arrays.get(f"{tap}_basis")
+    width = c if basis is None else len(basis) + 1
+    rows = emit_rotation(
+        graph, columns, mean, None if basis is None else graph.input(f"{tap}_basis", basis.shape)
+    )
+    rows = graph.reshape(rows, -1, tiles * h * w, width)
+    if p.window(grid, tap) is None:
+        presses = graph.input(f"{tap}_bank", ("presses", tiles * h * w, width))
+        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h * w, width), p)
+    else:
+        distances = _emit_windows(graph, tap, rows, gallery, grid, bank, p)
+    weight = graph.input(f"{tap}_weight", (1,))
+    weighted = graph.op("Mul", graph.reshape(distances, -1, h, w), weight)
+    return emit_join(graph, weighted, (h, w), grid)
+
+
+def _emit_windows(
+    graph: Graph, tap: str, rows: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
+) -> Value:
+    """Distances (n, tiles * cells) to the gallery within the windows, and to the free gel where no press touches."""
+    cells, width = (
+        p.count(grid, tap),
+        bank.arrays[f"{tap}_bank"].shape[2],
+    )
+    blocks, size = p.blocks(grid, tap), (width, p.pixel_neighbours)
+    if f"{tap}_gel" not in bank.arrays:
+        tables = Tables.of(blocks, np.arange(cells))
+        presses = graph.input(f"{tap}_bank", ("presses", cells, width))
+        values = graph.constant(tables.queries), graph.constant(tables.reached)
+        found = emit_window_nearest(graph, rows, presses, gallery, blocks, values, size)
+        return graph.op("Gather", found, graph.constant(tables.back), axis=1)
+    presses = graph.input(f"{tap}_bank", ("presses", f"{tap}_stored", width))
+    queries, reached = (
+        graph.input(f"{tap}_{name}", (f"{tap}_blocks", bank.arrays[f"{tap}_{name}"].shape[1]), "int64")
+        for name in ("queries", "reached")
+    )
+    found = emit_window_nearest(graph, rows, presses, gallery, blocks, (queries, reached), size)
+    count = f"{tap}_untouched"
+    here = graph.op("Gather", rows, graph.input(f"{tap}_gel_cells", (count,), "int64"), axis=1)
+    mean, weight = graph.input(f"{tap}_gel", (count, width)), graph.input(f"{tap}_gel_weight", (1,))
+    both = graph.op("Concat", found, emit_gel_distances(graph, here, mean, weight), axis=1)
+    return graph.op("Gather", both, graph.input(f"{tap}_order", (cells,), "int64"), axis=1)
+
+
+def _emit_whole_search(
+    graph: Graph, rows: Value, presses: Value, gallery: Value, size: tuple[int, int, int], p: SpadeParameters
+) -> Value:
+    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, so many rows at a time that memory stays
+    bounded. size: tiles, cells of one, width."""
+    tiles, cells, width = size
+    count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
+    found = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
+    shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
+    bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
+    rows = graph.reshape(rows, -1, cells, width)
+    if not p.is_gallery_whole:
+        total = graph.op("Shape", bank, start=1, end=2)
+        whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
+        small = graph.op("Less", total, graph.ints(CHUNK))
+        bank = graph.op("Slice", bank, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))
+    bank = emit_ranked(graph, bank)
+    step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
+    parts = [
+        emit_group_nearest(
+            graph,
+            graph.op("Slice", rows, graph.ints(first), graph.ints(first + step), graph.ints(1)),
+            bank,
+            width,
+        )
+        for first in range(0, cells, step)
+    ]
+    return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
