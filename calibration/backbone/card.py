@@ -17,10 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.backbone.package import NAME
+from calibration.backbone.evaluation_sets import FORMAT
 from edge.core.errors import ConfigError
+from plugins.backbones.tactile import tactile_resnet18
 
 __all__ = ["card", "evaluation_tables", "main", "page", "write_card"]
+
+NAME = tactile_resnet18.name
 
 _LIMITS = (
     "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
@@ -212,8 +215,10 @@ def _scales(recipe: dict[str, Any]) -> list[str]:
 
 def _evaluated(facts: dict[str, Any], evaluation: dict[str, Any] | None) -> list[str]:
     """The tables, if they are of these weights: an evaluation of others lies there until the next one."""
-    compared = [trunk["sha256"] for trunk in evaluation["trunks"].values()] if evaluation else []
-    if evaluation is None or facts["variants"][NAME]["sha256"] not in compared:
+    if evaluation is None or evaluation["format"] != FORMAT:
+        return ["Not evaluated yet."]
+    compared = [trunk["sha256"] for trunk in evaluation["trunks"].values()]
+    if facts["variants"][NAME]["sha256"] not in compared:
         return ["Not evaluated yet."]
     return evaluation_tables(evaluation)
 

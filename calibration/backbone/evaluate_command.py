@@ -129,10 +129,9 @@ def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
 
 def _write(out: Path, text: str, page: Path | None) -> None:
     from calibration.backbone import card
-    from calibration.backbone.package import NAME
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / f"{NAME}_evaluation.json").write_text(text)
+    (out / f"{card.NAME}_evaluation.json").write_text(text)
     if page is not None:
         card.write_card(out)
         page.write_text(card.page(out))

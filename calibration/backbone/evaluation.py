@@ -9,7 +9,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.backbone.evaluation_sets import EvaluationSet, Trial
+from calibration.backbone.evaluation_sets import FORMAT, EvaluationSet, Trial
 from calibration.features import extract, trunk_grid
 from calibration.heads import head_of
 from calibration.metrics import image_weights, interval, pixel_measures
@@ -24,7 +24,6 @@ from plugins.backbones.resnet import build_trunk
 
 __all__ = [
     "DETECTORS",
-    "FORMAT",
     "RANDOM",
     "Column",
     "evaluate",
@@ -35,7 +34,6 @@ __all__ = [
 ]
 
 DETECTORS = ("padim", "spade", "fapm", "inreach")
-FORMAT = 2
 RANDOM = "random"
 """The name of the column with random weights."""
 

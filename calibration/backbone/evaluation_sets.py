@@ -16,7 +16,10 @@ from calibration.presses import NominalPresses
 from edge.core.profiles import profile
 from edge.core.region import Region
 
-__all__ = ["PROFILE", "REGION", "SETS", "EvaluationSet", "Trial", "evaluation_sets"]
+__all__ = ["FORMAT", "PROFILE", "REGION", "SETS", "EvaluationSet", "Trial", "evaluation_sets"]
+
+# Of the evaluation's file; 1 had other sets and did not say which weights it compared.
+FORMAT = 2
 
 PROFILE = profile("cropped_lr")
 REGION = Region.centre(PROFILE.size)

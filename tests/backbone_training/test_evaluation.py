@@ -238,6 +238,17 @@ def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch:
     assert list(written["trunks"]) == ["trained", "random"]
 
 
+def test_judging_needs_no_torch() -> None:
+    """A plant can compare its own trunk with the shipped one where nothing was ever trained."""
+    program = """
+import sys
+from calibration.backbone import card, evaluate_command, evaluation, evaluation_pictures, evaluation_presses
+assert not {'torch', 'onnx'} & sys.modules.keys()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_refusals_are_sentences(tmp_path: Path) -> None:
     """An unknown backbone or set, a name twice: said before anything is computed or written."""
     for words, sentence in (

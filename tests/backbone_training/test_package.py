@@ -115,9 +115,10 @@ def test_the_card_has_the_facts_and_the_evaluation() -> None:
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
     """An evaluation that compared no file of these facts is as good as none."""
     other = {**evaluation({"aupro_fpr01": {"value": 0.7}}), "trunks": {"trained": {"sha256": "ef" * 32}}}
-    text = card(FACTS, other)
-    assert "Not evaluated yet" in text
-    assert "0.700" not in text
+    for stale in (other, {**evaluation({"aupro_fpr01": {"value": 0.7}}), "format": 1}):
+        text = card(FACTS, stale)
+        assert "Not evaluated yet" in text
+        assert "0.700" not in text
 
 
 def test_the_card_tells_what_was_tried() -> None:
