@@ -1,10 +1,13 @@
 """H4, searched in groups: the product form makes the shortlist and never the score.
 
-Guards: `shortlist.emit_group_nearest` measures its winners again as sums of squared differences, and every head
-subtracts the bank's mean before. Checked by removal: with the distance read back from the product both tests fail (the
-second for FAPM, InReaCh and PatchCore); with the mean left in `rotation.emit_rotation` the second fails for SPADE,
-InReaCh and PatchCore.
+Guards: `shortlist.emit_group_nearest`, `shortlist.emit_closest` and the window's search measure their winners again as
+sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the distance read
+back from the product the first test fails for each of the first two (the second for InReaCh and PatchCore); with the
+mean left in `rotation.emit_rotation` the second fails for SPADE, InReaCh and PatchCore, and for FAPM with a thousandth
+of its groups' means left in.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import onnxruntime as ort
@@ -13,33 +16,44 @@ from heads import fit, grid, presses_of, run_head
 
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.maths.shortlist import emit_group_nearest, emit_ranked
+from plugins.detectors.maths.shortlist import emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 from plugins.graph import Graph
 
 
-def group_distances(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
+def in_groups(graph: Graph, queries: str, bank: str, width: int) -> str:
+    return emit_group_nearest(graph, queries, emit_ranked(graph, bank), width)
+
+
+def closest(graph: Graph, queries: str, bank: str, width: int) -> str:
+    one = graph.op("Unsqueeze", queries, graph.ints(0))
+    return graph.op(
+        "Unsqueeze", graph.op("Squeeze", emit_closest(graph, one, bank, width), graph.ints(0)), graph.ints(2)
+    )
+
+
+def group_distances(search: Callable[..., str], queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
     graph = Graph("groups")
     width = bank.shape[2]
-    ranked = emit_ranked(graph, graph.input("bank", ("g", "m", width)))
-    found = emit_group_nearest(graph, graph.input("q", ("g", "q", width)), ranked, width)
-    graph.output("d", found, ("g", "q", 1))
+    asked, rows = graph.input("q", ("g", "q", width)), graph.input("bank", ("g", "m", width))
+    graph.output("d", search(graph, asked, rows, width), ("g", "q", 1))
     session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
     feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}
     (distances,) = session.run(None, feed)
     return np.asarray(distances)[:, :, 0]
 
 
-def test_a_small_distance_between_long_vectors() -> None:
+@pytest.mark.parametrize("search", [in_groups, closest])
+def test_a_small_distance_between_long_vectors(search: Callable[..., str]) -> None:
     """Three groups, vectors of length 100, true distance 0.01: found within a percent, never negative, never NaN."""
     rng = np.random.default_rng(0)
     bank = rng.normal(size=(3, 40, 64))
     bank *= 100 / np.linalg.norm(bank, axis=2, keepdims=True)
     step = rng.normal(size=(3, 20, 64))
     queries = bank[:, :20] + 0.01 * step / np.linalg.norm(step, axis=2, keepdims=True)
-    np.testing.assert_allclose(group_distances(queries, bank), 0.01, rtol=1e-2)
-    assert (group_distances(bank, bank) == 0).all()
+    np.testing.assert_allclose(group_distances(search, queries, bank), 0.01, rtol=1e-2)
+    assert (group_distances(search, bank, bank) == 0).all()
 
 
 @pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
