@@ -1,8 +1,8 @@
 """H10: a scan in chunks that forgets the remainder ignores up to 8 % of a gallery, and nobody notices.
 
 Guards: searches run to the last row whatever the chunk (`maths/distances.py`, `Spade` and `PatchBank` with
-`range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade_head._emit_whole_search` the second
-test fails on the shape; with the published slice always on the first two fail.
+`range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade_head._emit_whole_search` the
+second test fails on the shape; with the published slice always on the first two fail.
 """
 
 import numpy as np
