@@ -137,8 +137,8 @@ def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str,
             "Optical pictures of screws that lie turned at random (a subset of MVTec AD), as a check of the detectors "
             "and not of touch: the backbone has never seen an optical picture, methods that compare place with place "
             "have nothing to hold on to, a picture is shrunk from 1024 to 224 pixels a side, and the physical sizes of "
-            "the settings mean nothing here. Image AUROC moves about with the smallest change of weights: it says nothing "
-            "for or against one of them.",
+            "the settings mean nothing here. Image AUROC moves about with the smallest change of weights: it says "
+            "nothing for or against one of them.",
             () if optical or screws is None else (partial(screw_trial, screws),),
             missing=optical,
         ),
