@@ -67,7 +67,7 @@ def test_the_full_frame_needs_nothing_of_its_own() -> None:
     assert grid.tiles is None
     assert grid.taps["layer1"] == (64, 24, 40)
     features = extract(trunk, frames(6), grid, lambda fraction: None)
-    parameters = padim.parameters(grid_tap="layer2", rank=4)
+    parameters = padim.parameters(taps=TAPS[:2], grid_tap="layer2", rank=4)
     bank = fitted(padim, parameters, Nominal(features), grid)
     oracle = padim.reference_score(features, grid, bank, parameters)
     assert largest_error(head_scores(padim, parameters, features, bank, grid), oracle) < 1e-4
