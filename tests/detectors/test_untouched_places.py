@@ -165,3 +165,20 @@ def test_untouched_places_of_tiles(detector: Any) -> None:
     oracle = detector.reference_score(asked, TILED, banks[0], p)
     found = run_head(detector.head(TILED, banks[0], p), asked, banks[0])
     assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
+
+
+@pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
+def test_a_small_touch_on_a_large_grid(detector: Any) -> None:
+    """A search laid out in parts for a whole grid finds most of its parts empty where little is touched."""
+    grid = Grid((224, 224), {"layer1": (64, 56, 56)}, 15.77)
+    rng = np.random.default_rng(0)
+    nominal, asked = (
+        {"layer1": rng.normal(1, 0.1, (n, *grid.taps["layer1"])).astype(np.float32)} for n in (7, 2)
+    )
+    touched = np.zeros(grid.frame, bool)
+    touched[100:110, 200:210] = True
+    p = detector.parameters()
+    bank = detector.fit(Nominal(nominal, touched), grid, p, np.random.default_rng(0), lambda done: None)
+    oracle = detector.reference_score(asked, grid, bank, p)
+    found = run_head(detector.head(grid, bank, p), asked, bank)
+    assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
