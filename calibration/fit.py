@@ -14,6 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.backbones import Trunk
+from calibration.colours import colour_warnings, nominal_colours
 from calibration.features import extract, trunk_grid
 from calibration.heads import head_of
 from calibration.measure import (
@@ -137,6 +138,8 @@ class _Fit:
             conformal_threshold(
                 np.zeros(len(presses)), recipe.alpha
             )  # refuses too few before any work is done
+        self.colours = nominal_colours(presses.frames)
+        self.warnings += colour_warnings(self.colours)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
 
@@ -272,6 +275,7 @@ class _Fit:
             threshold=threshold,
             tolerance=tolerance,
             contact=contact_range(self.presses),
+            colours=self.colours,
             provenance=provenance(self.created, self.presses, recipe.seed, self.warnings),
         )
 

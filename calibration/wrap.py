@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.colours import colour_warnings, nominal_colours
 from calibration.fit import Fitted
 from calibration.measure import (
     contact_range,
@@ -62,6 +63,8 @@ def wrap_files(
     """
     region, is_given = recipe.region, recipe.threshold is not None
     said = warnings(presses, (region.height, region.width), None if is_given else recipe.alpha)
+    colours = nominal_colours(presses.frames)
+    said += colour_warnings(colours)
     graphs = Graphs(detector=graph)
 
     def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
@@ -74,6 +77,7 @@ def wrap_files(
             threshold=threshold,
             tolerance=tolerance,
             contact=contact_range(presses),
+            colours=colours,
             provenance=provenance(created, presses, None, said),
         )
 

@@ -1,10 +1,11 @@
-"""One settled frame to one verdict: decode, crop, look at its light and contact, score, decide."""
+"""One settled frame to one verdict: decode, crop, look at its light, sensor and contact, score, decide."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.colour import check_sensor
 from edge.core.decode import decode
 from edge.core.errors import FrameCorrupt, NotScorable
 from edge.core.frames import CameraFrame
@@ -41,6 +42,8 @@ class Inspector:
         self.bundle = scorer.bundle
         self._clock = clock
         self._quality = quality or QualitySettings()
+        colours = self.bundle.manifest.colours
+        self._colours = colours.nominal() if colours else None
         self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
 
     def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
@@ -56,6 +59,8 @@ class Inspector:
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture.rgb))
         rejection = check_light(picture, self._quality)
+        if rejection is None and self._colours is not None:
+            rejection = check_sensor(rgb, self._colours)
         if rejection is None and self._nominal is not None:
             rejection = check_contact(touch, self._nominal, self.bundle.profile.size)
         if rejection is not None:

@@ -6,8 +6,10 @@ Units: bytes, milliseconds and seconds are in the names; pixel positions are tho
 import math
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
+from edge.core.colour import NominalColours
 from edge.core.detector import Grid, Mode, Packing
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
@@ -18,6 +20,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "ArrayEntry",
     "BackboneEntry",
+    "ColourEntry",
     "ContactRange",
     "CostCard",
     "Facts",
@@ -247,6 +250,31 @@ class ContactRange(_Entry):
         return all(low <= value <= high for (low, high), value in pairs)
 
 
+Level = Annotated[float, Field(ge=0, le=255)]
+
+
+class ColourEntry(_Entry):
+    """`edge.core.colour.NominalColours`: what nominal presses look like from afar, so that other sensors are refused.
+
+    cells: rows of columns of (r, g, b) over the region, levels. limit, spread: `colour_distance` at which a press is
+    refused, and the largest between a nominal press and the others; fractions of the light.
+    """
+
+    cells: tuple[tuple[tuple[Level, Level, Level], ...], ...]
+    limit: float = Field(gt=0)
+    spread: float = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _even(self) -> "ColourEntry":
+        if len({len(row) for row in self.cells}) != 1:
+            raise ValueError("the colours' rows have one length, and there is at least one row")
+        self.nominal()
+        return self
+
+    def nominal(self) -> NominalColours:
+        return NominalColours(np.array(self.cells, np.float64), self.limit)
+
+
 class CostCard(_Entry):
     """What scoring and fitting cost on the machine that fitted. Milliseconds are medians of one frame.
 
@@ -290,6 +318,7 @@ class Facts(_Entry):
     threshold: ThresholdEntry
     tolerance: ToleranceEntry
     contact: ContactRange | None = None
+    colours: ColourEntry | None = None
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
     provenance: Provenance

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from edge.core.gel import MOST_PRESSES, GelState
 from edge.core.ports import Message
+from edge.core.quality import Reason
 from edge.core.verdict import Kind
 from edge.ledger import GelRecord
 
@@ -115,6 +116,9 @@ class InfoPayload(Payload):
     threshold: float | None = None
 
 
+_REASONS = " · ".join(f"`{reason}`" for reason in Reason)
+
+
 class ResultPayload(Payload):
     """One press, one result. `press_id` is the key: the same result may arrive twice, never with two contents.
 
@@ -128,7 +132,9 @@ class ResultPayload(Payload):
     part: str
     position: str | None = None
     verdict: Kind | None = None
-    reason: str | None = Field(default=None, description="why it is rejected or unsure")
+    reason: str | None = Field(
+        default=None, description=f"why it is rejected: {_REASONS}; a colon; a sentence"
+    )
     error: str | None = Field(default=None, description="why there is no verdict")
     score: float | None = Field(default=None, description="raw anomaly score, higher is more anomalous")
     threshold: float | None = Field(default=None, description="scores above it fail")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.manifest import Manifest
+    from edge.manifest import ColourEntry, Manifest
 
 __all__ = ["inspect", "verify"]
 
@@ -102,6 +102,7 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
         rows.append(
             ("contact", ", ".join(f"{k} {low:.2f} to {high:.2f}" for k, (low, high) in spans.items()))
         )
+    rows.append(("colours", _colours(manifest.colours)))
     if manifest.cost:
         cost = manifest.cost
         rows.append(
@@ -130,6 +131,12 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
     )
     rows += [("warning", warning) for warning in origin.warnings]
     return rows
+
+
+def _colours(colours: "ColourEntry | None") -> str:
+    if colours is None:
+        return "not known: frames of another sensor are scored; fit again"
+    return f"refused beyond {colours.limit:.1%} of the light, nominal presses differ by {colours.spread:.1%}"
 
 
 def _mb(size_bytes: int) -> str:

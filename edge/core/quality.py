@@ -27,6 +27,7 @@ class Reason(StrEnum):
     BLACK = "black"
     SATURATED = "saturated"
     STALE = "stale"
+    OTHER_SENSOR = "other_sensor"
     NO_CONTACT = "no_contact"
     OFF_POSITION = "off_position"
     NOT_SETTLED = "not_settled"

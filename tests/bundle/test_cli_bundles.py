@@ -37,6 +37,7 @@ def test_inspect_tells_what_is_in_it(folder: Path) -> None:
         "8,4,32x32",
         "float32 3x4x4, 192 bytes, stored as int8 in",
         "0.05 (set by hand)",
+        "not known: frames of another sensor are scored",
         "2026-01-01",
     ):
         assert said in text
