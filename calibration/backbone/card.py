@@ -30,7 +30,8 @@ _LIMITS = (
     "threshold on presses of your own sensor.",
     "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
     "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out. "
-    "Tell a wrong sensor by other means.",
+    "The gateway refuses them by their colours before it scores (`other_sensor`); whoever uses the trunk alone tells a "
+    "wrong sensor by other means.",
     "Motion blur and a gel rim were not drawn in training.",
 )
 
