@@ -72,7 +72,7 @@ class InreachParameters:
     square distance exceeds that are dropped.
     is_touched_only: patches are of cells that a nominal press touches; to the bank come a few of free gel.
     most_patches: patches of each press that take part, drawn for each anew; None: all. AU-PRO on those parts with
-    400, 640 and 1000: 0.717, 0.737, 0.738, at 0.18, 0.33 and 0.59 s of processor time for 24 presses.
+    400, 640 and 1000: 0.717, 0.737, 0.738; the time of a fit grows with the square.
     is_fallback: when no channel remains the bank is every patch, with a warning, instead of no bank.
     most_rows: the bank is thinned to so many rows by k-centre; None keeps all. is_squared: squared distances, as
     published. upsampling: of the grid to pixels. sigma: the blur, in `sigma_unit`.

@@ -30,8 +30,8 @@ SAMPLE_PRESSES = 16
 SAMPLE_CELLS = 4096
 # A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
 DEVIATION_FLOOR = 1e-2
-# Rows measured exactly for each cell: with one the nearest by the product decides, and a rounding could choose
-# another; two more than that were never the nearest, and each costs as much as a fifth of the product.
+# Rows measured exactly for each cell. With one, a rounding of the product could choose another than the nearest; each
+# more takes half as long as the product itself (512 rows of 64 numbers, 3136 cells: 1.6 ms with one, 2.9 with four).
 EXACT = 2
 # Around what the nominal presses touch, this much counts as touched: the gel is bent there.
 MARGIN_MM = 1.0
