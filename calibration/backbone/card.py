@@ -28,7 +28,7 @@ NAME = tactile_resnet18.name
 _LIMITS = (
     "Trained on simulated presses alone: two measured sensors, mixed and varied. Real gels differ; fit and set the "
     "threshold on presses of your own sensor.",
-    "It has learnt from parts that are held to a few tenths of a millimetre. Where they lie anywhere, as the balls among "
+    "It has learnt from parts that are held to a few tenths of a millimetre. Where they lie anywhere, as the balls of "
     "the real presses do, methods that compare place with place find less than InReaCh does.",
     'Trials cut short carry their steps in their names; their settings are under "What was tried". Wider and narrower '
     "networks, larger training frames and int8-aware training were not tried.",
