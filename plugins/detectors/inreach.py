@@ -67,7 +67,7 @@ class InreachParameters:
     minimum_length: elements that a channel needs, its opener counted. is_minimum_exceeded: it needs one more, as
     published. length_fraction: when positive, the minimum is this share of what a channel can have, at least 2,
     because few presses cannot make long channels.
-    max_dispersion: see the module. is_floored: a member may also lie as far as the stray distance that 95 % of all
+    max_dispersion: see the module. is_floored: a member may also lie as far as the stray distance that 99 % of all
     members keep, so that a channel without spread keeps its members. is_spread_limited: channels whose root mean
     square distance exceeds that are dropped.
     is_touched_only: patches are of cells that a nominal press touches; to the bank come a few of free gel.
