@@ -10,6 +10,9 @@ EXTRAS ?= test
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
 
+# On cores that others use as well, two threads of linear algebra wait for each other by spinning: 20 times slower.
+test: export OPENBLAS_NUM_THREADS ?= 1
+test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.test mosquitto lint
 	$(BIN)/pytest
 
