@@ -1,30 +1,31 @@
 """What compact storage costs: AU-PRO up to 1 % false positives with the bank as stored, as computed, and whole.
 
-Run with `pytest tests/bench/test_compact_banks.py -m bench -s`; GELGATE_BENCH_BACKBONE names another backbone than
-the default, installed or a trunk's file. Budget: within 0.005 of the whole bank, 16 MB at 224.
-`whole` is the same method without what makes its bank small: full rank, all channels, all rows, float32. Two simulated
-parts are pressed by hand-like jitter; the maps are the oracle's, so that nothing but the bank differs.
+Run with `pytest tests/bench/test_compact_banks.py -m bench -s`. The six random parts are those on which the operating
+points were chosen: 24 nominal presses each, then 16 sound and 16 damaged ones of other pieces, read by the shipped
+backbone and by a ResNet-18 with random weights.
+`whole` is the same method without what makes its bank small, in float32: every direction, row and place, every cell
+its own covariance, PatchCore's 10 % of all patches instead of those drawn. The maps are the head's, run on each bank,
+so that nothing but the bank differs.
+Budget: within 0.005 of the whole bank in the mean of the parts, 16 MB at 224.
 """
 
-import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from heads import stored_bytes
 from presses import stored as stored_bank
 
+from calibration.backbone.evaluation import random_trunk
+from calibration.backbone.evaluation_presses import development_trial
+from calibration.backbone.evaluation_sets import Trial
 from calibration.backbones import DEFAULT_BACKBONE, open_trunk
-from calibration.dataset import Press, open_dataset
 from calibration.features import extract, trunk_grid
 from calibration.metrics import aupro
-from calibration.scene import SCENES, load_scene
-from calibration.simulate import simulate_dataset
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.region import Region
-from edge.packing import pack
 from edge.runtime import open_session
+from edge.trunk_cut import cut_trunk
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
@@ -34,95 +35,134 @@ from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 
-BACKBONE = os.environ.get("GELGATE_BENCH_BACKBONE", DEFAULT_BACKBONE)
-TAPS = ("layer1", "layer2", "layer3")
-REGION = Region(48, 8, 224, 224)
-SOUND, DEFECTIVE, HELD_OUT = 30, 12, 10
-SPECIMENS = 4
+PARTS = 6
+TAPS = ("layer1", "layer2")
+PIXELS_PER_MM = 15.77
 
-WHOLE: dict[Any, dict[str, object]] = {
-    padim: {"rank": None, "packing": "none"},
-    spade: {"dims": (), "packing": "none", "bank_mb": None},
-    fapm: {"packing": "none"},
-    inreach: {"dims": None, "most_rows": None, "packing": "none"},
-    patchcore: {"dims": None, "packing": "none"},
-    subspace: {"most_rank": 4096},
+# PaDiM keeps its rank: with every direction the weak ones no longer count as ridge, and it is another method. That one
+# stands in a line of its own.
+WHOLE: dict[str, tuple[Any, dict[str, object]]] = {
+    "padim": (padim, {"block": 1, "is_touched_only": False, "packing": "none", "bank_mb": None}),
+    "padim, every direction": (
+        padim,
+        {"rank": None, "block": 1, "is_touched_only": False, "packing": "none", "bank_mb": None},
+    ),
+    "spade": (spade, {"dims": (), "is_touched_only": False, "packing": "none", "bank_mb": None}),
+    "fapm": (fapm, {"is_touched_only": False, "packing": "none"}),
+    "inreach": (inreach, {"dims": None, "most_rows": None, "packing": "none"}),
+    "patchcore": (patchcore, {"dims": None, "most_rows": None, "most_patches": None, "packing": "none"}),
+    "subspace": (subspace, {"most_rank": 4096}),
+}
+MAY_LOSE = 0.005
+# Where the budget is missed: what was measured, rounded up. docs/detectors.md says which setting costs it.
+LOSES = {
+    ("shipped", "spade"): 0.010,
+    ("shipped", "inreach"): 0.008,
+    ("shipped", "patchcore"): 0.013,
+    ("random", "patchcore"): 0.033,
 }
 
 
-@pytest.fixture(scope="module")
-def pressed(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Callable[[str], tuple[Features, Grid, list[np.ndarray]]]:
-    """Features of the nominal, the held-out and the defective presses, in this order; masks of all but the nominal."""
-    session = open_session(open_trunk(BACKBONE, TAPS).graph, 1, BACKBONE)
-    grid = trunk_grid(session, TAPS, (224, 224), 15.77)
-    known: dict[str, tuple[Features, Grid, list[np.ndarray]]] = {}
+class Taken(NamedTuple):
+    """One part's features by one trunk. asked: of the presses that the masks belong to."""
 
-    def of(part: str) -> tuple[Features, Grid, list[np.ndarray]]:
-        if part not in known:
-            presses = simulated(part, tmp_path_factory.mktemp(part))
-            frames = np.stack([REGION.crop(press.rgb()) for press in presses])
-            masks = [REGION.crop(press.mask()) for press in presses[SOUND:]]
-            known[part] = extract(session, frames, grid, lambda done: None), grid, masks
-        return known[part]
-
-    return of
+    grid: Grid
+    nominal: Nominal
+    asked: Features
+    masks: list[np.ndarray]
 
 
-def simulated(part: str, folder: Path) -> list[Press]:
-    """SOUND presses to fit, HELD_OUT sound ones of a specimen that is not among them, DEFECTIVE damaged ones."""
-    scene = load_scene(SCENES / "paper" / f"{part}.toml")
-    small = {
-        "positions": ("pos1",),
-        "camera": scene.camera.model_copy(update={"modes": ("lr",)}),
-        "nominal": scene.nominal.model_copy(update={"specimens": SPECIMENS, "presses": 10}),  # type: ignore[union-attr]
-        "defects": scene.defects.model_copy(update={"images": DEFECTIVE}),
-    }
-    dataset = open_dataset(simulate_dataset(scene.model_copy(update=small), folder))
-    assert len(dataset.good) == SOUND + HELD_OUT
-    assert len(dataset.defective) == DEFECTIVE
-    return [*dataset.good, *dataset.defective]
+@cache
+def trial(number: int) -> Trial:
+    return development_trial(number)
 
 
-@pytest.mark.parametrize("part", ["pz1", "pz3"])
-@pytest.mark.parametrize("detector", WHOLE, ids=lambda detector: detector.name)
-def test_accuracy_of_stored_banks(detector: Any, part: str, pressed: Callable[[str], Any]) -> None:
-    """Prints AU-PRO of the three banks, their differences, and bytes; the stored one is never beyond 16 MB."""
-    features, grid, masks = pressed(part)
-    train, query = (
-        {tap: maps[rows] for tap, maps in features.items()} for rows in (slice(SOUND), slice(SOUND, None))
+@pytest.fixture(scope="module", params=["shipped", "random"])
+def taken(request: pytest.FixtureRequest) -> list[Taken]:
+    """Every part, read by one trunk."""
+    graph = open_trunk(DEFAULT_BACKBONE, TAPS).graph if request.param == "shipped" else random_trunk()
+    session = open_session(cut_trunk(graph, TAPS), 1, "trunk")
+    grid = trunk_grid(session, TAPS, (224, 224), PIXELS_PER_MM)
+
+    def read(frames: np.ndarray) -> Features:
+        return extract(session, frames, grid, lambda done: None)
+
+    found = []
+    for number in range(PARTS):
+        part = trial(number)
+        free = part.nominal.no_contact
+        assert free is not None
+        nominal = Nominal(read(part.nominal.frames), part.nominal.touched, read(free))
+        found.append(Taken(grid, nominal, read(part.frames), list(part.masks)))
+    return found
+
+
+class Measured(NamedTuple):
+    stored: float
+    computed: float
+    whole: float
+    megabytes: float
+    megabytes_whole: float
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_accuracy_of_stored_banks(name: str, taken: list[Taken], request: pytest.FixtureRequest) -> None:
+    """Prints the three banks' AU-PRO and bytes: a line per part, then the means.
+
+    The stored one keeps the budget, or loses no more than is known.
+    """
+    detector, whole = WHOLE[name]
+    rows = []
+    for number, part in enumerate(taken):
+        bank, whole_bank = fitted(detector, part, {}), fitted(detector, part, whole)
+        rows.append(
+            Measured(
+                accuracy(detector, part, {}, stored_bank(bank)),
+                accuracy(detector, part, {}, bank),
+                accuracy(detector, part, whole, whole_bank),
+                stored_bytes(bank) / 1e6,
+                stored_bytes(whole_bank) / 1e6,
+            )
+        )
+        print(f"\n{name:22s} RP{number}   {line(rows[-1])}", end="")
+    mean = Measured(*np.mean(rows, axis=0).tolist())
+    print(f"\n{name:22s} mean  {line(mean)}  {request.node.callspec.id}")
+    assert mean.megabytes <= 16
+    assert mean.stored >= mean.whole - LOSES.get((request.node.callspec.params["taken"], name), MAY_LOSE)
+
+
+def fitted(detector: Any, part: Taken, changes: dict[str, object]) -> Bank:
+    p = detector.parameters(**changes)
+    bank: Bank = detector.fit(
+        part.nominal, read_of(detector, p, part), p, np.random.default_rng(0), lambda done: None
     )
+    return bank
 
-    def fitted(**overrides: object) -> tuple[Any, Bank]:
-        parameters = detector.parameters(**overrides)
-        bank = detector.fit(Nominal(train), grid, parameters, np.random.default_rng(0), lambda done: None)
-        return parameters, bank
 
-    def accuracy(parameters: Any, bank: Bank) -> float:
-        maps = [
-            detector.reference_score({tap: m[k : k + 1] for tap, m in query.items()}, grid, bank, parameters)
-            for k in range(len(masks))
-        ]
-        area = aupro([m.score_map[0] for m in maps], masks)
-        assert area is not None
-        return area
+def accuracy(detector: Any, part: Taken, changes: dict[str, object], bank: Bank) -> float:
+    """AU-PRO of the head's maps."""
+    p = detector.parameters(**changes)
+    head = open_session(detector.head(read_of(detector, p, part), bank, p), 1, detector.name)
+    wanted = [given.name for given in head.get_inputs()]
+    arrays = {name: bank.arrays[name] for name in wanted if name in bank.arrays}
+    maps = []
+    for k in range(len(part.masks)):
+        taps = {tap: part.asked[tap][k : k + 1] for tap in wanted if tap in part.asked}
+        maps.append(head.run(["score_map"], {**taps, **arrays})[0][0])
+    area = aupro(maps, part.masks)
+    assert area is not None
+    return area
 
-    parameters, bank = fitted()
-    whole_parameters, whole_bank = fitted(**WHOLE[detector])
-    stored, computed = accuracy(parameters, stored_bank(bank)), accuracy(parameters, bank)
-    whole = accuracy(whole_parameters, whole_bank)
-    size, whole_size = stored_bytes(bank), stored_bytes(whole_bank)
-    print(
-        f"\n{detector.name:10s}{part}  stored {stored:.4f}  float32 {computed:.4f} ({stored - computed:+.4f})  "
-        f"whole {whole:.4f} ({stored - whole:+.4f})  {size / 1e6:6.2f} MB, whole {whole_size / 1e6:7.2f} MB"
+
+def read_of(detector: Any, parameters: Any, part: Taken) -> Grid:
+    """The grid of the taps that the detector reads."""
+    taps = {tap: part.grid.taps[tap] for tap in detector.taps(parameters)}
+    return Grid(part.grid.frame, taps, part.grid.pixels_per_mm)
+
+
+def line(found: Measured) -> str:
+    return (
+        f"stored {found.stored:.4f}  float32 {found.computed:.4f} ({found.stored - found.computed:+.4f})  "
+        f"whole {found.whole:.4f} ({found.stored - found.whole:+.4f})  "
+        f"{found.megabytes:6.2f} MB, whole {found.megabytes_whole:7.2f} MB"
     )
-    assert size <= 16e6
-
-
-def stored_bytes(bank: Bank) -> int:
-    total = 0
-    for name, array in bank.arrays.items():
-        packed = pack(array, bank.packing.get(name, "none"))
-        total += packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes)
-    return total

@@ -2,9 +2,9 @@
 
 Neither knows places, so free gel is compared with the same rows as everything else. Checked by removal: with rows of
 all cells instead of `touched` ones, or more free gel than `FREE_GEL_ROWS`, free gel fills the bank; with the mask not
-in the order of the tiles, or without its margin, other cells do; without `free_gel` restless gel raises alarms, and
-without its frames, or its cells of presses, it does where only those show the gel. A stray press is found without a
-guard of its own: that test fails when the map is set to zero beyond the touched cells.
+in the order of the tiles, or without its margin, the rows are of other cells; without `free_gel` restless gel raises
+alarms, and without its frames, or its cells of presses, gel does that only those show. A stray press is found without
+a guard of its own: that test fails when the map is set to zero beyond the touched cells.
 """
 
 from typing import Any
