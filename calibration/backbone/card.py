@@ -30,8 +30,7 @@ _LIMITS = (
     "threshold on presses of your own sensor.",
     "It has learnt from parts that are held to a few tenths of a millimetre. Where they lie anywhere, as the balls of "
     "the real presses do, methods that compare place with place find less than InReaCh does.",
-    'Trials cut short carry their steps in their names; their settings are under "What was tried". Wider and narrower '
-    "networks, larger training frames and int8-aware training were not tried.",
+    "Wider and narrower networks, larger training frames and int8-aware training were not tried.",
     "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
     "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out. "
     "The gateway refuses them by their colours before it scores (`other_sensor`); whoever uses the trunk alone tells a "
