@@ -98,7 +98,7 @@ class InreachParameters:
     is_touched_only: bool = True
     most_patches: int | None = 640
     is_fallback: bool = True
-    most_rows: int | None = 512
+    most_rows: int | None = 768
     is_squared: bool = False
     upsampling: Upsampling = "sampled"
     sigma: float = SIGMA_MM

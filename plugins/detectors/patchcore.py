@@ -60,7 +60,7 @@ class PatchcoreParameters:
     is_touched_only: bool = True
     coreset_fraction: float = 0.1
     most_patches: int | None = 16384
-    most_rows: int | None = 512
+    most_rows: int | None = 1024
     is_coreset_exact: bool = True
     is_squared: bool = False
     image_score: Literal["map", "patches"] = "map"

@@ -56,10 +56,8 @@ WHOLE: dict[str, tuple[Any, dict[str, object]]] = {
 MAY_LOSE = 0.005
 # Where the budget is missed: what was measured, rounded up. docs/detectors.md says which setting costs it.
 LOSES = {
-    ("shipped", "spade"): 0.010,
-    ("shipped", "inreach"): 0.008,
-    ("shipped", "patchcore"): 0.013,
-    ("random", "patchcore"): 0.033,
+    ("shipped", "patchcore"): 0.008,
+    ("random", "patchcore"): 0.025,
 }
 
 
