@@ -94,6 +94,7 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     import json
     import sqlite3
     import time
+    from itertools import groupby
 
     path = station_config(tmp_path, recording, bundle, sinks=JSONL % (tmp_path / "out"), loop=True)
     log = tmp_path / "out" / "messages.jsonl"
@@ -121,5 +122,7 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     messages = [json.loads(line) for line in log.read_text().splitlines()]
     states = [message["payload"]["state"] for message in messages if message["topic"] == "state"]
 
-    assert states[states.index("halted") :] == ["halted", "starting", "ready", "stopped"]
+    # What a start waits for may change on the way: a slow one finds the gel pressed when it first looks.
+    told = [state for state, _ in groupby(states[states.index("halted") :])]
+    assert told == ["halted", "starting", "ready", "stopped"]
     assert gateway.summary.presses == 1
