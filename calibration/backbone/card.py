@@ -50,6 +50,7 @@ _OPTIONS = {
     "rank": "rank_weight",
     "window-mm": "window_mm",
     "finest-weight": "finest_weight",
+    "distance": "distance",
     "max-rate": "max_rate",
     "high-resolution": "high_resolution",
     "precision": "precision",

@@ -25,6 +25,7 @@ def train_backbone(
         float, typer.Option(help="half width of the window where a cell's partner is looked for", min=0)
     ] = 0.5,
     finest_weight: Annotated[float, typer.Option(help="weight of layer1 beside 1 of each other stage")] = 2.0,
+    distance: Annotated[str, typer.Option(help="between features: euclidean or cosine")] = "euclidean",
     max_rate: Annotated[float, typer.Option(help="peak of the one-cycle learning rate")] = 2e-3,
     high_resolution: Annotated[
         float, typer.Option(help="share of batches at the spacing of 1280x720", min=0, max=1)
@@ -63,6 +64,7 @@ def train_backbone(
         "rank_weight": rank,
         "window_mm": window_mm,
         "finest_weight": finest_weight,
+        "distance": distance,
         "max_rate": max_rate,
         "high_resolution": high_resolution,
         "start": weights_sha256(start) if start else "",

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from calibration.backbone.presses import Pairs
-from calibration.backbone.recipe import STAGES, Recipe
+from calibration.backbone.recipe import STAGES, Distance, Recipe
 from calibration.backbone.render import Spacing, slopes
 
 __all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation", "window_cells"]
@@ -54,7 +54,7 @@ def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Recip
         target = F.avg_pool2d(geometry, stride)
         wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
         reach = window_cells(recipe.window_mm, stride, batch.spacing)
-        distance = cell_distances(features, reach)
+        distance = cell_distances(features, reach, recipe.distance)
         changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
         pair = _pair(distance, changed, unchanged, recipe.margin)
         parts.append(torch.stack([wrong, *pair, _rank(distance, changed, unchanged)]))
@@ -75,22 +75,33 @@ def window_cells(window_mm: float, stride: int, spacing: Spacing) -> tuple[int, 
     return y, x
 
 
-def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0)) -> Tensor:
-    """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns), 0 to 2.
+def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Distance = "euclidean") -> Tensor:
+    """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
 
-    Features count by their direction. reach: rows and columns to either side of its own place where the nearest may
-    lie, as a detector looks for it; outside the map there is nothing.
+    kind: `euclidean` compares features as they are, in units of their root mean square length over the batch, which is
+    what detectors do; `cosine` compares unit vectors, 0 to 2. reach: rows and columns to either side of its own place where the nearest may lie, as
+    a detector looks for it; outside the map there is nothing.
     """
-    first, second = F.normalize(features.float(), dim=1).chunk(2)
+    features = features.float()
+    if kind == "cosine":
+        features = F.normalize(features, dim=1)
+    else:
+        features = features / (features.square().sum(dim=1).mean() + 1e-12).sqrt()
+    first, second = features.permute(0, 2, 3, 1).chunk(2)
     down, across = reach
-    wide = F.pad(first, (across, across, down, down))
-    rows, columns = first.shape[-2:]
-    alike = torch.full_like(second[:, 0], -1.0)
+    rows, columns = second.shape[1:3]
+    margins = (across, across, down, down)
+    wide = F.pad(first, (0, 0, *margins))
+    length = F.pad(first.square().sum(dim=-1), margins, value=1e6)
+    window = torch.arange(columns)[:, None] + torch.arange(2 * across + 1)
+    window = window.to(features.device).expand(*second.shape[:2], -1, -1)
+    nearest = torch.full_like(second[..., 0], 1e6)
+    # Every column of a row against every column of the row beside it: far quicker than one shift at a time.
     for top in range(2 * down + 1):
-        for left in range(2 * across + 1):
-            there = wide[:, :, top : top + rows, left : left + columns]
-            alike = torch.maximum(alike, (there * second).sum(dim=1))
-    return torch.sqrt((2 - 2 * alike).clamp(min=0) + 1e-6)
+        beside = slice(top, top + rows)
+        apart = length[:, beside, None] - 2 * (second @ wide[:, beside].mT)
+        nearest = torch.minimum(nearest, apart.gather(-1, window).amin(dim=-1))
+    return torch.sqrt((second.square().sum(dim=-1) + nearest).clamp(min=0) + 1e-6)
 
 
 def changed_cells(change_mm: Tensor, stride: int, recipe: Recipe) -> tuple[Tensor, Tensor]:

@@ -9,9 +9,10 @@ from typing import Literal
 
 from edge.core.errors import ConfigError
 
-__all__ = ["STAGES", "Recipe"]
+__all__ = ["STAGES", "Distance", "Recipe"]
 
 STAGES = ("layer1", "layer2", "layer3")
+Distance = Literal["cosine", "euclidean"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Recipe:
     margin: the distance, 0 to 2, that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
     more is a change, one that differs by less is none, and what lies between is not judged. window_mm: half width of
     the window where a cell's partner is looked for, 0 for its own place. finest_weight: of layer1 beside 1 of each
-    other stage. high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
+    other stage. distance: `euclidean` between features as they are, `cosine` between their directions alone. high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
     start: SHA-256 of the weights of another run that this one begins with, empty to begin at random.
     """
 
@@ -42,6 +43,7 @@ class Recipe:
     unchanged_mm: float = 0.004
     window_mm: float = 0.5
     finest_weight: float = 2.0
+    distance: Distance = "euclidean"
     high_resolution: float = 0.25
     precision: Literal["float32", "bfloat16"] = "bfloat16"
     start: str = ""
@@ -61,6 +63,8 @@ class Recipe:
             raise ConfigError(
                 f"window_mm is at least 0 and finest_weight positive, found {self.window_mm} and {self.finest_weight}"
             )
+        if self.distance not in ("cosine", "euclidean"):
+            raise ConfigError(f"distance is cosine or euclidean, found '{self.distance}'")
         if self.precision not in ("float32", "bfloat16"):
             raise ConfigError(f"precision is float32 or bfloat16, found '{self.precision}'")
 

@@ -138,7 +138,7 @@ class _Learner:
                     stride = self.recipe.side // features.shape[-1]
                     cells = changed_cells(batch.change_mm, stride, self.recipe)
                     reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
-                    distance = cell_distances(features, reach)
+                    distance = cell_distances(features, reach, self.recipe.distance)
                     found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
         joined = {s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in found.items()}
         return {f"recall_fpr01_{stage}": separation(*columns) for stage, columns in joined.items()}

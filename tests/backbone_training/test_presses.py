@@ -14,7 +14,7 @@ from calibration.backbone.draws import draws_for
 from calibration.backbone.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.backbone.parts import draw_parts
 from calibration.backbone.presses import TRAINING_UNITS, Pairs, draw_pairs
-from calibration.backbone.recipe import Recipe
+from calibration.backbone.recipe import Distance, Recipe
 from calibration.simulator import gel, look, optics
 from calibration.simulator.field import LR, Field, grids
 
@@ -122,23 +122,49 @@ def test_changed_and_unchanged_cells_never_meet() -> None:
     assert math.isnan(separation(distance, torch.zeros_like(changed), unchanged))
 
 
-def test_distances_are_of_unit_features() -> None:
+def test_cosine_distances_are_of_unit_features() -> None:
     """Opposite features are 2 apart whatever their lengths, equal directions 0."""
     first = torch.ones(1, 4, 2, 2)
-    far = cell_distances(torch.cat([first, -3 * first]))
-    near = cell_distances(torch.cat([first, 7 * first]))
+    far = cell_distances(torch.cat([first, -3 * first]), kind="cosine")
+    near = cell_distances(torch.cat([first, 7 * first]), kind="cosine")
     assert torch.allclose(far, torch.full_like(far, 2.0), atol=1e-3)
     assert float(near.max()) < 2e-3
 
 
-def test_a_shift_within_the_window_costs_nothing() -> None:
+def test_euclidean_distances_are_in_units_of_the_features_own_length() -> None:
+    """Features 1 and 7 times a vector are 6 of 5 root mean squares apart, whatever the vector's length."""
+    first = torch.ones(1, 4, 2, 2)
+    for scale in (1e-3, 1.0, 1e3):
+        found = cell_distances(scale * torch.cat([first, 7 * first]))
+        assert torch.allclose(found, torch.full_like(found, 6 / 5), atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["cosine", "euclidean"])
+def test_a_shift_within_the_window_costs_nothing(kind: Distance) -> None:
     """A cell moved by one column is found at distance 0 one column away, not beyond the window nor outside the map."""
     cells = torch.rand(2, 8, 6, 6, generator=torch.Generator().manual_seed(0))
     moved = torch.cat([cells, cells.roll(1, 3)])
-    assert float(cell_distances(moved, (0, 1))[:, :, 1:].max()) < 2e-3
-    assert float(cell_distances(moved, (1, 0)).min()) > 0.1
+    assert float(cell_distances(moved, (0, 1), kind)[:, :, 1:].max()) < 2e-3
+    assert float(cell_distances(moved, (1, 0), kind).min()) > 0.1
     # What left at the right came in at the left, where it has no neighbour within one column.
-    assert float(cell_distances(moved, (0, 1))[:, :, 0].min()) > 0.1
+    assert float(cell_distances(moved, (0, 1), kind)[:, :, 0].min()) > 0.1
+
+
+@pytest.mark.parametrize("kind", ["cosine", "euclidean"])
+@pytest.mark.parametrize("reach", [(0, 0), (1, 2), (3, 0)])
+def test_distances_agree_with_a_search_in_float64(reach: tuple[int, int], kind: Distance) -> None:
+    """Against the plain search over every place of the window."""
+    features = torch.rand(4, 6, 5, 7, generator=torch.Generator().manual_seed(1))
+    found = cell_distances(features, reach, kind).numpy()
+    wide = features.double().numpy()
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    first, second = np.split(wide / (length if kind == "cosine" else np.sqrt((length**2).mean())), 2)
+    for n, row, column in np.ndindex(*found.shape):
+        rows = slice(max(0, row - reach[0]), row + reach[0] + 1)
+        columns = slice(max(0, column - reach[1]), column + reach[1] + 1)
+        apart = first[n, :, rows, columns] - second[n, :, row, column, None, None]
+        nearest = np.sqrt((apart**2).sum(axis=0).min() + 1e-6)
+        assert abs(found[n, row, column] - nearest) < 1e-5
 
 
 def test_the_window_keeps_its_width_in_mm() -> None:
