@@ -21,10 +21,11 @@ class Recipe:
 
     seed: of weights and of every batch. steps, pairs, side: optimiser steps, pairs per step, pixels per side.
     The weights of the three losses: 0 leaves one out. max_rate: the peak of the one-cycle learning rate.
-    margin: the distance, 0 to 2, that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
+    margin: the distance that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
     more is a change, one that differs by less is none, and what lies between is not judged. window_mm: half width of
     the window where a cell's partner is looked for, 0 for its own place. finest_weight: of layer1 beside 1 of each
-    other stage. distance: `euclidean` between features as they are, `cosine` between their directions alone. high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
+    other stage. distance: `euclidean` between features as they are, `cosine` between their directions alone.
+    high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
     start: SHA-256 of the weights of another run that this one begins with, empty to begin at random.
     """
 
