@@ -10,7 +10,7 @@ import os
 import random
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -38,6 +38,9 @@ BACKOFF_CEILING_S: Final = 5.0
 
 # What a sink refused is offered again this often: permissions get repaired, size limits raised.
 OFFER_REFUSED_S: Final = 3600.0
+
+# A sink's last send and its `close` come back within this time; shipped sinks need less than a second.
+CLOSE_S: Final = 5.0
 
 OnChange = Callable[[str, bool, str], None]
 """(sink name, whether it takes messages now, one sentence). Called on changes only, from the lane's thread."""
@@ -260,18 +263,33 @@ class Publisher:
         """
         self._stopping.set()
         self.wake()
-        deadline = time.monotonic() + drain_s
-        for thread in self._started():
-            thread.join(max(0.0, deadline - time.monotonic()))
-        for name, sink in self._sinks.items():
-            try:
-                sink.close()  # a send that still waits ends with SinkUnavailable
-            except Exception:  # the other sinks are closed all the same
-                log.exception("sink %s: a fault in its plugin while it was closed", name)
-        for thread in self._started():
-            thread.join()
+        _join(self._started(), drain_s)
+        # A send that still waits ends with SinkUnavailable when its sink is closed. Each is closed in a thread of its
+        # own: one that never comes back must not keep the others open.
+        closers = [
+            threading.Thread(target=self._close, args=(name,), name=f"close-{name}", daemon=True)
+            for name in self._sinks
+        ]
+        for closer in closers:
+            closer.start()
+        _join([*closers, *self._started()], CLOSE_S)
+        stuck = [thread.name for thread in (*closers, *self._started()) if thread.is_alive()]
+        if stuck:
+            # What they hold stays theirs until the process ends: another publisher would overtake them.
+            log.error(
+                "%s did not come back within %g s, a fault in the plugin; what it has not taken stays in the outbox",
+                ", ".join(stuck),
+                CLOSE_S,
+            )
+            return
         self._outbox.close()
         self._lock.close()
+
+    def _close(self, name: str) -> None:
+        try:
+            self._sinks[name].close()
+        except Exception:
+            log.exception("sink %s: a fault in its plugin while it was closed", name)
 
     def _started(self) -> list[threading.Thread]:
         return [thread for thread in self._threads if thread.ident is not None]
@@ -293,6 +311,13 @@ class Publisher:
                 self._wakes[lane.name].wait(pause_s)
             else:
                 self._stopping.wait(pause_s)
+
+
+def _join(threads: Sequence[threading.Thread], seconds: float) -> None:
+    """Wait for all of them, together at most so long."""
+    deadline = time.monotonic() + seconds
+    for thread in threads:
+        thread.join(max(0.0, deadline - time.monotonic()))
 
 
 class PublisherLock:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
+import edge.publisher
 from edge.announcements import Announcements
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Message
 from edge.messages import ALARMS, StatePayload, state_message
 from edge.outbox import Outbox
-from edge.publisher import IDLE_S, OFFER_REFUSED_S, Lane, Publisher
+from edge.publisher import IDLE_S, OFFER_REFUSED_S, Lane, Publisher, PublisherLock
 from edge.store import MakeMessages, Press, Store
 
 MakePress = Callable[..., Press]
@@ -434,6 +435,57 @@ def test_stopping_while_a_sink_is_away_keeps_its_rows(
     running.start()
     running.stop(drain_s=20)
     assert [r["is_replayed"] for r in sink.results()] == [True]
+
+
+@pytest.mark.parametrize("hangs_in", ["send", "close"])
+def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
+    store: Store,
+    path: Path,
+    make_press: MakePress,
+    messages_of: MessagesOf,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    hangs_in: str,
+) -> None:
+    """`stop` ends, says whom it waited for, and has closed the others; the rows wait for the next process."""
+    monkeypatch.setattr(edge.publisher, "CLOSE_S", 0.5)
+    is_hanging, is_over = threading.Event(), threading.Event()
+
+    class Hanging(ScriptedSink):
+        def send(self, message: Message) -> None:
+            if hangs_in == "send":
+                is_hanging.set()
+                is_over.wait(20)
+            super().send(message)
+
+        def close(self) -> None:
+            if hangs_in == "close":
+                is_hanging.set()
+                is_over.wait(20)
+            super().close()
+
+    sound = ScriptedSink()
+    running = publisher(path, hanging=Hanging(), sound=sound)
+    record(store, messages_of, make_press(1))
+    running.start()
+    if hangs_in == "send":
+        assert is_hanging.wait(20)
+    running.stop(drain_s=0.5)
+
+    assert is_hanging.is_set()
+    assert not is_over.is_set()
+    assert sound.is_closed
+    assert len(sound.results()) == 1
+    stuck = {"send": "publish-hanging", "close": "close-hanging"}[hangs_in]
+    assert f"{stuck} did not come back within 0.5 s" in caplog.text
+    if hangs_in == "send":
+        with Outbox(path) as outbox:
+            assert outbox.status().rows > 0
+    with pytest.raises(StoreError, match="another gelgate process publishes"):
+        PublisherLock(path)
+    is_over.set()
+    running.stop()
+    PublisherLock(path).close()
 
 
 def test_a_second_publisher_of_the_same_database_is_refused(store: Store, path: Path) -> None:
