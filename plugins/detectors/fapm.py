@@ -14,8 +14,7 @@ farthest away, the upper tenth of the cells of each layer (the seed scripts' rul
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
+from plugins.detectors.fapm_parameters import PAPER, REPAIRS, FapmParameters
 from plugins.detectors.maths.free_gel import gel_mean, gel_weight, touched_places
 from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, tile_grid
 from plugins.detectors.maths.prototypes import (
@@ -33,8 +33,8 @@ from plugins.detectors.maths.prototypes import (
     emit_prototype_distances,
     prototype_distances,
 )
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
-from plugins.detectors.maths.weighting import Weighting, emit_first, emit_weighted, softmax_weight
+from plugins.detectors.maths.smoothing import emit_scores
+from plugins.detectors.maths.weighting import emit_first, emit_weighted, softmax_weight
 from plugins.graph import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
@@ -46,130 +46,10 @@ FINE_SIDE, COARSE_SIDE = 4, 2
 # the highest scores: on two simulated parts AU-PRO@0.01 was 0.15 and 0.00 at 0.05, 0.11 and 0.19 at 0.75, 0.05 and
 # 0.13 uncalibrated (layer2 and layer3 of untrained weights).
 SCALE_FLOOR_QUANTILE = 0.75
-# The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
-SIGMA_MM = PAPER_SIGMA_PX / 15.77
 # Bytes of a number as stored.
 BYTES: Mapping[Packing, int] = {"none": 4, "float16": 2, "int8": 1}
 # int8 keeps one float32 scale per row.
 SCALE_BYTES = 4
-
-
-@dataclass(frozen=True)
-class FapmParameters:
-    """What FAPM can be told; every repair is a switch of its own.
-
-    Measured as mean AU-PRO up to 1 % false positives and image AUROC on the development set (six random simulated
-    parts, 24 nominal presses each), with tactile_resnet18 and, in brackets, untrained ResNet-18.
-
-    layers: a fine and a coarse tap, or one alone, which then is the fine one. layer1: 0.762, 0.992 (0.637); with layer2
-    added at half its weight 0.728, 0.989 (0.559); layer2 with layer3 0.485, 0.973. pooling: cells along one side that a
-    descriptor is averaged over, an odd number. Calibrated, 3 stood at 0.710 (0.524) and 1 at 0.721 (0.633).
-    banks: `location` keeps prototypes for each place (the seed paper), `cell` shares them
-    among the sub-patches of a cell (the official code), which tolerates a shifted press. near_fraction, far_factor:
-    prototypes kept, and how many times more in far cells; 0.05 stood at 0.763, 0.986 (0.622), 0.2 at 0.761, 0.992
-    (0.639). far_quantile: which cells are far. neighbours: nearest prototypes that a weighting looks at.
-    fusion: `quadrants` gives each fine sub-patch the coarse one above it, `rows` is the published layout, which gives
-    half of them another quadrant's. is_calibrated: distances are divided by the cell's median distance between a
-    nominal press and the prototypes of others: 0.721, 0.982 (0.633) with it.
-    weighting: what multiplies the press's largest distance: `none` takes the maximum of the score map, `largest` is the
-    published weight from the farthest of the neighbours, `nearest` the one of PatchCore's paper.
-    is_softmax_stable: the weight survives distances above 88. is_single_unweighted: no weight where there is but one
-    neighbour, instead of the weight 0. is_touched_only: cells that no nominal press touches (within margin_mm) keep no
-    prototypes and are compared with the mean of the free gel.
-    sigma: the blur, in `sigma_unit`. is_sampled: a cell's distance is drawn where its convolution looks, its top left
-    pixel. packing: of the prototypes; `auto` is the finest that stays within bank_mb megabytes (at 224x224, up to four
-    times as many for larger frames), and lowers near_fraction where even int8 does not.
-    """
-
-    mode: Mode = "corrected"
-    layers: tuple[str, ...] = ("layer1",)
-    pooling: int = 1
-    banks: Literal["location", "cell"] = "cell"
-    near_fraction: float = 0.10
-    far_factor: float = 2.0
-    far_quantile: float = 0.9
-    neighbours: int = 4
-    fusion: Literal["quadrants", "rows"] = "quadrants"
-    is_calibrated: bool = False
-    weighting: Weighting = "none"
-    is_softmax_stable: bool = True
-    is_single_unweighted: bool = True
-    is_touched_only: bool = True
-    margin_mm: float = 1.0
-    sigma: float = SIGMA_MM
-    sigma_unit: Literal["mm", "px"] = "mm"
-    is_sampled: bool = True
-    packing: Packing | Literal["auto"] = "auto"
-    bank_mb: float = 16.0
-
-    def __post_init__(self) -> None:
-        if len(self.layers) not in (1, 2) or len(set(self.layers)) != len(self.layers):
-            raise ValueError(f"layers are a fine and a coarse tap, or one alone, found {self.layers}")
-        if self.pooling < 1 or self.pooling % 2 == 0:
-            raise ValueError(f"pooling is an odd number of cells, found {self.pooling}")
-        if not (0 < self.near_fraction <= 1 and self.far_factor >= 1 and 0 <= self.far_quantile <= 1):
-            raise ValueError(
-                "near_fraction lies in (0, 1], far_factor is at least 1 and far_quantile lies in [0, 1], "
-                f"found {self.near_fraction}, {self.far_factor}, {self.far_quantile}"
-            )
-        if self.neighbours < 1 or not self.bank_mb > 0:
-            raise ValueError(
-                f"neighbours is at least 1 and bank_mb positive, found {self.neighbours}, {self.bank_mb}"
-            )
-        for name in ("sigma", "margin_mm"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"{name} is at least 0, found {getattr(self, name)}")
-        for name, known in (
-            ("banks", ("location", "cell")),
-            ("fusion", ("quadrants", "rows")),
-            ("weighting", ("none", "largest", "nearest")),
-            ("sigma_unit", ("mm", "px")),
-            ("packing", ("auto", "none", "float16", "int8")),
-        ):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} is one of {', '.join(known)}, found '{getattr(self, name)}'")
-
-    @property
-    def looked_at(self) -> int:
-        """Nearest prototypes measured: one where nothing weighs them."""
-        return 1 if self.weighting == "none" else self.neighbours
-
-    def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
-        cells = grid.taps[self.layers[0]][1:]
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)
-
-
-PAPER = FapmParameters(
-    mode="paper",
-    layers=("layer2", "layer3"),
-    pooling=3,
-    banks="location",
-    fusion="rows",
-    is_calibrated=False,
-    weighting="largest",
-    is_softmax_stable=False,
-    is_single_unweighted=False,
-    is_touched_only=False,
-    sigma=PAPER_SIGMA_PX,
-    sigma_unit="px",
-    is_sampled=False,
-    packing="none",
-)
-
-
-REPAIRS = (
-    "banks",
-    "fusion",
-    "is_calibrated",
-    "weighting",
-    "is_softmax_stable",
-    "is_single_unweighted",
-    "is_touched_only",
-    "is_sampled",
-)
-"""The switches that set the corrected mode apart; the others are operating points."""
 
 
 class Fapm:

@@ -20,7 +20,13 @@ from plugins.detectors.choices import choose, repaired, require_fittable, requir
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.descriptor import Descriptor, Kind
 from plugins.detectors.maths.patchbank import PatchBank, drawn
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling, emit_scores
+from plugins.detectors.maths.smoothing import (
+    PAPER_SIGMA_MM,
+    PAPER_SIGMA_PX,
+    Smoothing,
+    Upsampling,
+    emit_scores,
+)
 from plugins.graph import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
@@ -28,8 +34,6 @@ __all__ = ["PatchcoreParameters", "patchcore"]
 # patchcore/sampler.py: the approximate greedy search works in so many random dimensions, from so many random points.
 PROJECTION_DIMS = 128
 STARTING_POINTS = 10
-# The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
-SIGMA_MM = PAPER_SIGMA_PX / 15.77
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class PatchcoreParameters:
     is_coreset_exact: bool = True
     is_squared: bool = False
     image_score: Literal["map", "patches"] = "map"
-    sigma: float = SIGMA_MM
+    sigma: float = PAPER_SIGMA_MM
     sigma_unit: Literal["mm", "px"] = "mm"
     is_sampled: bool = True
     packing: Packing = "float16"

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from edge.core.detector import Grid, Mode, Packing
 from plugins.detectors.maths.descriptor import resampling_matrix
 from plugins.detectors.maths.mosaic import layout, tile_grid
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, Upsampling
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling
 from plugins.detectors.maths.window import Blocks
 
 __all__ = ["CHUNK", "PAPER", "REPAIRS", "SpadeParameters"]
 
 # SPADE-pytorch src/main.py @077c67b: the gallery is scanned in chunks of this many cells.
 CHUNK = 100
-# The paper's four pixels at 320x240, where a millimetre is 15.77 pixels.
-SIGMA_MM = PAPER_SIGMA_PX / 15.77
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class SpadeParameters:
     is_squared: bool = False
     is_touched_only: bool = True
     margin_mm: float = 1.0
-    sigma: float = SIGMA_MM
+    sigma: float = PAPER_SIGMA_MM
     sigma_unit: Literal["mm", "px"] = "mm"
     is_sampled: bool = True
     packing: Packing = "int8"

@@ -26,8 +26,7 @@ from plugins.detectors.maths.embedding import (
     learn_embedding,
 )
 from plugins.detectors.maths.lowrank import RELATIVE_CUT
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, emit_scores
-from plugins.detectors.padim import SIGMA_MM
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, emit_scores
 from plugins.graph import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
@@ -50,7 +49,7 @@ class SubspaceParameters:
     is_sampled: bool = True
     variance: float = 0.99
     most_rank: int = 192
-    sigma: float = SIGMA_MM
+    sigma: float = PAPER_SIGMA_MM
     sigma_unit: Literal["mm", "px"] = "mm"
 
     def __post_init__(self) -> None:

@@ -16,7 +16,8 @@ from edge.core.detector import Nominal
 from edge.runtime import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
-from plugins.detectors.inreach import PAPER_TAPS, inreach
+from plugins.detectors.inreach import inreach
+from plugins.detectors.inreach_parameters import PAPER_TAPS
 
 pytestmark = pytest.mark.bench
 

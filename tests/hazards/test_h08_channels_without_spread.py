@@ -8,7 +8,8 @@ without the stray distance the second keeps no channel.
 import numpy as np
 from heads import fit, grid, presses_of
 
-from plugins.detectors.inreach import Channels, inreach, prune
+from plugins.detectors.inreach import inreach
+from plugins.detectors.inreach_channels import Channels, prune
 
 
 def channels_of(rows: np.ndarray) -> Channels:

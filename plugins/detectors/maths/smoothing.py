@@ -20,6 +20,7 @@ from edge.core.tiles import Tiles
 from plugins.graph import Graph, Value
 
 __all__ = [
+    "PAPER_SIGMA_MM",
     "PAPER_SIGMA_PX",
     "Smoothing",
     "Upsampling",
@@ -35,6 +36,8 @@ top left pixel, which is where strided convolutions with symmetric padding look:
 
 # The blur of the published implementations, in pixels of a 224 crop (SPADE-pytorch, PaDiM, FAPM).
 PAPER_SIGMA_PX = 4.0
+# The same at 320x240, where a millimetre is 15.77 pixels.
+PAPER_SIGMA_MM = PAPER_SIGMA_PX / 15.77
 # scipy.ndimage.gaussian_filter cuts its kernel at four sigma.
 TRUNCATE = 4.0
 
