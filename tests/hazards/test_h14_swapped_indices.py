@@ -1,7 +1,7 @@
 """H14: the two patch numbers of a match are read in the wrong order, and channels hold unrelated patches.
 
-Guard: `is_index_right` in `plugins/detectors/inreach_channels.py`. Checked by removal: with the swap left on, the purity of
-channels under a shift of one cell is 0.37, and the first test fails.
+Guard: `is_index_right` in `plugins/detectors/inreach_channels.py`. Checked by removal: with the swap left on, the
+purity of channels under a shift of one cell is 0.37, and the first test fails.
 """
 
 import numpy as np
