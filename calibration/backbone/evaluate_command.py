@@ -25,7 +25,8 @@ def evaluate_backbone(
     tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
     screws: Annotated[Path | None, typer.Option(help="folder of screw pictures in MVTec's layout")] = None,
     only: Annotated[
-        list[str] | None, typer.Option("--set", help="only this set of trials; may be given several times")
+        list[str] | None,
+        typer.Option("--set", help="only this set of trials, for every trunk; may be given several times"),
     ] = None,
     methods: Annotated[
         list[str] | None,
@@ -85,7 +86,7 @@ def evaluate_backbone(
 def _chosen_sets(
     tactile: Path | None, screws: Path | None, only: list[str], trials: int
 ) -> dict[str, "EvaluationSet"]:
-    """Errors: ConfigError for an unknown set."""
+    """The sets to compare on; one that is named is brief for nobody. Errors: ConfigError for an unknown set."""
     from dataclasses import replace
 
     from calibration.backbone.evaluation_sets import SETS, evaluation_sets
@@ -97,7 +98,7 @@ def _chosen_sets(
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
     sets = evaluation_sets(tactile, screws)
     return {
-        name: replace(chosen, trials=chosen.trials[: trials or None])
+        name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
         if name in (only or SETS)
     }

@@ -25,7 +25,7 @@ TRAINING_UNITS = ("unit_a", "unit_b")
 _MM_PER_PX = 0.0634
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
-_MARKER_SHARE = 0.12
+_MARKER_SHARE = 0.2
 # Cameras compress; what is recorded without loss does not.
 _JPEG_SHARE = 0.7
 _JPEG_QUALITY = (75.0, 96.0)

@@ -12,6 +12,8 @@ from edge.core.errors import ConfigError
 __all__ = ["STAGES", "Distance", "Recipe"]
 
 STAGES = ("layer1", "layer2", "layer3")
+# What runs did before these settings existed, which their files do not say.
+_BEFORE = {"window_mm": 0.0, "finest_weight": 1.0, "distance": "cosine", "start": ""}
 Distance = Literal["cosine", "euclidean"]
 
 
@@ -90,7 +92,7 @@ class Recipe:
             raise ConfigError(
                 f"a recipe with the unknown settings {', '.join(unknown)}: it is from another version"
             )
-        return cls(**given)
+        return cls(**(_BEFORE | given))
 
     @classmethod
     def kinds(cls) -> dict[str, type]:

@@ -167,9 +167,13 @@ class Spade:
 
 
 def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.float64]:
-    """Global descriptors (n, d)."""
-    means = [features[tap].mean(axis=(2, 3), dtype=np.float64) for tap in p.descriptor_taps(grid)]
-    return np.concatenate(means, axis=1)
+    """Global descriptors (n, d), float64."""
+    found = []
+    for tap in p.descriptor_taps(grid):
+        down, across = p.regions_of(grid, tap)
+        means = down @ features[tap].astype(np.float64) @ across.T
+        found.append(means.reshape(len(means), -1))
+    return np.concatenate(found, axis=1)
 
 
 def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:

@@ -45,9 +45,13 @@ def _emit_press_order(
     graph: Graph, taps: Mapping[str, Value], grid: Grid, p: SpadeParameters
 ) -> tuple[Value, Value]:
     """Squared distances (n, k) to the nearest presses, rising, and their numbers."""
-    names = p.descriptor_taps(grid)
-    width = sum(grid.taps[tap][0] for tap in names)
-    means = [graph.op("ReduceMean", taps[tap], graph.ints(2, 3), keepdims=0) for tap in names]
+    means, width = [], 0
+    for tap in p.descriptor_taps(grid):
+        down, across = (np.asarray(matrix, np.float32) for matrix in p.regions_of(grid, tap))
+        size = grid.taps[tap][0] * len(down) * len(across)
+        beside = graph.op("MatMul", taps[tap], graph.constant(np.ascontiguousarray(across.T)))
+        means.append(graph.reshape(graph.op("MatMul", graph.constant(down), beside), -1, size))
+        width += size
     described = graph.op(
         "Sub",
         graph.op("Concat", *means, axis=1) if len(means) > 1 else means[0],

@@ -13,9 +13,15 @@ from typer.testing import CliRunner
 from calibration.backbone import evaluate_command, evaluation_pictures
 from calibration.backbone.card import evaluation_tables
 from calibration.backbone.evaluation import evaluate, random_trunk
-from calibration.backbone.evaluation_pictures import BALLS, ball_trial, screw_trial
+from calibration.backbone.evaluation_pictures import (
+    BALLS,
+    REGISTERED_BALLS,
+    ball_trial,
+    registered_ball_trial,
+    screw_trial,
+)
 from calibration.backbone.evaluation_presses import PARTS, Sizes, development_trial, part_trial
-from calibration.backbone.evaluation_sets import SETS, EvaluationSet, Trial, evaluation_sets
+from calibration.backbone.evaluation_sets import REGION, SETS, EvaluationSet, Trial, evaluation_sets
 from calibration.backbones import open_trunk
 from calibration.presses import NominalPresses
 from calibration.simulator.field import LR, Field, grids
@@ -172,7 +178,9 @@ def test_an_edit_changes_its_place_alone() -> None:
     background = np.full((240, 320, 3), 120, np.uint8)
     press = background.copy()
     press[100:140, 140:180] = 160
-    edited, mask = evaluation_pictures._edited(press, background, np.random.default_rng(0))
+    edited, mask = evaluation_pictures._edited(
+        press, background, REGION, (0.05, 0.12), np.random.default_rng(0)
+    )
     assert mask.any()
     assert (edited != press).any()
     row, column = (axis.mean() for axis in np.nonzero(mask))
@@ -189,6 +197,20 @@ def test_real_balls_are_learnt_and_edited(real_tactile: Path) -> None:
     assert own.sum() == 2 * damaged.sum() == 14
     assert found.is_foreign.sum() > 10
     assert not damaged[found.is_foreign].any()
+
+
+def test_registered_balls_lie_in_the_middle(real_tactile: Path) -> None:
+    """Every cut has its contact at its centre; no held-out press is learnt; each is damaged at three places."""
+    found = registered_ball_trial(real_tactile, REGISTERED_BALLS[0])
+    damaged = found.masks.any(axis=(1, 2))
+    assert len(found.nominal) == 14
+    assert found.frames.shape[1:] == (96, 96, 3)
+    assert damaged.tolist() == [False] * 6 + [True] * 18
+    learnt = {frame.tobytes() for frame in found.nominal.frames}
+    assert not learnt & {frame.tobytes() for frame in found.frames}
+    rows, columns = np.nonzero(found.nominal.touched)
+    assert abs(rows.mean() - 47.5) < 3
+    assert abs(columns.mean() - 47.5) < 3
 
 
 def test_screws_are_shrunk_with_their_masks(real_tactile: Path) -> None:

@@ -11,8 +11,11 @@ import torch
 
 from calibration.backbone import package as packaging
 from calibration.backbone.card import card, page, write_card
+from calibration.backbone.checkpoint import Checkpoint, save
+from calibration.backbone.evaluation_sets import FORMAT
 from calibration.backbone.network import Trunk, state_arrays
-from calibration.backbone.recipe import STAGES
+from calibration.backbone.recipe import STAGES, Recipe
+from calibration.backbone.trials import joined
 from edge import cli
 from edge.core.errors import ConfigError
 from plugins.backbones.resnet import build_trunk
@@ -88,7 +91,7 @@ def evaluation(measures: dict[str, object]) -> dict[str, object]:
     """An evaluation file with one row, and a set that was left out."""
     row = {"backbone": "trained", "detector": "padim", "measures": measures}
     return {
-        "format": 2,
+        "format": FORMAT,
         "replicates": 200,
         "settings": {"padim": {"taps": ["layer1", "layer2"], "rank": 16, "channels": None}},
         "trunks": {"trained": {"sha256": "ab" * 32}, "pairs": {"sha256": "cd" * 32}},
@@ -121,17 +124,44 @@ def test_the_card_prints_no_evaluation_of_other_weights() -> None:
         assert "0.700" not in text
 
 
-def test_the_card_tells_what_was_tried() -> None:
-    """One row per trial under the measure's name; what was not measured is a dash."""
+def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
+    """One row per run: how its settings differ from those that ship, its numbers by method, and the means per set."""
+    save(tmp_path / "run", Checkpoint(Recipe(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
     rows = [
-        {"name": "wider", "settings": "width 96", "values": {"padim": 0.7512, "spade": None}},
-        {"name": "longer", "settings": "8000 steps", "values": {"padim": 0.76}},
+        {
+            "backbone": trunk,
+            "detector": name,
+            "measures": {"aupro_fpr01": {"value": value}, "image_auroc": {"value": 0.9}},
+        }
+        for trunk, name, value in (
+            ("longer", "padim", 0.7512),
+            ("longer", "spade", 0.7),
+            ("other", "padim", 0.1),
+        )
     ]
-    text = card(FACTS, None, {"format": 1, "measure": "AU-PRO up to 1 %", "rows": rows})
-    assert "## What was tried\n\nAU-PRO up to 1 %.\n\n| trial | settings | padim | spade |" in text
-    assert "| wider | width 96 | 0.751 | - |" in text
-    assert "| longer | 8000 steps | 0.760 | - |" in text
-    assert "What was tried" not in card(FACTS, None, {"format": 1, "measure": "", "rows": []})
+    found = {
+        "format": FORMAT,
+        "trunks": {"longer": {}, "other": {}},
+        "sets": {
+            "parts": {"title": "Unseen parts", "rows": rows},
+            "screws": {"title": "S", "missing": "none"},
+        },
+    }
+    tried = joined(found, {"longer": tmp_path / "run"}, {"longer": "on a Tuesday"})
+    facts = {**FACTS, "recipe": json.loads(Recipe(seed=0, steps=5).to_json())}
+    text = card(facts, None, tried)
+    assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
+    assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
+    assert "What was tried" not in card(facts, None, {**tried, "rows": []})
+    for runs, notes, sentence in (
+        ({"longer": tmp_path}, {"oter": "x"}, "no run and trunk is named oter; evaluated were longer, other"),
+        ({"shorter": tmp_path}, {}, "no run and trunk is named shorter"),
+        ({"other": tmp_path / "none"}, {}, "no checkpoint in"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            joined(found, runs, notes)
+    with pytest.raises(ConfigError, match="format 1, not"):
+        joined({**found, "format": 1}, {}, {})
 
 
 def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:

@@ -85,8 +85,8 @@ def test_every_set_was_evaluated() -> None:
 
 @pytest.mark.parametrize("name", ["random-parts", "parts", "sensor"])
 def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
-    """In the shipped evaluation every detector has a higher AU-PRO on unseen parts than with random weights, and int8
-    loses less than 0.005 of it in the mean of the detectors.
+    """In the shipped evaluation every detector has a higher AU-PRO on unseen parts than with random weights, and loses
+    less than 0.005 of it with the int8 trunk.
     """
     found = {
         (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"]
@@ -94,7 +94,4 @@ def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
     }
     for detector in DETECTORS:
         assert found["trained", detector] > found["random", detector]
-    trained, int8 = (
-        np.mean([found[name, detector] for detector in DETECTORS]) for name in ("trained", "trained_int8")
-    )
-    assert int8 > trained - 0.005
+        assert found["trained_int8", detector] > found["trained", detector] - 0.005

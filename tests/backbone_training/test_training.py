@@ -190,6 +190,13 @@ def test_recipes_refuse_nonsense(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_recipe_from_before_a_setting_keeps_its_meaning() -> None:
+    """A file that does not name them is of a run without window, with equal stages and unit features."""
+    old = Recipe.from_json('{"steps": 5, "side": 128}')
+    assert (old.window_mm, old.finest_weight, old.distance) == (0.0, 1.0, "cosine")
+    assert Recipe.from_json(Recipe().to_json()) == Recipe()
+
+
 def test_runs_where_only_torch_and_numpy_are(tmp_path: Path) -> None:
     """The module starts with onnx, onnxruntime, typer, pydantic, rich, sklearn and scipy blocked."""
     program = (

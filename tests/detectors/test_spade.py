@@ -65,6 +65,25 @@ def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
     assert oracle.score[0] < 1e-4 * foreign.score[0]
 
 
+def test_the_gallery_touches_the_same_places() -> None:
+    """Of a press and its mirror image, whose means over everything are one, the regions tell which is like the query.
+
+    The mirror image has the query's strength exactly, so the means of everything choose it.
+    """
+    left = {
+        tap: maps * (np.arange(maps.shape[3]) < maps.shape[3] // 2) for tap, maps in presses_of(1).items()
+    }
+    asked = {tap: np.float32(1.02) * maps for tap, maps in left.items()}
+    nominal = {tap: np.concatenate([maps, asked[tap][..., ::-1]]) for tap, maps in left.items()}
+    found = {}
+    for regions in (1, 4):
+        p = spade.parameters(regions=regions, pixel_neighbours=1, is_balanced=False, packing="none")
+        oracle, map_error, _ = parity(spade, p, nominal, asked, grid())
+        assert map_error < 1e-5
+        found[regions] = float(oracle.score[0])
+    assert found[4] < 0.1 * found[1]
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
     """A patch unlike anything nominal is found at its place, and raises the map's maximum."""
