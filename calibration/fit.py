@@ -25,6 +25,7 @@ from calibration.measure import (
     measured_tolerance,
     placeholders,
     provenance,
+    scatter_warnings,
     warnings,
 )
 from calibration.presses import NominalPresses
@@ -140,6 +141,7 @@ class _Fit:
             )  # refuses too few before any work is done
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
+        self.warnings += scatter_warnings(presses, recipe.profile, self.detector.name)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
 

@@ -10,6 +10,7 @@ import tiny
 
 from calibration.backbones import Trunk, open_trunk
 from calibration.fit import Recipe, fit_bundle, fit_files
+from calibration.measure import scatter_warnings
 from calibration.presses import NominalPresses
 from edge import registry
 from edge.bundle import Bundle
@@ -311,3 +312,25 @@ def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch
     deep = open_trunk("mine", ("layer2.0",))
     assert output_names(deep.graph) == ["layer2.0"]
     assert deep.facts["taps"] == ["layer2.0"]
+
+
+def test_presses_that_lie_anywhere_are_said_to_the_methods_that_mind() -> None:
+    """Contacts 8 mm apart: a warning for PaDiM, none for InReaCh, for a millimetre, or where no touch is known."""
+
+    class Padim(tiny.TinyDetector):
+        name = "padim"
+
+    wide = dataclasses.replace(tiny.PROFILE, pixels_per_mm=2.0)
+    anywhere, fixed = (
+        presses(4, touches=tuple(Touch(0.2, 0.5 + side * mm / 48, 0.5) for side in (-1, 1, -1, 1)))
+        for mm in (8.0, 1.0)
+    )
+    (said,) = scatter_warnings(anywhere, wide, "padim")
+    assert said.startswith(
+        "half of the contacts lie more than 4.0 mm from their common middle: padim compares"
+    )
+    assert "fit inreach" in said
+    for given, method in ((anywhere, "inreach"), (fixed, "padim"), (presses(4), "padim")):
+        assert scatter_warnings(given, wide, method) == []
+    warned = fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test").manifest
+    assert said in warned.provenance.warnings
