@@ -29,7 +29,8 @@ _LIMITS = (
     "threshold on presses of your own sensor.",
     "It has learnt from parts that are held to a few tenths of a millimetre, and to tell what differs by less from "
     "damage. Where parts lie anywhere, as the balls of the real presses do, methods that compare place with place find "
-    "little, and less the more it has learnt; InReaCh, which does not, finds more.",
+    "little, and less the more it has learnt: PaDiM fitted to them passed the imprint of a thread. InReaCh, which does "
+    "not, finds more; a fit of the others warns.",
     "Other widths, larger training frames and shallower damage were tried for 700 steps only, and one and a half times "
     "the width would not keep to 6 MB. Int8-aware training was not tried: it could give back no more than what the "
     "tables show between trained and trained_int8.",

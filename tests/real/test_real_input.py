@@ -1,7 +1,7 @@
 """The main job on real GelSight Mini frames: recorded, learnt, pressed on the virtual sensor, published.
 
-One ball at many places is no fixtured part, so what is asked of the verdicts is coarse; what is asked of the presses is
-exact: each is seen once, counted once and has its picture.
+One ball at many places is no fixtured part, so it is learnt by the method that is meant for that, and what is asked of
+the verdicts is coarse; what is asked of the presses is exact: each is seen once, counted once and has its picture.
 """
 
 import json
@@ -15,6 +15,7 @@ from station import JSONL, station_config
 
 from calibration.backbones import DEFAULT_BACKBONE, open_trunk
 from calibration.fit import Recipe, fit_bundle
+from calibration.measure import scatter_warnings
 from calibration.presses import read_presses
 from edge import registry
 from edge.clock import SystemClock
@@ -40,9 +41,12 @@ def unit(real_tactile: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording."""
+    """A station's configuration: a bundle from 24 real presses; 6 others and a thread are in its recording.
+
+    By InReaCh: methods that compare place with place pass the thread here, and a fit of theirs warns.
+    """
     folder = tmp_path_factory.mktemp("real")
-    detector = registry.load("detectors", "padim")
+    detector = registry.load("detectors", "inreach")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
@@ -86,6 +90,16 @@ def reports(station: Path) -> list[PressReport]:
     with Gateway.open(load_config(station), SystemClock(), found.append) as gateway:
         gateway.run(threading.Event())
     return found
+
+
+def test_a_fit_of_another_method_would_warn(unit: Path) -> None:
+    """These presses are what the warning is for."""
+    nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
+    presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
+    for method in ("padim", "spade", "fapm"):
+        (said,) = scatter_warnings(presses, PROFILE, method)
+        assert "hold the part at one place, or fit inreach" in said
+    assert scatter_warnings(presses, PROFILE, "inreach") == []
 
 
 def test_every_real_press_is_seen_and_counted_once(station: Path, reports: list[PressReport]) -> None:
