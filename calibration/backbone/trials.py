@@ -58,7 +58,7 @@ def _row(name: str, run: Path, note: str, sets: Mapping[str, Any]) -> dict[str, 
         "recipe": json.loads(trained.recipe.to_json()),
         "measures": {
             key: {
-                row["detector"]: {name: measure["value"] for name, measure in row["measures"].items()}
+                row["detector"]: {measure: found["value"] for measure, found in row["measures"].items()}
                 for row in of["rows"]
                 if row["backbone"] == name
             }

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from edge.core.detector import Grid, Mode, Packing
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
 from plugins.detectors.maths.weighting import Weighting
 
 __all__ = ["PAPER", "REPAIRS", "FapmParameters"]
@@ -92,7 +92,7 @@ class FapmParameters:
         return 1 if self.weighting == "none" else self.neighbours
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         cells = grid.taps[self.layers[0]][1:]
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
         return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)

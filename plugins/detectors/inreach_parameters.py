@@ -7,7 +7,7 @@ from typing import Literal
 from edge.core.detector import Grid, Mode, Packing
 from plugins.detectors.maths.descriptor import Descriptor, Kind
 from plugins.detectors.maths.patchbank import PatchBank
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
 
 __all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "InreachParameters"]
 
@@ -107,7 +107,7 @@ class InreachParameters:
         return PatchBank(descriptor, self.dims, self.is_balanced, self.position_weight)
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         cells = grid.taps[self.grid_tap][1:]
         return Smoothing(cells, grid.frame, sigma_px, self.upsampling, grid.tiles)
 

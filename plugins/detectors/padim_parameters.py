@@ -7,7 +7,7 @@ import numpy as np
 
 from edge.core.detector import Grid, Mode, Packing
 from plugins.detectors.maths.embedding import EmbeddingChoice, Projection
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, blur_px
 
 __all__ = ["PAPER", "REPAIRS", "PadimParameters"]
 
@@ -85,7 +85,7 @@ class PadimParameters:
         return self.ridge * (2 if self.is_ridge_twice else 1)
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         return Smoothing(
             cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
         )

@@ -25,6 +25,7 @@ from plugins.detectors.maths.smoothing import (
     PAPER_SIGMA_PX,
     Smoothing,
     Upsampling,
+    blur_px,
     emit_scores,
 )
 from plugins.graph import Graph
@@ -95,7 +96,7 @@ class PatchcoreParameters:
         return PatchBank(descriptor, self.dims, self.is_balanced)
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         cells = grid.taps[self.grid_tap][1:]
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
         return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)

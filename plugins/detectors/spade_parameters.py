@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Grid, Mode, Packing
 from plugins.detectors.maths.descriptor import resampling_matrix
 from plugins.detectors.maths.mosaic import layout, tile_grid
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
 from plugins.detectors.maths.window import Blocks
 
 __all__ = ["CHUNK", "PAPER", "REPAIRS", "SpadeParameters"]
@@ -156,7 +156,7 @@ class SpadeParameters:
         return cells if self.is_gallery_whole or cells < CHUNK else cells // CHUNK * CHUNK
 
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
         (h, w), (down, across) = self.cells(grid, tap), layout(grid)
         return Smoothing((down * h, across * w), grid.frame, sigma_px, kind, grid.tiles)

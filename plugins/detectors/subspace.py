@@ -26,7 +26,7 @@ from plugins.detectors.maths.embedding import (
     learn_embedding,
 )
 from plugins.detectors.maths.lowrank import RELATIVE_CUT
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, emit_scores
+from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
 from plugins.graph import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
@@ -68,7 +68,7 @@ class SubspaceParameters:
         )
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
-        sigma_px = self.sigma * (grid.pixels_per_mm if self.sigma_unit == "mm" else 1.0)
+        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         return Smoothing(
             cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
         )

@@ -24,6 +24,7 @@ __all__ = [
     "PAPER_SIGMA_PX",
     "Smoothing",
     "Upsampling",
+    "blur_px",
     "emit_scores",
     "gaussian_matrix",
     "smoothing_matrix",
@@ -40,6 +41,11 @@ PAPER_SIGMA_PX = 4.0
 PAPER_SIGMA_MM = PAPER_SIGMA_PX / 15.77
 # scipy.ndimage.gaussian_filter cuts its kernel at four sigma.
 TRUNCATE = 4.0
+
+
+def blur_px(sigma: float, unit: Literal["mm", "px"], grid: Grid) -> float:
+    """A blur in pixels of the frame."""
+    return sigma * (grid.pixels_per_mm if unit == "mm" else 1.0)
 
 
 @cache
