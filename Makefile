@@ -13,7 +13,7 @@ demo: $(VENV)/.demo
 # On cores that others use as well, two threads of linear algebra wait for each other by spinning: 20 times slower.
 test: export OPENBLAS_NUM_THREADS ?= 1
 test: export OMP_NUM_THREADS ?= 1
-test: $(VENV)/.test mosquitto lint
+test: $(VENV)/.test debian lint
 	$(BIN)/pytest
 
 lint: $(VENV)/.test
@@ -53,13 +53,15 @@ $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet -e '.[$(EXTRAS)]'
 	touch $@ $(VENV)/.demo
 
-# The real broker for the tests; where apt or root is missing they fall back to amqtt and say so.
-.PHONY: mosquitto
-mosquitto:
-	@command -v mosquitto >/dev/null || [ -x /usr/sbin/mosquitto ] || \
+# The real broker, and the emulator of another processor, for the tests. Where apt or root is missing they fall back
+# to amqtt, or skip, and say so.
+DEBIAN = mosquitto qemu-user
+.PHONY: debian
+debian:
+	@PATH=$$PATH:/usr/sbin; { command -v mosquitto && command -v qemu-x86_64; } >/dev/null || \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends mosquitto >/dev/null; }; } || \
-	  echo "mosquitto is not installed and cannot be installed here: tests use amqtt (MQTT 3.1.1 only)"
+	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(DEBIAN) >/dev/null; }; } || \
+	  echo "$(DEBIAN) cannot be installed here: tests use amqtt (MQTT 3.1.1 only) and skip the other processor"
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info
