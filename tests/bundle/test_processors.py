@@ -29,7 +29,7 @@ np.save(sys.argv[3], session.run(None, {"x": np.load(sys.argv[2])})[0])
 
 @pytest.fixture(scope="module")
 def graph() -> bytes:
-    """A 3x3 convolution of 8 to 8 channels in uint8 times int8, every weight 127 steps, so that any pair is too much."""
+    """A 3x3 convolution of 8 to 8 channels in uint8 times int8, every weight 127 steps: any pair is too much."""
 
     def stored(name: str, values: np.ndarray) -> onnx.TensorProto:
         return numpy_helper.from_array(values, name)
@@ -60,7 +60,9 @@ def graph() -> bytes:
     return found
 
 
-@pytest.mark.skipif(_EMULATOR is None, reason="SKIPPED, NOT TESTED: qemu-x86_64 (Debian: qemu-user) is not installed")
+@pytest.mark.skipif(
+    _EMULATOR is None, reason="SKIPPED, NOT TESTED: qemu-x86_64 (Debian: qemu-user) is not installed"
+)
 def test_int8_sums_do_not_saturate_on_a_processor_without_vnni(graph: bytes, tmp_path: Path) -> None:
     """Under an emulated Haswell, 72 products near one still add up to 72 times their mean, as they do here."""
     x = np.random.default_rng(0).uniform(0.9, 1, (1, 8, 16, 16)).astype(np.float32)

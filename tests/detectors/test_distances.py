@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plugins.detectors.maths.distances import emit_nearest, nearest
+from plugins.detectors.maths.shortlist import HalvedBank
 from plugins.graph import Graph
 
 
@@ -74,3 +75,35 @@ def test_the_graph_agrees_with_the_oracle(k: int) -> None:
     oracle = nearest(queries, bank, k)
     np.testing.assert_array_equal(indices, oracle.indices)
     np.testing.assert_allclose(distances, oracle.distances, rtol=1e-6)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 31, 64, 65, 200])
+def test_a_halved_bank_is_brute_force(rows: int) -> None:
+    """The nearest of any number of rows, so few that they fill no run or no half included; one graph for all."""
+    rng = np.random.default_rng(rows)
+    queries, bank = rng.normal(size=(50, 16)), rng.normal(size=(rows, 16))
+    graph = Graph("halved")
+    memory = HalvedBank(graph, graph.input("bank", ("m", 16)))
+    graph.output("d", memory.nearest(graph.input("q", ("q", 16))), ("q",))
+    session = onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}
+    np.testing.assert_allclose(session.run(None, feed)[0], brute(queries, bank).min(axis=1), rtol=1e-5)
+
+
+def test_a_halved_bank_measures_a_rival_from_each_half() -> None:
+    """Two rows whose product cannot be told from each other, one in each half: the nearer one is found exactly."""
+    far = np.random.default_rng(0).normal(size=16)
+    far *= 3e3 / np.linalg.norm(far)
+    nudge = np.zeros(16)
+    nudge[0] = 1.0
+    bank = np.random.default_rng(1).normal(size=(64, 16))
+    graph = Graph("halved")
+    memory = HalvedBank(graph, graph.input("bank", ("m", 16)))
+    graph.output("d", memory.nearest(graph.input("q", ("q", 16))), ("q",))
+    session = onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    for near, other in ((3, 40), (40, 3)):
+        bank[near], bank[other] = far + 0.1 * nudge, far - 0.2 * nudge
+        query = far.astype(np.float32)[None]
+        (found,) = session.run(None, {"q": query, "bank": bank.astype(np.float32)})
+        expected = brute(query, bank.astype(np.float32)).min()
+        np.testing.assert_allclose(found, expected, rtol=1e-6)

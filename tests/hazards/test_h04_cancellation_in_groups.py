@@ -1,10 +1,10 @@
 """H4, searched in groups: the product form makes the shortlist and never the score.
 
-Guards: `shortlist.emit_group_nearest`, `shortlist.emit_closest` and the window's search measure their winners again as
-sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the distance read
-back from the product the first test fails for each of the first two (the second for InReaCh and PatchCore); with the
-mean left in `rotation.emit_rotation` the second fails for SPADE, InReaCh and PatchCore, and for FAPM with a thousandth
-of its groups' means left in.
+Guards: `shortlist.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search measure their winners again
+as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the distance
+read back from the product the first test fails for each of the first three (the second for InReaCh and PatchCore); with
+the mean left in `rotation.emit_rotation` the second fails for SPADE, InReaCh and PatchCore, and for FAPM with a
+thousandth of its groups' means left in.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from heads import fit, grid, presses_of, run_head
 
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.maths.shortlist import emit_closest, emit_group_nearest, emit_ranked
+from plugins.detectors.maths.shortlist import HalvedBank, emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 from plugins.graph import Graph
@@ -33,6 +33,12 @@ def closest(graph: Graph, queries: str, bank: str, width: int) -> str:
     )
 
 
+def halved(graph: Graph, queries: str, bank: str, width: int) -> str:
+    """The three groups one after the other in one bank; another group's row is never near."""
+    found = HalvedBank(graph, graph.reshape(bank, -1, width)).nearest(graph.reshape(queries, -1, width))
+    return graph.reshape(found, 3, -1, 1)
+
+
 def group_distances(search: Callable[..., str], queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
     graph = Graph("groups")
     width = bank.shape[2]
@@ -44,7 +50,7 @@ def group_distances(search: Callable[..., str], queries: np.ndarray, bank: np.nd
     return np.asarray(distances)[:, :, 0]
 
 
-@pytest.mark.parametrize("search", [in_groups, closest])
+@pytest.mark.parametrize("search", [in_groups, closest, halved])
 def test_a_small_distance_between_long_vectors(search: Callable[..., str]) -> None:
     """Three groups, vectors of length 100, true distance 0.01: found within a percent, never negative, never NaN."""
     rng = np.random.default_rng(0)

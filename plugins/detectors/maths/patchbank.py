@@ -20,7 +20,7 @@ from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.embedding import touched_cells
 from plugins.detectors.maths.mosaic import emit_join, join, layout, split
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
+from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, HalvedBank
 from plugins.graph import Graph, Value
 
 __all__ = ["PatchBank", "drawn"]
@@ -30,9 +30,6 @@ SAMPLE_PRESSES = 16
 SAMPLE_CELLS = 4096
 # A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
 DEVIATION_FLOOR = 1e-2
-# Rows measured exactly for each cell. With one, a rounding of the product could choose another than the nearest; each
-# more takes half as long as the product itself (512 rows of 64 numbers, 3136 cells: 1.6 ms with one, 2.9 with four).
-EXACT = 2
 # Around what the nominal presses touch, this much counts as touched: the gel is bent there.
 MARGIN_MM = 1.0
 # Rows of untouched gel that the bank is chosen from at most: it looks alike everywhere and needs few of them.
@@ -153,7 +150,7 @@ class PatchBank:
     ) -> Value:
         """Distances (n, grid rows, grid columns), so many cells at a time that memory stays bounded."""
         h, w = self.descriptor.cells(grid)
-        bank = emit_ranked(graph, graph.op("Unsqueeze", memory, graph.ints(0)))
+        bank = HalvedBank(graph, memory)
         step = max(1, PRODUCT_LIMIT // size[0])
         parts = []
         for first in range(0, h * w, step):
@@ -161,8 +158,7 @@ class PatchBank:
             asked = rows
             if count < h * w:
                 asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
-            asked = graph.reshape(asked, 1, -1, size[1])
-            found = emit_group_nearest(graph, asked, bank, size[1], shortlist=EXACT)
+            found = bank.nearest(graph.reshape(asked, -1, size[1]))
             parts.append(graph.reshape(found, -1, count))
         raw = graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
         return emit_join(graph, raw, (h, w), grid)

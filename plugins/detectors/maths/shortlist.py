@@ -1,4 +1,4 @@
-"""Nearest rows inside many small groups at once: a matrix product makes the shortlist, differences decide.
+"""Nearest rows in many small groups at once, or in one large bank: a product makes the shortlist, differences decide.
 
 `distances.py` searches one bank. Here every group of queries has a bank of its own (a block of cells, a press's
 gallery, a cell of the grid), all groups in one batched product. The rules are the same: both sides centred, squared
@@ -12,8 +12,10 @@ __all__ = [
     "FORBIDDEN",
     "PRODUCT_LIMIT",
     "SHORTLIST",
+    "HalvedBank",
     "emit_closest",
     "emit_group_nearest",
+    "emit_range",
     "emit_ranked",
 ]
 
@@ -24,6 +26,8 @@ FORBIDDEN = 1e30
 SHORTLIST = 4
 # Distances that one product may hold: a search over a large bank asks for so many rows at a time (64 MB of float32).
 PRODUCT_LIMIT = 16 * 2**20
+# Rows that one maximum is taken over before the place of the greatest is asked for.
+RUN = 32
 
 
 def emit_ranked(graph: Graph, bank: Value) -> Value:
@@ -84,10 +88,51 @@ def emit_closest(graph: Graph, queries: Value, bank: Value, width: int) -> Value
     half = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(0.5)), graph.ints(1))
     closeness = graph.op("Sub", graph.op("MatMul", queries, graph.transpose(bank, 0, 2, 1)), half)
     best = graph.op("ArgMax", closeness, axis=3, keepdims=0)
-    groups, rows = (graph.op("Squeeze", graph.op("Shape", bank, start=axis, end=axis + 1)) for axis in (0, 1))
-    zero, one = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
-    first = graph.op("Mul", graph.op("Range", zero, groups, one), rows)
+    groups, rows = (graph.op("Shape", bank, start=axis, end=axis + 1) for axis in (0, 1))
+    first = graph.op("Mul", emit_range(graph, groups), rows)
     flat = graph.op("Add", best, graph.op("Unsqueeze", first, graph.ints(1)))
     chosen = graph.op("Gather", graph.reshape(bank, -1, width), flat, axis=0)
     difference = graph.op("Sub", queries, chosen)
     return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
+
+
+class HalvedBank:
+    """One bank for all queries, each of which is measured against the closest row of either half.
+
+    Two rows, so that one which the product takes for another by its rounding still meets a rival that is measured. The
+    greatest of a run of rows comes first, its place last: onnxruntime finds maxima in a tenth of the time that their
+    places take (3136 queries in 1024 rows, two cores: 0.4 ms, where the two best by TopK took 0.9).
+    """
+
+    def __init__(self, graph: Graph, bank: Value) -> None:
+        """bank: (m, width), centred as the queries will be; repeated from its start until it fills whole runs."""
+        self.graph = graph
+        rows, block = graph.op("Shape", bank, start=0, end=1), graph.ints(2 * RUN)
+        blocks = graph.op("Div", graph.op("Add", rows, graph.ints(2 * RUN - 1)), block)
+        self.runs, self.count = blocks, graph.op("Mul", blocks, block)
+        self.rows = graph.op("Gather", bank, graph.op("Mod", emit_range(graph, self.count), rows), axis=0)
+        self.ranked = graph.transpose(emit_ranked(graph, self.rows), 1, 0)
+
+    def nearest(self, queries: Value) -> Value:
+        """Plain distances (q,) of queries (q, width)."""
+        graph = self.graph
+        one = graph.op("Pad", queries, graph.ints(0, 0, 0, 1), graph.scalar(1.0))
+        runs = graph.reshape(graph.op("MatMul", one, self.ranked), -1, RUN)
+        # (2q, runs): a row for each half of the bank.
+        halves = graph.op("Concat", graph.ints(-1), self.runs, axis=0)
+        tops = graph.op("Reshape", graph.op("ReduceMax", runs, graph.ints(1), keepdims=0), halves)
+        best = graph.op("ArgMax", tops, axis=1, keepdims=0)
+        first = graph.op("Mul", emit_range(graph, graph.op("Shape", best)), self.runs)
+        run = graph.op("Add", best, first)
+        place = graph.op("ArgMax", graph.op("Gather", runs, run, axis=0), axis=1, keepdims=0)
+        row = graph.op("Mod", graph.op("Add", graph.op("Mul", run, graph.ints(RUN)), place), self.count)
+        chosen = graph.op("Gather", self.rows, graph.reshape(row, -1, 2), axis=0)
+        difference = graph.op("Sub", chosen, graph.op("Unsqueeze", queries, graph.ints(1)))
+        exact = graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0)
+        return graph.op("Sqrt", graph.op("ReduceMin", exact, graph.ints(1), keepdims=0))
+
+
+def emit_range(graph: Graph, count: Value) -> Value:
+    """0, 1, ... of a count held in a vector of one."""
+    zero, one = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
+    return graph.op("Range", zero, graph.op("Squeeze", count), one)

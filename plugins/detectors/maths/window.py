@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.maths.shortlist import FORBIDDEN, PRODUCT_LIMIT
+from plugins.detectors.maths.shortlist import FORBIDDEN, PRODUCT_LIMIT, emit_range
 from plugins.graph import Graph, Value
 
 __all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]
@@ -126,7 +126,7 @@ def emit_window_nearest(
 
     rows: (n, cells, width). presses: (m, stored, width), all that there are. gallery: int64 (n, k), which of them.
     tables: `queries` and `reached` of Tables, as values. size: width, and the most presses in a gallery. The product
-    chooses the cell of the window; every press of the gallery is measured there.
+    chooses the row, which is measured: rows that it takes for each other are apart by its rounding.
     """
     width, most = size
     chosen = graph.op("Gather", presses, gallery, axis=0)
@@ -139,8 +139,8 @@ def emit_window_nearest(
             for table in tables
         ]
         parts.append(search.closest(part[0], part[1]))
-    cells = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
-    return graph.reshape(search.measured(tables[0], cells), 0, -1)
+    closest = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    return graph.reshape(search.measured(tables[0], closest), 0, -1)
 
 
 class _Search:
@@ -159,11 +159,11 @@ class _Search:
         self.last = graph.op("Sub", self.stored, graph.ints(1))
         # The first row of each press of each gallery, (n, k).
         batch = graph.op("Shape", chosen, start=0, end=2)
-        numbers = self._range(graph.op("Mul", graph.op("Shape", chosen, start=0, end=1), self.presses))
+        numbers = emit_range(graph, graph.op("Mul", graph.op("Shape", chosen, start=0, end=1), self.presses))
         self.first = graph.op("Mul", graph.op("Reshape", numbers, batch), self.stored)
 
     def closest(self, queries: Value, reached: Value) -> Value:
-        """The stored row of the closest cell, int64 (n, blocks, q), for some blocks."""
+        """Where the closest row stands in the galleries' rows end to end, int64 (n, blocks, q), for some blocks."""
         graph = self.graph
         asked = graph.op("Gather", self.rows, queries, axis=1)
         # |query - row|^2 falls as query . row - |row|^2 / 2 rises.
@@ -187,36 +187,31 @@ class _Search:
         absent = graph.op("Unsqueeze", graph.op("Mul", absent, graph.scalar(FORBIDDEN)), graph.ints(2))
         allowed = graph.op("Sub", best, graph.op("Add", self.bias, absent))
         cell = graph.op("ArgMax", graph.transpose(allowed, 0, 1, 3, 2), axis=3, keepdims=0)
-        # Among all blocks' reached rows laid end to end.
-        offset = graph.op("Mul", self._range(graph.op("Shape", here, start=0, end=1)), graph.ints(self.r))
-        at = graph.op("Add", cell, graph.op("Unsqueeze", offset, graph.ints(1)))
-        return graph.op("Gather", self._flat(here), at, axis=0)
+        # The press whose row won at that cell.
+        index = graph.op("Unsqueeze", cell, graph.ints(2, 3))
+        index = graph.op(
+            "Expand", index, graph.op("Concat", graph.ints(1, 1), self.presses, graph.ints(1, 1), axis=0)
+        )
+        there = graph.op("Squeeze", graph.op("GatherElements", product, index, axis=3), graph.ints(3))
+        press = graph.op("ArgMax", there, axis=2, keepdims=0)
+        at = graph.op("Add", graph.op("Mul", press, graph.ints(self.r)), cell)
+        ends = graph.op("Mul", self.presses, graph.ints(self.r))
+        return graph.op("GatherElements", self._shaped(numbers, ends), at, axis=2)
 
-    def measured(self, queries: Value, cells: Value) -> Value:
-        """The smallest distance (n, blocks, q) to any press of the gallery at the chosen cells (n, blocks, q)."""
+    def measured(self, queries: Value, closest: Value) -> Value:
+        """The distance (n, blocks, q) to the closest rows (n, blocks, q), as a sum of squared differences."""
         graph = self.graph
-        first = graph.op("Unsqueeze", self.first, graph.ints(1, 2))
-        numbers = graph.op("Add", graph.op("Unsqueeze", cells, graph.ints(3)), first)
-        rows = graph.op("Gather", self.flat, numbers, axis=0)
-        asked = graph.op("Unsqueeze", graph.op("Gather", self.rows, queries, axis=1), graph.ints(3))
-        difference = graph.op("Sub", rows, asked)
-        squared = graph.op("ReduceSumSquare", difference, graph.ints(4), keepdims=0)
-        return graph.op("Sqrt", graph.op("ReduceMin", squared, graph.ints(3), keepdims=0))
+        difference = graph.op(
+            "Sub",
+            graph.op("Gather", self.flat, closest, axis=0),
+            graph.op("Gather", self.rows, queries, axis=1),
+        )
+        return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
 
     def _shaped(self, value: Value, *sizes: Value) -> Value:
         """The sizes in place of what follows the presses and the blocks, which may be none."""
         shape = self.graph.op("Concat", self.graph.ints(0, 0), *sizes, axis=0)
         return self.graph.op("Reshape", value, shape)
-
-    def _flat(self, table: Value) -> Value:
-        """A table end to end, also one of no blocks."""
-        size = self.graph.op("Unsqueeze", self.graph.op("Size", table), self.graph.ints(0))
-        return self.graph.op("Reshape", table, size, allowzero=1)
-
-    def _range(self, count: Value) -> Value:
-        """0, 1, ... of a count held in a vector of one."""
-        zero, one = (self.graph.op("Squeeze", self.graph.ints(number)) for number in (0, 1))
-        return self.graph.op("Range", zero, self.graph.op("Squeeze", count), one)
 
 
 def window_nearest(
