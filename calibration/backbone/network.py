@@ -63,9 +63,11 @@ class Trunk(nn.Module):  # type: ignore[misc]
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
+    def normalised(self, frames: Tensor) -> Tensor:
+        return frames * self._scale + self._shift
+
     def forward(self, frames: Tensor) -> list[Tensor]:
-        x = frames * self._scale + self._shift
-        x = self.maxpool(torch.relu(self.bn1(self.conv1(x))))
+        x = self.maxpool(torch.relu(self.bn1(self.conv1(self.normalised(frames)))))
         maps = []
         for stage in STAGES:
             x = getattr(self, stage)(x)

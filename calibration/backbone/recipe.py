@@ -27,8 +27,9 @@ class Recipe:
     more is a change, one that differs by less is none, and what lies between is not judged. window_mm: half width of
     the window where a cell's partner is looked for, 0 for its own place. finest_weight: of layer1 beside 1 of each
     other stage. distance: `euclidean` between features as they are, `cosine` between their directions alone.
-    high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass.
-    start: SHA-256 of the weights of another run that this one begins with, empty to begin at random.
+    high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass; `int8` rounds
+    as the int8 variant does, for a run that begins with other weights. start: SHA-256 of the weights of another run
+    that this one begins with, empty to begin at random.
     """
 
     seed: int = 0
@@ -48,7 +49,7 @@ class Recipe:
     finest_weight: float = 2.0
     distance: Distance = "euclidean"
     high_resolution: float = 0.25
-    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    precision: Literal["float32", "bfloat16", "int8"] = "bfloat16"
     start: str = ""
 
     def __post_init__(self) -> None:
@@ -68,8 +69,12 @@ class Recipe:
             )
         if self.distance not in ("cosine", "euclidean"):
             raise ConfigError(f"distance is cosine or euclidean, found '{self.distance}'")
-        if self.precision not in ("float32", "bfloat16"):
-            raise ConfigError(f"precision is float32 or bfloat16, found '{self.precision}'")
+        if self.precision not in ("float32", "bfloat16", "int8"):
+            raise ConfigError(f"precision is float32, bfloat16 or int8, found '{self.precision}'")
+        if self.precision == "int8" and not self.start:
+            raise ConfigError(
+                "precision int8 keeps the batch norms' statistics and needs a run to begin with"
+            )
 
     @property
     def is_learning(self) -> bool:

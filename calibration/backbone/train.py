@@ -33,6 +33,7 @@ from calibration.backbone.losses import (
 )
 from calibration.backbone.network import Trunk, heads
 from calibration.backbone.presses import Pairs, draw_pairs
+from calibration.backbone.quantisation import rounded_maps
 from calibration.backbone.recipe import STAGES, Recipe
 from edge.core.errors import ConfigError, GelgateError
 
@@ -114,6 +115,8 @@ class _Learner:
 
     def _maps(self, batch: Pairs) -> list[Tensor]:
         frames = batch.frames.contiguous(memory_format=torch.channels_last)
+        if self.recipe.precision == "int8":
+            return rounded_maps(self.trunk, frames)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.precision == "bfloat16"):
             maps: list[Tensor] = self.trunk(frames)
         return maps
