@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from edge.core.detector import Grid, Mode
 from edge.core.errors import FitError, NotScorable
 from plugins.detectors.fapm import FapmParameters, fapm
-from plugins.detectors.maths.coreset import greedy_from_distances, k_centre
 
 MODES = ("paper", "corrected")
 TAPS = {"layer2": (6, 8, 8), "layer3": (8, 4, 4)}
@@ -207,24 +206,3 @@ def test_nonsense_is_refused(name: str, value: object) -> None:
     """Unknown names and values out of range are refused by name."""
     with pytest.raises(FitError, match="fapm"):
         fapm.parameters(**{name: value})
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.integers(1, 40), st.integers(1, 5), st.integers(1, 40), st.integers(0, 2**32 - 1))
-def test_the_lazy_coreset_is_the_full_one(n: int, c: int, count: int, seed: int) -> None:
-    """Whole numbers with many ties: the same rows in the same order as measuring everything, the lowest first."""
-    rng = np.random.default_rng(seed)
-    points = rng.integers(0, 4, (n, c)).astype(np.float32)
-    start = int(rng.integers(n))
-    found = k_centre(points, count, start)
-    picks = [start]
-    distance = np.square(points - points[start]).sum(axis=1)
-    while len(picks) < min(count, n) and distance.max() > 0:
-        picks.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
-    assert found.rows.tolist() == picks
-    assert found.radius == pytest.approx(np.sqrt(distance.max()))
-    squared = np.square(points[:, None] - points[None]).sum(axis=2)
-    small = greedy_from_distances(squared[None], count, start)[0]
-    assert small[: len(picks)].tolist() == picks
-    assert len(set(small.tolist())) == len(small)

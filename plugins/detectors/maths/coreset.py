@@ -17,7 +17,9 @@ __all__ = ["Coreset", "greedy_from_distances", "k_centre"]
 # A squared distance below this part of the two squared lengths is rounding of the product form, not a distance.
 ROUNDING = 1e-13
 # Rows brought up to date together.
-BATCH = 64
+BATCH = 32
+# Rows among which the farthest is looked for until one outside might be it.
+POOL = 256
 
 
 class Coreset(NamedTuple):
@@ -43,57 +45,68 @@ def k_centre(
         )
     x = points.astype(np.float64)
     x -= x[start]  # a row and not the mean: whole numbers stay whole, so that equal distances compare equal
-    lengths = np.einsum("nc,nc->n", x, x)
     bound = np.full(n, np.inf) if anchor is None else np.square(anchor)
-    picks = np.empty(min(count, n), np.int64)
-    known = np.zeros(n, np.int64)
-    size = 0
+    picks = _Picks(x, bound, min(count, n))
     row = start if anchor is None else int(np.argmax(bound))
-    while size < len(picks):
-        picks[size] = row
-        size += 1
-        if size == 1:
-            _update(bound, known, np.arange(n), x, lengths, picks[:size])
-        row = _farthest(bound, known, x, lengths, picks[:size])
+    while picks.count < len(picks.rows):
+        picks.add(row)
+        row = picks.farthest()
         if bound[row] <= 0:
             break
-    return Coreset(picks[:size].copy(), float(np.sqrt(max(bound[row], 0.0))))
+    return Coreset(picks.rows[: picks.count].copy(), float(np.sqrt(max(bound[row], 0.0))))
 
 
-def _farthest(
-    bound: NDArray[np.float64],
-    known: NDArray[np.int64],
-    x: NDArray[np.float64],
-    lengths: NDArray[np.float64],
-    picks: NDArray[np.int64],
-) -> int:
-    """The row with the largest distance to the picks, bringing up to date only rows that might be it."""
-    while True:
-        row = int(np.argmax(bound))
-        if known[row] == len(picks) or bound[row] <= 0:
+class _Picks:
+    """What is picked, and for every row a bound of its squared distance to it: exact where `known` says all picks."""
+
+    def __init__(self, x: NDArray[np.float64], bound: NDArray[np.float64], most: int) -> None:
+        self._x, self._bound = x, bound
+        self._lengths = np.einsum("nc,nc->n", x, x)
+        self._known = np.zeros(len(x), np.int64)
+        # The rows with the largest bounds, rising, and the largest bound of the others, which may have fallen since.
+        self._pool, self._outside = np.arange(min(POOL, len(x))), np.inf
+        self.rows, self.count = np.empty(most, np.int64), 0
+        # Copies, side by side: every product reads them all.
+        self._picked, self._picked_lengths = np.empty((most, x.shape[1])), np.empty(most)
+
+    def add(self, row: int) -> None:
+        self.rows[self.count] = row
+        self._picked[self.count], self._picked_lengths[self.count] = self._x[row], self._lengths[row]
+        self.count += 1
+        if self.count == 1:
+            self._measure(np.arange(len(self._x)))
+
+    def farthest(self) -> int:
+        """The row with the largest distance to the picks, bringing up to date only rows that might be it."""
+        while True:
+            row = self._highest()
+            if self._known[row] == self.count or self._bound[row] <= 0:
+                return row
+            bounds = self._bound[self._pool]
+            batch = min(BATCH, len(bounds))
+            stale = self._pool[np.argpartition(bounds, len(bounds) - batch)[len(bounds) - batch :]]
+            stale = stale[self._known[stale] < self.count]
+            self._measure(np.union1d(stale, row))
+
+    def _highest(self) -> int:
+        """The lowest row of those with the largest bound. The pool has it as long as no row outside can equal it."""
+        row = int(self._pool[self._bound[self._pool].argmax()])
+        if self._bound[row] > self._outside:
             return row
-        batch = min(BATCH, len(bound))
-        stale = np.argpartition(bound, len(bound) - batch)[len(bound) - batch :]
-        stale = stale[known[stale] < len(picks)]
-        stale = np.union1d(stale, row)
-        _update(bound, known, stale, x, lengths, picks)
+        ranked = np.argpartition(self._bound, len(self._bound) - len(self._pool))
+        others = ranked[: len(self._bound) - len(self._pool)]
+        self._pool = np.sort(ranked[len(others) :])
+        self._outside = self._bound[others].max() if len(others) else -np.inf
+        return int(self._bound.argmax())
 
-
-def _update(
-    bound: NDArray[np.float64],
-    known: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    x: NDArray[np.float64],
-    lengths: NDArray[np.float64],
-    picks: NDArray[np.int64],
-) -> None:
-    """Lower the bounds of `rows` by the picks that the least informed of them has not seen."""
-    unseen = picks[int(known[rows].min()) :]
-    both = lengths[rows, None] + lengths[None, unseen]
-    squared = both - 2 * (x[rows] @ x[unseen].T)
-    squared[squared <= ROUNDING * both] = 0.0
-    bound[rows] = np.minimum(bound[rows], squared.min(axis=1))
-    known[rows] = len(picks)
+    def _measure(self, rows: NDArray[np.int64]) -> None:
+        """Lower the bounds of `rows` by the picks that the least informed of them has not seen."""
+        unseen = slice(int(self._known[rows].min()), self.count)
+        both = self._lengths[rows, None] + self._picked_lengths[unseen]
+        squared = both - 2 * (self._x[rows] @ self._picked[unseen].T)
+        squared[squared <= ROUNDING * both] = 0.0
+        self._bound[rows] = np.minimum(self._bound[rows], squared.min(axis=1))
+        self._known[rows] = self.count
 
 
 def greedy_from_distances(squared: NDArray[np.floating], count: int, start: int) -> NDArray[np.int64]:
