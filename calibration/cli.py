@@ -46,6 +46,9 @@ def fit(
     seed: Annotated[int, typer.Option(help="Fixes every random choice.")] = 0,
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
     threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
+    scattered: Annotated[
+        bool, typer.Option("--scattered", help="Fit padim, spade or fapm also to parts that lie anywhere.")
+    ] = False,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
 ) -> None:
@@ -82,6 +85,7 @@ def fit(
         threads=threads,
         folds=folds,
         with_trunk=trunk,
+        is_scattered=scattered,
     )
     presses = read_presses(sources, sensor, recipe.region, no_contact=no_contact or (), resize=resize)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")

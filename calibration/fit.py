@@ -62,6 +62,7 @@ class Recipe:
     overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm rate asked for.
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
     to find the threshold; each costs about as much as the bank itself. with_trunk: False leaves it to the store.
+    is_scattered: contacts that lie anywhere are meant, also for a method that compares place with place.
     """
 
     part: str
@@ -78,6 +79,7 @@ class Recipe:
     threads: int = 2
     folds: int = 5
     with_trunk: bool = True
+    is_scattered: bool = False
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -141,7 +143,7 @@ class _Fit:
             )  # refuses too few before any work is done
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
-        self.warnings += scatter_warnings(presses, recipe.profile, self.detector.name)
+        self.warnings += scatter_warnings(presses, recipe.profile, self.detector.name, recipe.is_scattered)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
 

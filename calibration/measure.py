@@ -155,8 +155,13 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     return found
 
 
-def scatter_warnings(presses: NominalPresses, profile: SensorProfile, detector: str) -> list[str]:
-    """A warning where a method that compares place with place is fitted to contacts that lie anywhere."""
+def scatter_warnings(
+    presses: NominalPresses, profile: SensorProfile, detector: str, is_scattered: bool = False
+) -> list[str]:
+    """Whether a method that compares place with place is fitted to contacts that lie anywhere.
+
+    Errors: FitError where it is; a warning instead where `is_scattered` says that it is meant.
+    """
     if detector not in PLACE_BY_PLACE or not presses.touches:
         return []
     middles = (
@@ -165,10 +170,13 @@ def scatter_warnings(presses: NominalPresses, profile: SensorProfile, detector: 
     scatter = float(np.median(np.linalg.norm(middles - np.median(middles, axis=0), axis=1)))
     if scatter <= SCATTERED_MM:
         return []
-    return [
+    found = (
         f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector} compares place with "
-        "place and will miss much; hold the part at one place, or fit inreach"
-    ]
+        "place and will pass damage; hold the part at one place, or fit inreach"
+    )
+    if not is_scattered:
+        raise FitError(f"{found}; --scattered fits {detector} all the same")
+    return [found]
 
 
 def given_threshold(value: float, alpha: float) -> ThresholdEntry:

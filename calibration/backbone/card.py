@@ -30,7 +30,7 @@ _LIMITS = (
     "It has learnt from parts that are held to a few tenths of a millimetre, and to tell what differs by less from "
     "damage. Where parts lie anywhere, as the balls of the real presses do, methods that compare place with place find "
     "little, and less the more it has learnt: PaDiM fitted to them passed the imprint of a thread. InReaCh, which does "
-    "not, finds more; a fit of the others warns.",
+    "not, finds more; a fit of the others is refused unless told `--scattered`.",
     "Other widths, larger training frames and shallower damage were tried for 700 steps only, and one and a half times "
     "the width would not keep to 6 MB. Training that rounds as int8 does (`precision int8`) was tried for 600 steps.",
     "The int8 variant was measured on a processor with VNNI. On others its sums would saturate, so the gateway asks "

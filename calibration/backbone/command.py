@@ -30,7 +30,9 @@ def train_backbone(
     high_resolution: Annotated[
         float, typer.Option(help="share of batches at the spacing of 1280x720", min=0, max=1)
     ] = 0.25,
-    precision: Annotated[str, typer.Option(help="bfloat16 or float32")] = "bfloat16",
+    precision: Annotated[
+        str, typer.Option(help="bfloat16, float32, or, with --start, int8: rounded as that variant")
+    ] = "bfloat16",
     minutes: Annotated[float, typer.Option(help="stop and save after so long, 0 for never", min=0)] = 0.0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
     threads: Annotated[int, typer.Option(help="of the CPU, for learning; 0 for torch's choice", min=0)] = 1,

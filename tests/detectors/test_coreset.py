@@ -23,7 +23,7 @@ def test_the_lazy_coreset_is_the_full_one(
     sizes: tuple[int, int], n: int, c: int, count: int, seed: int
 ) -> None:
     """Whole numbers with many ties: the same rows in the same order as measuring everything, the lowest first, also
-    where the pool holds few of the rows.
+    where the pool and the batch (`sizes`) hold few of the rows.
     """
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 4, (n, c)).astype(np.float32)

@@ -314,8 +314,10 @@ def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch
     assert deep.facts["taps"] == ["layer2.0"]
 
 
-def test_presses_that_lie_anywhere_are_said_to_the_methods_that_mind() -> None:
-    """Contacts 8 mm apart: a warning for PaDiM, none for InReaCh, for a millimetre, or where no touch is known."""
+def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> None:
+    """Contacts 8 mm apart: PaDiM refuses, or warns where they are meant; InReaCh says nothing, nor does anyone to a
+    millimetre or where no touch is known.
+    """
 
     class Padim(tiny.TinyDetector):
         name = "padim"
@@ -325,12 +327,15 @@ def test_presses_that_lie_anywhere_are_said_to_the_methods_that_mind() -> None:
         presses(4, touches=tuple(Touch(0.2, 0.5 + side * mm / 48, 0.5) for side in (-1, 1, -1, 1)))
         for mm in (8.0, 1.0)
     )
-    (said,) = scatter_warnings(anywhere, wide, "padim")
+    (said,) = scatter_warnings(anywhere, wide, "padim", is_scattered=True)
     assert said.startswith(
         "half of the contacts lie more than 4.0 mm from their common middle: padim compares"
     )
     assert "fit inreach" in said
+    with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
+        fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test")
     for given, method in ((anywhere, "inreach"), (fixed, "padim"), (presses(4), "padim")):
         assert scatter_warnings(given, wide, method) == []
-    warned = fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test").manifest
+    meant = recipe(detector=Padim(), profile=wide, is_scattered=True)
+    warned = fit_files(anywhere, meant, created="test").manifest
     assert said in warned.provenance.warnings

@@ -20,6 +20,7 @@ from calibration.presses import read_presses
 from edge import registry
 from edge.clock import SystemClock
 from edge.config import load_config
+from edge.core.errors import FitError
 from edge.core.profiles import profile
 from edge.core.region import Region
 from edge.gateway import Gateway
@@ -92,13 +93,13 @@ def reports(station: Path) -> list[PressReport]:
     return found
 
 
-def test_a_fit_of_another_method_would_warn(unit: Path) -> None:
-    """These presses are what the warning is for."""
+def test_a_fit_of_another_method_is_refused(unit: Path) -> None:
+    """These presses are what the refusal is for."""
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
     for method in ("padim", "spade", "fapm"):
-        (said,) = scatter_warnings(presses, PROFILE, method)
-        assert "hold the part at one place, or fit inreach" in said
+        with pytest.raises(FitError, match="hold the part at one place, or fit inreach"):
+            scatter_warnings(presses, PROFILE, method)
     assert scatter_warnings(presses, PROFILE, "inreach") == []
 
 
