@@ -55,13 +55,15 @@ $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
 
 # The real broker, and the emulator of another processor, for the tests. Where apt or root is missing they fall back
 # to amqtt, or skip, and say so.
-DEBIAN = mosquitto qemu-user
 .PHONY: debian
 debian:
-	@PATH=$$PATH:/usr/sbin; { command -v mosquitto && command -v qemu-x86_64; } >/dev/null || \
+	@PATH=$$PATH:/usr/sbin; missing=; \
+	command -v mosquitto >/dev/null || missing="$$missing mosquitto"; \
+	command -v qemu-x86_64 >/dev/null || missing="$$missing qemu-user"; \
+	[ -z "$$missing" ] || \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(DEBIAN) >/dev/null; }; } || \
-	  echo "$(DEBIAN) cannot be installed here: tests use amqtt (MQTT 3.1.1 only) and skip the other processor"
+	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null; }; } || \
+	  echo "cannot be installed here:$$missing; without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor"
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

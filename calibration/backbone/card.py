@@ -33,8 +33,8 @@ _LIMITS = (
     "not, finds more; a fit of the others is refused unless told `--scattered`.",
     "Other widths, larger training frames and shallower damage were tried for 700 steps only, and one and a half times "
     "the width would not keep to 6 MB. Training that rounds as int8 does (`precision int8`) was tried for 600 steps.",
-    "The int8 variant was measured on a processor with VNNI. On others its sums would saturate, so the gateway asks "
-    "onnxruntime for whole ones there, at more cost.",
+    "The int8 variant was measured on a processor with VNNI. On x86 without it sums would saturate; the gateway finds "
+    "that out by trying and asks for wider ones, which cost what int8 gains: use the float variant there.",
     "It has never seen an optical picture. On pictures that are not touch it is a random network with habits.",
     "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out. "
     "The gateway refuses them by their colours before it scores (`other_sensor`); whoever uses the trunk alone tells a "

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from calibration.backbone import checkpoint as checkpoints
 from calibration.backbone.recipe import STAGES, Recipe
 from edge.core.errors import GelgateError
+from edge.runtime import open_session
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import State
 
@@ -151,9 +152,7 @@ def quantised(plain: bytes, batches: int = _CALIBRATION_BATCHES) -> bytes:
 
 def feature_errors(graph: bytes, plain: bytes) -> dict[str, float]:
     """Per tap, the norm of the difference over the norm of the float trunk's features, on frames of their own."""
-    import onnxruntime as ort
-
-    sessions = [ort.InferenceSession(g, providers=["CPUExecutionProvider"]) for g in (graph, plain)]
+    sessions = [open_session(g, 0, "trunk") for g in (graph, plain)]
     squares = {tap: np.zeros(2) for tap in STAGES}
     for frames in calibration_frames("compare", 2):
         found, expected = (s.run(list(STAGES), {"frames": frames}) for s in sessions)
