@@ -2,9 +2,9 @@
 
 Guards: `shortlist.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search measure their winners again
 as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the distance
-read back from the product the first test fails for each of the first three (the second for InReaCh and PatchCore); with
-the mean left in `rotation.emit_rotation` the second fails for SPADE, InReaCh and PatchCore, and for FAPM with a
-thousandth of its groups' means left in.
+read back from the product the first test fails for each of the first three (the last for InReaCh and PatchCore) and the
+second for the window; with the mean left in `rotation.emit_rotation` the last fails for SPADE, InReaCh and PatchCore,
+and for FAPM with a thousandth of its groups' means left in.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from heads import fit, grid, presses_of, run_head
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.maths.shortlist import HalvedBank, emit_closest, emit_group_nearest, emit_ranked
+from plugins.detectors.maths.window import Blocks, Tables, emit_window_nearest
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 from plugins.graph import Graph
@@ -60,6 +61,31 @@ def test_a_small_distance_between_long_vectors(search: Callable[..., str]) -> No
     queries = bank[:, :20] + 0.01 * step / np.linalg.norm(step, axis=2, keepdims=True)
     np.testing.assert_allclose(group_distances(search, queries, bank), 0.01, rtol=1e-2)
     assert (group_distances(search, bank, bank) == 0).all()
+
+
+def test_a_small_distance_within_a_window() -> None:
+    """Two presses on two tiles of 6x5 cells, vectors of length 100, a gallery row 0.01 away in one of three presses:
+    found within a percent, and zero is zero.
+    """
+    rng = np.random.default_rng(0)
+    blocks, width, presses = Blocks((6, 5), 1, 2), 64, 3
+    cells = blocks.tiles * 30
+    bank = rng.normal(size=(presses, cells, width))
+    bank *= 100 / np.linalg.norm(bank, axis=2, keepdims=True)
+    step = rng.normal(size=(2, cells, width))
+    near = bank[[0, 2]] + 0.01 * step / np.linalg.norm(step, axis=2, keepdims=True)
+    graph, tables = Graph("window"), Tables.of(blocks, np.arange(cells))
+    rows, stored = graph.input("q", ("n", cells, width)), graph.input("bank", ("m", cells, width))
+    values = graph.constant(tables.queries), graph.constant(tables.reached)
+    gallery = graph.input("gallery", ("n", presses), "int64")
+    found = emit_window_nearest(graph, rows, stored, gallery, blocks, values, (width, presses))
+    graph.output("d", graph.op("Gather", found, graph.constant(tables.back), axis=1), ("n", cells))
+    session = ort.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    feed = {"bank": bank.astype(np.float32), "gallery": np.array([[1, 0, 2], [2, 1, 0]])}
+    (distances,) = session.run(None, {**feed, "q": near.astype(np.float32)})
+    np.testing.assert_allclose(distances, 0.01, rtol=1e-2)
+    (zero,) = session.run(None, {**feed, "q": bank[[1, 0]].astype(np.float32)})
+    assert (zero == 0).all()
 
 
 @pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)

@@ -4,7 +4,8 @@ Each pick is the row farthest from everything picked before. Distances to the pi
 not brought up to date is an upper bound: the lazy search measures only the rows that could still be the farthest, and
 chooses exactly what the full search chooses (Gonzalez 1985; the lazy rule is Minoux's).
 
-Float64 throughout. Among equals the lowest row is picked; the search ends early when every row is at a pick.
+Float64 throughout. Among equals the lowest row is picked, where rounding leaves them equal: whole numbers always, rows
+that repeat in fractions up to which of the copies is named; the search ends early when every row is at a pick.
 """
 
 from typing import NamedTuple
@@ -63,7 +64,7 @@ class _Picks:
         self._x, self._bound = x, bound
         self._lengths = np.einsum("nc,nc->n", x, x)
         self._known = np.zeros(len(x), np.int64)
-        # The rows with the largest bounds, rising, and the largest bound of the others, which may have fallen since.
+        # The numbers, rising, of the rows with the largest bounds, and the largest bound of the others.
         self._pool, self._outside = np.arange(min(POOL, len(x))), np.inf
         self.rows, self.count = np.empty(most, np.int64), 0
         # Copies, side by side: every product reads them all.
@@ -93,6 +94,8 @@ class _Picks:
         row = int(self._pool[self._bound[self._pool].argmax()])
         if self._bound[row] > self._outside:
             return row
+        if self._bound[row] == self._outside:
+            return int(self._bound.argmax())
         ranked = np.argpartition(self._bound, len(self._bound) - len(self._pool))
         others = ranked[: len(self._bound) - len(self._pool)]
         self._pool = np.sort(ranked[len(others) :])

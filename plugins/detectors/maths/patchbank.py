@@ -151,7 +151,8 @@ class PatchBank:
         """Distances (n, grid rows, grid columns), so many cells at a time that memory stays bounded."""
         h, w = self.descriptor.cells(grid)
         bank = HalvedBank(graph, memory)
-        step = max(1, PRODUCT_LIMIT // size[0])
+        # A slice holds so many cells of every tile.
+        step = max(1, PRODUCT_LIMIT // (size[0] * math.prod(layout(grid))))
         parts = []
         for first in range(0, h * w, step):
             count = min(step, h * w - first)
