@@ -4,10 +4,9 @@ Both read the shipped backbone at 224x224, so the layers and channels of the pub
 thirteen taps are not among them; it reads layer1 to layer3 instead.
 """
 
-from typing import Any
-
 import numpy as np
 import pytest
+from chosen import Chosen
 
 from calibration.backbone.evaluation import scored_columns
 from calibration.backbone.evaluation_presses import PARTS, part_trial
@@ -25,19 +24,6 @@ POINTS = (
 )
 
 
-class Published:
-    """A detector whose settings are the published ones whatever is asked for."""
-
-    def __init__(self, detector: Any, changes: dict[str, Any]) -> None:
-        self._detector, self._changes = detector, changes
-
-    def parameters(self, mode: str = "corrected") -> Any:
-        return self._detector.parameters("paper", **self._changes)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._detector, name)
-
-
 def test_published_and_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     """Prints mean AU-PRO up to 1 % and image AUROC of the five parts for either mode."""
     trunks = {"shipped": open_trunk("tactile_resnet18").graph}
@@ -46,7 +32,7 @@ def test_published_and_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     for method, changes in POINTS:
         for mode in ("paper", "corrected"):
             detector = load("detectors", method)
-            chosen = Published(detector, changes) if mode == "paper" else detector
+            chosen = Chosen(detector, "paper", changes) if mode == "paper" else detector
             with monkeypatch.context() as patch:
                 patch.setattr(registry, "load", lambda kind, name, chosen=chosen: chosen)
                 rows = [scored_columns(trunks, trial, [method], 0)["shipped", method] for trial in trials]
