@@ -62,7 +62,7 @@ class Condition:
     """What differs from a plain gel on a sensor that training varies.
 
     effects: more than the scene calls for. learnt_at, scored_at: presses that the gel has had before. is_remembering:
-    each press carries what is left of one on another place.
+    each press carries what is left of one on another place. slide_mm_s: of scored presses, sideways, in any direction.
     """
 
     sensor: str = "unit_b"
@@ -70,6 +70,7 @@ class Condition:
     learnt_at: int = 0
     scored_at: int = 0
     is_remembering: bool = False
+    slide_mm_s: float = 0.0
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -80,6 +81,8 @@ CONDITIONS: Mapping[str, Condition] = {
     "worn gel": Condition(learnt_at=700, scored_at=900),
     "marker gel": Condition(effects=("markers",)),
     "residual imprint": Condition(effects=("residual_imprint",), is_remembering=True),
+    # Twice what a press slides at the end of its stroke: 0.09 mm in an exposure.
+    "sliding press": Condition(slide_mm_s=5.0),
 }
 
 
@@ -175,7 +178,15 @@ class _Rendered:
             presses = before + plan.gel_presses
             previous = (self._elsewhere(plan), RELEASED_S) if self.condition.is_remembering else None
             light = self.gel.light(self.gel.surface(imprint, presses, previous), presses)
-            yield _Picture(plan, self.gel.expose(light, plan.key, Exposure(0, plan.time_s)), mask)
+            exposure = Exposure(0, plan.time_s, self._velocity(plan))
+            yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
+
+    def _velocity(self, plan: PressPlan) -> tuple[float, float] | None:
+        """Of the gel during the exposure, in mm/s; None for what the scene's own motion blur draws."""
+        if self._is_learnt(plan) or not self.condition.slide_mm_s:
+            return None
+        angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
+        return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
 
     def _elsewhere(self, plan: PressPlan) -> F32:
         """The imprint of a press on another place of the part; one on the same place would hide under the next."""

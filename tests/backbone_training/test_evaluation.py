@@ -94,7 +94,7 @@ def test_trials_spread_over_processes_measure_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    "condition", ["plain", "unseen sensor", "worn gel", "marker gel", "residual imprint"]
+    "condition", ["plain", "unseen sensor", "worn gel", "marker gel", "residual imprint", "sliding press"]
 )
 def test_simulated_trials_hold_pieces_out(condition: str) -> None:
     """No learnt piece is scored, damaged presses come first and have masks, and the free gel is known."""
@@ -109,11 +109,11 @@ def test_simulated_trials_hold_pieces_out(condition: str) -> None:
 
 def test_conditions_differ_where_they_say() -> None:
     """The unseen sensor has other colours, the marker gel dark dots, a worn gel differs when scored, and a gel that
-    remembers shows it on a small part.
+    remembers shows it on a small part. A sliding press is smeared where it is scored and not where it is learnt.
     """
-    plain, sensor, worn, marker, remembering = (
+    plain, sensor, worn, marker, remembering, sliding = (
         part_trial("PZ5", name, FEW)
-        for name in ("plain", "unseen sensor", "worn gel", "marker gel", "residual imprint")
+        for name in ("plain", "unseen sensor", "worn gel", "marker gel", "residual imprint", "sliding press")
     )
 
     def free(of: Trial) -> np.ndarray:
@@ -126,6 +126,8 @@ def test_conditions_differ_where_they_say() -> None:
     assert (apart.max(axis=3) > 10).mean() > 0.001
     left = np.abs(remembering.frames.astype(float) - plain.frames)
     assert 0 < (left.max(axis=3) > 4).mean() < 0.1
+    assert np.array_equal(sliding.nominal.frames, plain.nominal.frames)
+    assert (np.abs(sliding.frames.astype(float) - plain.frames).max(axis=3) > 4).mean() > 0.01
 
 
 def test_development_parts_are_no_analogues() -> None:

@@ -21,8 +21,8 @@ MOST_SIDE = 10
 # What a number of a gathered row costs, in products of a number with one query's: measured on two cores with
 # onnxruntime 1.31. Small blocks gather every cell many times, large ones compare with many cells in vain.
 GATHER_COST = 12
-# Numbers gathered at once (4 MB: they stay in the cache, twice as fast), unless that makes more parts than these.
-GATHERED, PARTS = 2**20, 16
+# Numbers gathered at once (8 MB: 4 and 16 took a twentieth longer behind a trunk), unless that makes more parts.
+GATHERED, PARTS = 2**21, 16
 # ONNX's number for float32.
 _FLOAT = 1
 
@@ -126,7 +126,9 @@ def emit_window_nearest(
 
     rows: (n, cells, width). presses: (m, stored, width), all that there are. gallery: int64 (n, k), which of them.
     tables: `queries` and `reached` of Tables, as values. size: width, and the most presses in a gallery. The product
-    chooses the row, which is measured: rows that it takes for each other are apart by its rounding.
+    chooses the row, which is measured: where it takes one row for another, the distance is off by the root of its
+    rounding, 3e-4 of the centred rows' length at most. Measured on simulated and real presses: that length is 5 times
+    the distance in the median and 55 times at most, so the error stays below a hundredth, mostly far below.
     """
     width, most = size
     chosen = graph.op("Gather", presses, gallery, axis=0)
