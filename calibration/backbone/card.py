@@ -39,8 +39,8 @@ _LIMITS = (
     "It looks past the sensor at the imprint, so frames of another kind of sensor do not reliably score far out. "
     "The gateway refuses them by their colours before it scores (`other_sensor`); whoever uses the trunk alone tells a "
     "wrong sensor by other means.",
-    "A gel rim was not drawn in training, nor is motion blur: the trial `smeared` had it and gained little on presses "
-    "that slide.",
+    "A gel rim was not drawn in training, nor was motion blur: the trial `smeared` had it, gained nothing on presses "
+    "that slide and lost on registered ones.",
 )
 
 
