@@ -21,17 +21,6 @@ from edge.core.errors import ConfigError
 from plugins.backbones.resnet import build_trunk
 
 
-@pytest.fixture(scope="module")
-def trunk() -> Trunk:
-    """A random network whose batch norms have seen something."""
-    torch.manual_seed(0)
-    network = Trunk()
-    with torch.no_grad():
-        for _ in range(3):
-            network(torch.rand(4, 3, 64, 64) * 255)
-    return network.eval()
-
-
 def run(graph: bytes, frames: np.ndarray) -> list[np.ndarray]:
     session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
     answer: list[np.ndarray] = session.run(list(STAGES), {"frames": frames})

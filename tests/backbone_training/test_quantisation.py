@@ -17,17 +17,6 @@ from edge.core.errors import ConfigError
 from plugins.backbones.resnet import build_trunk
 
 
-@pytest.fixture(scope="module")
-def trunk() -> Trunk:
-    """A random network whose batch norms have seen something."""
-    torch.manual_seed(0)
-    network = Trunk()
-    with torch.no_grad():
-        for _ in range(3):
-            network(torch.rand(4, 3, 64, 64) * 255)
-    return network.eval()
-
-
 def test_it_loses_what_onnxruntime_loses(trunk: Trunk, monkeypatch: pytest.MonkeyPatch) -> None:
     """At each tap the rounded maps have 256 values at most and err by as much as the int8 graph does, within a
     twentieth, in the same direction more than by chance: equal they cannot be, since one ranges over rounded values and
