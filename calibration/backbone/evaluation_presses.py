@@ -81,7 +81,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "worn gel": Condition(learnt_at=700, scored_at=900),
     "marker gel": Condition(effects=("markers",)),
     "residual imprint": Condition(effects=("residual_imprint",), is_remembering=True),
-    # Twice what a press slides at the end of its stroke: 0.09 mm in an exposure.
+    # More than the 3 mm/s that a recorded press slides at the end of its stroke: 0.09 mm in an exposure.
     "sliding press": Condition(slide_mm_s=5.0),
 }
 
