@@ -11,8 +11,12 @@ __all__ = ["evaluate"]
 def evaluate(
     bundle: Annotated[Path, typer.Argument(help="the bundle: a folder or a .zip")],
     dataset: Annotated[Path, typer.Argument(help="the folder of presses")],
-    part: Annotated[str | None, typer.Option(help="another part than the bundle's")] = None,
-    position: Annotated[str | None, typer.Option(help="another position than the bundle's")] = None,
+    part: Annotated[
+        str | None, typer.Option(help="another part than the bundle's, '*' for every part")
+    ] = None,
+    position: Annotated[
+        str | None, typer.Option(help="another position than the bundle's, '*' for every one")
+    ] = None,
     limit: Annotated[float, typer.Option(help="false-positive rate up to which AU-PRO is integrated")] = 0.01,
     bootstrap: Annotated[int, typer.Option(help="replicates per interval, 0 for none", min=0)] = 1000,
     seed: Annotated[int, typer.Option(help="seed of the replicates", min=0)] = 0,

@@ -21,6 +21,10 @@ Show = Callable[[str, int], AbstractContextManager[Advance]]
 """Opens a progress display: what is done, and how many steps."""
 
 
+EVERY = "*"
+"""The name that stands for every part or position of a dataset."""
+
+
 @dataclass(frozen=True)
 class ScoredPress:
     """One press with its map, float32 (h, w) of the region, and its mask in the same pixels."""
@@ -78,9 +82,9 @@ def evaluate_bundle(
     seed: int,
     show: Show,
 ) -> Evaluation:
-    """Load, score and measure. part, position: None means the bundle's own, where the dataset has it.
+    """Load, score and measure. part, position: None is the bundle's own, "*" is every one.
 
-    Errors: BundleError, DatasetError (also when nothing is left to score).
+    Errors: BundleError, DatasetError (the dataset lacks the part or position; nothing is left to score).
     """
     bundle = Bundle.load(bundle_path)
     dataset = _chosen(open_dataset(dataset_path, _resolution(bundle)), bundle, part, position)
@@ -114,11 +118,16 @@ def _resolution(bundle: Bundle) -> Resolution:
 
 
 def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:
-    """The presses of the asked part and position, else of the bundle's where the dataset has it, else all."""
-    if part is None and position is None:
-        own = (bundle.manifest.part, bundle.manifest.position)
-        return dataset.select(*own) if own in dataset.positions else dataset
-    return dataset.select(part, position)
+    """The presses of the asked part and position. Errors: DatasetError where the dataset has none of them."""
+    own = bundle.manifest.part, bundle.manifest.position
+    wanted = [mine if asked is None else asked for asked, mine in zip((part, position), own, strict=True)]
+    pair = [None if name == EVERY else name for name in wanted]
+    try:
+        return dataset.select(*pair)
+    except DatasetError as error:
+        raise DatasetError(
+            f"{error}; the bundle is of {'/'.join(own)}: choose with --part and --position, '{EVERY}' for every one"
+        ) from None
 
 
 def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:

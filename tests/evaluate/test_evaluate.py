@@ -53,7 +53,7 @@ def bundle(folder: Path, presses: tuple[str, ...] = (), **changes: object) -> Pa
 
 
 def run(at: Path, dataset: Path, **changes: object) -> Evaluation:
-    options: dict[str, object] = {"part": None, "position": None, "limit": 0.01, "replicates": 50, "seed": 0}
+    options: dict[str, object] = {"part": "*", "position": "*", "limit": 0.01, "replicates": 50, "seed": 0}
     return evaluate_bundle(at, dataset, show=progress, **(options | changes))  # type: ignore[arg-type]
 
 
@@ -74,6 +74,19 @@ def test_a_name_in_train_and_test_means_the_one_in_train(tmp_path: Path, dataset
     evaluation = run(bundle(tmp_path, ("good/000.png",)), dataset)
     scored = [s.press.path.parts[-3] for s in evaluation.scored if s.press.path.name == "000.png"]
     assert (evaluation.left_out, scored) == (1, ["test"])
+
+
+def test_another_part_or_position_is_refused(tmp_path: Path, dataset: Path) -> None:
+    """A bundle of bolt/crest is not scored on bolt/test unless asked; what the dataset has is listed."""
+    at = bundle(tmp_path)
+    with pytest.raises(
+        DatasetError, match=r"no press of bolt/crest; it has bolt/test; the bundle is of bolt/crest"
+    ):
+        run(at, dataset, part=None, position=None)
+    with pytest.raises(DatasetError, match=r"no press of nut/\*; it has bolt/test"):
+        run(at, dataset, part="nut", position="*")
+    assert len(run(at, dataset, part=None, position="test").scored) == 10
+    assert len(run(at, dataset, part="*", position="*").scored) == 10
 
 
 def test_fitted_presses_are_left_out(tmp_path: Path, dataset: Path) -> None:
@@ -132,7 +145,7 @@ def test_command_line(
     """The verb prints the table and writes both files; a wrong part exits with 3 and names what there is."""
     at = bundle(tmp_path, threshold=0.1)
     out, sheet = tmp_path / "out.json", tmp_path / "sheet.png"
-    words = ["gelgate", "evaluate", str(at), str(dataset), "--bootstrap", "20"]
+    words = ["gelgate", "evaluate", str(at), str(dataset), "--bootstrap", "20", "--position", "test"]
     monkeypatch.setattr(sys, "argv", [*words, "--json", str(out), "--sheet", str(sheet)])
     with pytest.raises(SystemExit) as ended:
         cli.main()
