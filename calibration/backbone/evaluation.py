@@ -16,6 +16,7 @@ from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.simulator.workers import in_order
 from edge import registry
 from edge.core.detector import Detector, Features, Grid, Nominal
+from edge.core.profiles import LR_PIXELS_PER_MM
 from edge.packing import pack, unpack
 from edge.runtime import open_session
 from edge.trunk_cut import cut_trunk
@@ -39,7 +40,6 @@ RANDOM = "random"
 
 _MEASURES = ("image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01")
 _FALSE_ALARMS = 0.01
-_PIXELS_PER_MM = 1 / 0.0634
 _THREADS = 1
 
 Column = NDArray[np.float64]
@@ -187,7 +187,7 @@ def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
     session = open_session(graph, _THREADS, "trunk")
     taps = list(taps) or [output.name for output in session.get_outputs()]
     shape = (trial.frames.shape[1], trial.frames.shape[2])
-    grid = trunk_grid(session, taps, shape, _PIXELS_PER_MM)
+    grid = trunk_grid(session, taps, shape, LR_PIXELS_PER_MM)
 
     def take(frames: NDArray[np.uint8]) -> Features:
         return extract(session, frames, grid, lambda fraction: None)

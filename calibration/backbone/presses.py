@@ -17,12 +17,12 @@ from calibration.backbone.draws import Draws, draws_for
 from calibration.backbone.parts import Parts, draw_parts, draw_waves, turned, waves
 from calibration.backbone.render import Look, Spacing
 from calibration.simulator.look import LOOKS
+from edge.core.profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
 
 # Training mixes and varies these two measured sensors; `unit_c` is kept for evaluation.
 TRAINING_UNITS = ("unit_a", "unit_b")
-_MM_PER_PX = 0.0634
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
 _MARKER_SHARE = 0.2
@@ -81,7 +81,7 @@ def _drawn(
     centre = _draw_centre(host, side, spacing)
     draws = draws_for(seed, purpose, step, device)
     view_mm = side * max(spacing)
-    scale = math.sqrt(view_mm / (side * _MM_PER_PX))
+    scale = math.sqrt(view_mm / (side * MINI_LR_MM_PER_PX))
     at_x = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[0]
     at_y = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[1]
     x, y = at_x[None, :].expand(side, side), at_y[:, None].expand(side, side)
@@ -103,7 +103,7 @@ def _drawn(
 
 def _draw_spacing(host: Draws, high_resolution: float) -> Spacing:
     if float(host.uniform(0, 1)) >= high_resolution:
-        return (_MM_PER_PX, _MM_PER_PX)
+        return (MINI_LR_MM_PER_PX, MINI_LR_MM_PER_PX)
     fine = float(host.log_uniform(*_FINE_MM))
     # Half of the fine batches have the 16:9 squeeze of the published pictures.
     squeeze = 4 / 3 if float(host.uniform(0, 1)) < 0.5 else 1.0

@@ -12,6 +12,28 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from calibration.simulator.constants import (
+    COARSEST_MM,
+    COAT_SIGMA_MM,
+    CROP_MM,
+    GLOSS_DOUBLINGS,
+    GLOSS_TILT,
+    GRAIN_FREE,
+    GRAIN_SIGMA_MM,
+    LIGHT_RISE,
+    LIGHTS,
+    LONG_FINEST_MM,
+    LONG_MM,
+    LONG_SHARE,
+    NOISE_LEVEL,
+    NOISE_SD,
+    PENUMBRA_MM,
+    SHADOW_REACH_MM,
+    SHADOW_STEPS,
+    SHORT_MM,
+    SWEEPS,
+)
+
 __all__ = [
     "Look",
     "Spacing",
@@ -31,28 +53,6 @@ __all__ = [
 ]
 
 Spacing = tuple[float, float]
-
-# calibration.simulator.gel
-_SHORT_MM, _LONG_MM, _LONG_SHARE = 0.25, 1.1, 0.55
-_COAT_SIGMA_MM = 0.035
-_COARSEST_MM = 0.28
-_LONG_FINEST_MM = 0.06
-_SWEEPS = (48, 20, 8, 3)
-# calibration.simulator.optics: directions towards the red, green and blue lights, in (x, y).
-_LIGHTS = ((0, -1), (1, 0), (0, 1))
-_LIGHT_RISE = 0.47
-_SHADOW_REACH_MM = 1.2
-_SHADOW_STEPS = 8
-_PENUMBRA_MM = 0.06
-_GLOSS_TILT = 0.55
-_GLOSS_DOUBLINGS = 3
-# calibration.simulator.camera and coat
-_NOISE_SD = (2.2, 1.5, 2.7)
-_NOISE_LEVEL = 100.0
-_GRAIN_SIGMA_MM = 0.035
-_GRAIN_FREE = 0.35
-# The crop that u and v span, in mm: 320x240 pixels of 0.0634.
-_CROP_MM = (20.288, 15.216)
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,15 @@ def deform(obstacle_mm: Tensor, spacing: Spacing, stiffness: float = 1.0) -> Ten
 
     stiffness multiplies both relaxation lengths: gels differ.
     """
-    short = _membrane(obstacle_mm, spacing, _SHORT_MM * stiffness, 0.0)
-    long = _membrane(obstacle_mm, spacing, _LONG_MM * stiffness, _LONG_FINEST_MM)
-    surface = (1 - _LONG_SHARE) * short + _LONG_SHARE * long
-    return blur(surface, (_COAT_SIGMA_MM / spacing[0], _COAT_SIGMA_MM / spacing[1]))
+    short = _membrane(obstacle_mm, spacing, SHORT_MM * stiffness, 0.0)
+    long = _membrane(obstacle_mm, spacing, LONG_MM * stiffness, LONG_FINEST_MM)
+    surface = (1 - LONG_SHARE) * short + LONG_SHARE * long
+    return blur(surface, (COAT_SIGMA_MM / spacing[0], COAT_SIGMA_MM / spacing[1]))
 
 
 def _membrane(obstacle: Tensor, spacing: Spacing, relaxation_mm: float, finest_mm: float) -> Tensor:
     """The membrane of one relaxation length, solved from coarse spacings down to `finest_mm`."""
-    levels = max(0, math.ceil(math.log2(_COARSEST_MM / min(spacing))))
+    levels = max(0, math.ceil(math.log2(COARSEST_MM / min(spacing))))
     surface: Tensor | None = None
     for level in range(levels, -1, -1):
         shrink = 2**level
@@ -112,7 +112,7 @@ def _membrane(obstacle: Tensor, spacing: Spacing, relaxation_mm: float, finest_m
             continue
         sigma = 1.1 * max(coarse)
         decay = math.exp(-0.5 * (sigma / relaxation_mm) ** 2)
-        for _ in range(_SWEEPS[min(levels - level, len(_SWEEPS) - 1)]):
+        for _ in range(SWEEPS[min(levels - level, len(SWEEPS) - 1)]):
             surface = torch.maximum(blur(surface, (sigma / coarse[0], sigma / coarse[1])) * decay, target)
     assert surface is not None
     return torch.maximum(surface, obstacle)
@@ -139,8 +139,8 @@ def unit_grid(
 ) -> tuple[Tensor, Tensor]:
     """u and v over the region, (h, w) each; the whole crop spans -1 to 1. centre: of the region, in u and v."""
     at = torch.arange(side, device=device, dtype=torch.float32) + (0.5 - side / 2)
-    u = (at * (spacing[0] * 2 / _CROP_MM[0]) + centre[0]).clamp(-1.02, 1.02)
-    v = (at * (spacing[1] * 2 / _CROP_MM[1]) + centre[1]).clamp(-1.02, 1.02)
+    u = (at * (spacing[0] * 2 / CROP_MM[0]) + centre[0]).clamp(-1.02, 1.02)
+    v = (at * (spacing[1] * 2 / CROP_MM[1]) + centre[1]).clamp(-1.02, 1.02)
     return u[None, :].expand(side, side), v[:, None].expand(side, side)
 
 
@@ -167,9 +167,9 @@ def shadows(planes: Tensor, surface_mm: Tensor, keeps: Tensor, spacing: Spacing)
     """The planes with each light's cast shadow; keeps: (n,), the share of light in full shadow."""
     height = F.avg_pool2d(surface_mm[:, None], 2)[:, 0]
     factors = []
-    for dx, dy in _LIGHTS:
+    for dx, dy in LIGHTS:
         hidden = _hidden_by(height, dx, dy, 2 * (spacing[0] if dx else spacing[1]))
-        soft = blur((hidden / _PENUMBRA_MM).clamp(0, 1), (1.0, 1.0), reach=2.0, mode="reflect")
+        soft = blur((hidden / PENUMBRA_MM).clamp(0, 1), (1.0, 1.0), reach=2.0, mode="reflect")
         size = list(planes.shape[-2:])
         factors.append(F.interpolate(soft[:, None], size=size, mode="bilinear", align_corners=False)[:, 0])
     return planes * (1 - (1 - keeps[:, None, None, None]) * torch.stack(factors, dim=1))
@@ -179,12 +179,12 @@ def _hidden_by(height: Tensor, dx: int, dy: int, spacing: float) -> Tensor:
     """By how many mm the ray towards the light passes below the surface; 0 where it is free or leaves the region."""
     hidden = torch.zeros_like(height)
     rows, columns = height.shape[-2:]
-    for k in range(1, _SHADOW_STEPS + 1):
-        step = round(_SHADOW_REACH_MM * k / _SHADOW_STEPS / spacing)
+    for k in range(1, SHADOW_STEPS + 1):
+        step = round(SHADOW_REACH_MM * k / SHADOW_STEPS / spacing)
         if step == 0 or step >= (columns if dx else rows):
             continue
         there = torch.roll(height, (-dy * step, -dx * step), (1, 2))
-        over = there - height - step * spacing * _LIGHT_RISE
+        over = there - height - step * spacing * LIGHT_RISE
         # What rolled in from the far side is not a neighbour.
         if dx > 0:
             over[:, :, columns - step :] = 0
@@ -199,11 +199,11 @@ def _hidden_by(height: Tensor, dx: int, dy: int, spacing: float) -> Tensor:
 def gloss(planes: Tensor, nx: Tensor, ny: Tensor, level: Tensor) -> Tensor:
     """The planes with each light's broad lobe, Blinn exponent 8; level: (n,), grey levels at its peak."""
     nz = torch.sqrt((1 - nx * nx - ny * ny).clamp(min=0))
-    half_z = math.sqrt(1 - _GLOSS_TILT**2)
+    half_z = math.sqrt(1 - GLOSS_TILT**2)
     lobes = []
-    for dx, dy in _LIGHTS:
-        lobe = ((nx * dx if dx else ny * dy) * _GLOSS_TILT + nz * half_z).clamp(min=0)
-        lobes.append(lobe ** (2**_GLOSS_DOUBLINGS) - half_z ** (2**_GLOSS_DOUBLINGS))
+    for dx, dy in LIGHTS:
+        lobe = ((nx * dx if dx else ny * dy) * GLOSS_TILT + nz * half_z).clamp(min=0)
+        lobes.append(lobe ** (2**GLOSS_DOUBLINGS) - half_z ** (2**GLOSS_DOUBLINGS))
     return planes + level[:, None, None, None] * torch.stack(lobes, dim=1)
 
 
@@ -212,10 +212,10 @@ def grain(planes: Tensor, surface_mm: Tensor, white: Tensor, levels: Tensor, spa
 
     white: unit noise (n, h, w), blurred here to a flake's size. levels: (n,), sd in grey levels on a stretched coat.
     """
-    texture = blur(white, (_GRAIN_SIGMA_MM / spacing[0], _GRAIN_SIGMA_MM / spacing[1]), reach=4.0)
+    texture = blur(white, (GRAIN_SIGMA_MM / spacing[0], GRAIN_SIGMA_MM / spacing[1]), reach=4.0)
     texture = texture / texture.std(dim=(1, 2), keepdim=True)
     stretched = (surface_mm / 0.1).clamp(0, 1)
-    speckle = texture * (_GRAIN_FREE + (1 - _GRAIN_FREE) * stretched) * levels[:, None, None]
+    speckle = texture * (GRAIN_FREE + (1 - GRAIN_FREE) * stretched) * levels[:, None, None]
     return planes + speckle[:, None]
 
 
@@ -228,8 +228,8 @@ def lens(planes: Tensor, sigma_mm: float, spacing: Spacing) -> Tensor:
 
 def sensor_noise(planes: Tensor, white: Tensor, strength: Tensor) -> Tensor:
     """The planes with the camera's noise; white: unit noise of the planes' shape. strength: (n,), 1 as measured."""
-    variance = torch.tensor(_NOISE_SD, device=planes.device).view(1, 3, 1, 1) ** 2 / 2
-    sd = torch.sqrt(variance * (planes.clamp(min=0) / _NOISE_LEVEL + 1))
+    variance = torch.tensor(NOISE_SD, device=planes.device).view(1, 3, 1, 1) ** 2 / 2
+    sd = torch.sqrt(variance * (planes.clamp(min=0) / NOISE_LEVEL + 1))
     return planes + white * sd * strength[:, None, None, None]
 
 

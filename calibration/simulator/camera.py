@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.simulator.constants import NOISE_LEVEL, NOISE_SD
 from calibration.simulator.field import F32, Field, grids
 
 __all__ = [
@@ -124,12 +125,6 @@ def led_drift(planes: F32, time_s: float, rng: np.random.Generator) -> F32:
     return planes
 
 
-# Sd of a single frame in grey levels at the mean level, per channel R, G, B: measured 2.1-2.4, 1.4-1.7, 2.5-3.0 on
-# PNG frames of the maker's resize. Half of the variance grows with the light.
-_NOISE_SD = (2.2, 1.5, 2.7)
-_NOISE_LEVEL = 100.0
-
-
 @lru_cache(maxsize=1)
 def _normal_quantiles() -> F32:
     """The normal distribution at the middle of each of 65536 equal shares, float32 (65536,): within 4.3 sd."""
@@ -145,9 +140,9 @@ def noise(planes: F32, rng: np.random.Generator) -> F32:
     """
     bits = np.frombuffer(rng.bytes(2 * planes.size), dtype="<u2").reshape(planes.shape)
     quantiles = _normal_quantiles()
-    for plane, sd, which in zip(planes, _NOISE_SD, bits, strict=True):
+    for plane, sd, which in zip(planes, NOISE_SD, bits, strict=True):
         half = 0.5 * sd * sd
-        spread = cv2.sqrt(np.maximum(plane, 0) * np.float32(half / _NOISE_LEVEL) + np.float32(half))
+        spread = cv2.sqrt(np.maximum(plane, 0) * np.float32(half / NOISE_LEVEL) + np.float32(half))
         spread *= quantiles[which]
         plane += spread
     return planes

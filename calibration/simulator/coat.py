@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import steady
-from calibration.simulator.field import CROP_MM, F32, Field, grids
+from calibration.simulator.constants import CROP_MM, GRAIN_FREE, GRAIN_SIGMA_MM
+from calibration.simulator.field import F32, Field, grids
+from edge.core.profiles import MINI_LR_MM_PER_PX
 
 __all__ = [
     "Dust",
@@ -184,14 +186,12 @@ def wear(surface_mm: F32, relief_mm: F32) -> F32:
 # Paint grain: high-pass sd outside and inside contact is B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
 # Its part beyond the camera's own noise is about 1.8 levels in contact and a third of that on the free gel.
 _GRAIN_LEVELS = 1.8
-_GRAIN_FREE = 0.35
-_GRAIN_SIGMA_MM = 0.035
 
 
 def grain_texture(rng: np.random.Generator, field: Field) -> F32:
     """The speckle of one coat, float32 (h, w), mean 0, sd 1, correlated over the size of a flake."""
     texture = rng.standard_normal(field.shape, dtype=np.float32)
-    sx, sy = (_GRAIN_SIGMA_MM / m for m in field.mm_per_px)
+    sx, sy = (GRAIN_SIGMA_MM / m for m in field.mm_per_px)
     texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), sx, sigmaY=sy), dtype=np.float32)
     return texture / np.float32(texture.std(dtype=np.float64))
 
@@ -200,7 +200,7 @@ def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
     """The planes with the coat's speckle, which a stretched coat shows about three times as strongly."""
     stretched = np.clip(surface_mm / np.float32(0.1), 0, 1)
     speckle = texture * (
-        np.float32(_GRAIN_LEVELS * _GRAIN_FREE) + np.float32(_GRAIN_LEVELS * (1 - _GRAIN_FREE)) * stretched
+        np.float32(_GRAIN_LEVELS * GRAIN_FREE) + np.float32(_GRAIN_LEVELS * (1 - GRAIN_FREE)) * stretched
     )
     for plane in planes:
         plane += speckle
@@ -208,8 +208,8 @@ def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
 
 
 # A tracking gel carries 7 x 9 dots in the crop: margin 24 px and radius about 6 px at 320x240.
-_DOT_PITCH_MM = ((320 - 48) / 8 * 0.0634, (240 - 48) / 6 * 0.0634)
-_DOT_RADIUS_MM = 6 * 0.0634
+_DOT_PITCH_MM = ((320 - 48) / 8 * MINI_LR_MM_PER_PX, (240 - 48) / 6 * MINI_LR_MM_PER_PX)
+_DOT_RADIUS_MM = 6 * MINI_LR_MM_PER_PX
 _DOT_KEEPS = 0.22
 # Dots move out of the way of a bulge by about this share of its depth (judged from the maker's marker video).
 _DOT_SPREAD_MM = 0.5

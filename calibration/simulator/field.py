@@ -10,19 +10,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CROP_MM", "F32", "HR", "LR", "NATIVE_SIZE", "Field", "grids", "native_field", "unit_grids"]
+from calibration.simulator.constants import CROP_MM
+from edge.core.profiles import MINI_BORDER, MINI_LR_MM_PER_PX, MINI_NATIVE
+
+__all__ = ["F32", "HR", "LR", "Field", "grids", "native_field", "unit_grids"]
 
 F32 = NDArray[np.float32]
-
-# mm per pixel at 320x240, from imaging a ruler (maker's FAQ); the datasheet's field of view gives 0.058: 8 % doubt.
-MM_PER_PX_LR = 0.0634
-CROP_MM = (320 * MM_PER_PX_LR, 240 * MM_PER_PX_LR)
-
-# The camera's only mode, (width, height), read from v4l2-ctl dumps of several units.
-NATIVE_SIZE = (3280, 2464)
-
-# The maker's software cuts a seventh of the width and height from each side before it resizes.
-CROP_BORDER = 1 / 7
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,7 @@ class Field:
         return (self.size[0] * self.mm_per_px[0], self.size[1] * self.mm_per_px[1])
 
 
-LR = Field((320, 240), (MM_PER_PX_LR, MM_PER_PX_LR))
+LR = Field((320, 240), (MINI_LR_MM_PER_PX, MINI_LR_MM_PER_PX))
 # The 16:9 picture shows the same 4:3 piece of gel: a circle becomes an ellipse, as in the published dataset.
 HR = Field((1280, 720), (CROP_MM[0] / 1280, CROP_MM[1] / 720))
 
@@ -61,9 +54,9 @@ def native_field(reduction: int = 4) -> Field:
     """
     if reduction not in (1, 2, 4, 8):
         raise ValueError(f"a reduction is 1, 2, 4 or 8, found {reduction}")
-    width, height = NATIVE_SIZE[0] // reduction, NATIVE_SIZE[1] // reduction
-    seen = 1 - 2 * CROP_BORDER
-    return Field((width, height), (CROP_MM[0] / seen / width, CROP_MM[1] / seen / height))
+    width, height = MINI_NATIVE[0] // reduction, MINI_NATIVE[1] // reduction
+    seen_x, seen_y = (1 - 2 * border for border in MINI_BORDER)
+    return Field((width, height), (CROP_MM[0] / seen_x / width, CROP_MM[1] / seen_y / height))
 
 
 @lru_cache(maxsize=8)

@@ -5,25 +5,18 @@ import math
 import cv2
 import numpy as np
 
+from calibration.simulator.constants import (
+    COARSEST_MM,
+    COAT_SIGMA_MM,
+    LONG_FINEST_MM,
+    LONG_MM,
+    LONG_SHARE,
+    SHORT_MM,
+    SWEEPS,
+)
 from calibration.simulator.field import F32, Field
 
 __all__ = ["deformation", "residual_imprint"]
-
-# Beside an edge the gel first drops steeply (the tension of its coat), then rises far out (the bulk of a pad 4.25 mm
-# thick): two relaxation lengths and the share of the long one. With these the slope around 51 real ball presses is
-# met within 2 grey levels from 0.7 mm inside the contact to 2.3 mm outside it (docs/simulator.md).
-_SHORT_MM, _LONG_MM, _LONG_SHARE = 0.25, 1.1, 0.55
-
-# The coat is stiff over this length: finer detail than this never shows. About a pixel at 640x480.
-_COAT_SIGMA_MM = 0.035
-
-# Below this spacing a coarser level of the pyramid tells nothing more.
-_COARSEST_MM = 0.28
-# The long membrane is smooth: it is solved down to this spacing only.
-_LONG_FINEST_MM = 0.06
-
-# Sweeps from the coarsest level to the finest, the last one repeated: the coarse ones carry far, and cost nothing.
-_SWEEPS = (48, 20, 8, 3)
 
 
 def deformation(obstacle_mm: F32, field: Field) -> F32:
@@ -37,10 +30,10 @@ def deformation(obstacle_mm: F32, field: Field) -> F32:
     """
     if not obstacle_mm.any():
         return obstacle_mm.copy()
-    short = _membrane(obstacle_mm, field, _SHORT_MM, 0.0)
-    long = _membrane(obstacle_mm, field, _LONG_MM, _LONG_FINEST_MM)
-    surface = cv2.addWeighted(short, 1 - _LONG_SHARE, long, _LONG_SHARE, 0.0)
-    return _blur(np.asarray(surface, dtype=np.float32), _COAT_SIGMA_MM, field.mm_per_px)
+    short = _membrane(obstacle_mm, field, SHORT_MM, 0.0)
+    long = _membrane(obstacle_mm, field, LONG_MM, LONG_FINEST_MM)
+    surface = cv2.addWeighted(short, 1 - LONG_SHARE, long, LONG_SHARE, 0.0)
+    return _blur(np.asarray(surface, dtype=np.float32), COAT_SIGMA_MM, field.mm_per_px)
 
 
 def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: float) -> F32:
@@ -48,7 +41,7 @@ def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: floa
 
     One sweep is a Gaussian step whose fixed point decays as exp(-distance / L), then the obstacle is put back.
     """
-    levels = max(0, math.ceil(math.log2(_COARSEST_MM / min(field.mm_per_px))))
+    levels = max(0, math.ceil(math.log2(COARSEST_MM / min(field.mm_per_px))))
     surface = None
     for level in range(levels, -1, -1):
         size = (max(2, field.size[0] >> level), max(2, field.size[1] >> level))
@@ -63,7 +56,7 @@ def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: floa
             continue
         sigma = 1.1 * max(spacing)
         decay = np.float32(math.exp(-0.5 * (sigma / relaxation_mm) ** 2))
-        for _ in range(_SWEEPS[min(levels - level, len(_SWEEPS) - 1)]):
+        for _ in range(SWEEPS[min(levels - level, len(SWEEPS) - 1)]):
             surface = _blur(np.asarray(surface, dtype=np.float32), sigma, spacing)
             surface *= decay
             np.maximum(surface, target, out=surface)

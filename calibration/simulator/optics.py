@@ -7,13 +7,18 @@ place and returns them.
 import cv2
 import numpy as np
 
+from calibration.simulator.constants import (
+    GLOSS_DOUBLINGS,
+    GLOSS_TILT,
+    LIGHT_RISE,
+    LIGHTS,
+    PENUMBRA_MM,
+    SHADOW_REACH_MM,
+    SHADOW_STEPS,
+)
 from calibration.simulator.field import F32, Field
 
 __all__ = ["LIGHTS", "headlight", "illumination", "normals", "shadows", "specular"]
-
-# Where each light shines from, as a step in (x, y): red from the top of the picture, green from the right, blue from
-# below (measured on three units: a ball is red on top, green right, blue below).
-LIGHTS = ((0, -1), (1, 0), (0, 1))
 
 # The headlight's level: mid grey, so that neither slopes nor noise clip.
 _HEADLIGHT_LEVEL = 128.0
@@ -56,15 +61,8 @@ def illumination(nx: F32, ny: F32, free_gel: F32, per_normal: F32, curvature: F3
     return np.maximum(planes, np.float32(0), out=planes)
 
 
-# The lights stand low beside the gel: about 25 degrees above it (assumed; the maker does not publish it).
-_LIGHT_RISE = 0.47
-# Reach of a shadow that is followed; an imprint 0.5 mm high throws 1.1 mm at this elevation.
-_SHADOW_REACH_MM = 1.2
-_SHADOW_STEPS = 8
 # A fully shadowed point keeps this share of that colour: light also comes back from the walls. FOTS uses 0.65.
 _SHADOW_KEEPS = 0.65
-# Height over which a shadow's edge goes from none to full: the lights are bars, not points.
-_PENUMBRA_MM = 0.06
 
 
 def shadows(planes: F32, surface_mm: F32, field: Field) -> F32:
@@ -80,7 +78,7 @@ def shadows(planes: F32, surface_mm: F32, field: Field) -> F32:
     for plane, (dx, dy) in zip(planes, LIGHTS, strict=True):
         spacing = field.extent_mm[0] / half[0] if dx else field.extent_mm[1] / half[1]
         hidden = _hidden_by(height, dx, dy, spacing)
-        shade = np.clip(hidden / np.float32(_PENUMBRA_MM), 0, 1)
+        shade = np.clip(hidden / np.float32(PENUMBRA_MM), 0, 1)
         shade = cv2.GaussianBlur(shade, (5, 5), 1.0)
         factor = cv2.resize(shade, field.size, interpolation=cv2.INTER_LINEAR)
         plane *= np.float32(1) - np.float32(1 - _SHADOW_KEEPS) * factor
@@ -91,14 +89,14 @@ def _hidden_by(height: F32, dx: int, dy: int, spacing: float) -> F32:
     """By how many mm the ray towards the light passes below the surface, float32 (h, w), 0 where it is free."""
     hidden = np.zeros_like(height)
     rows, columns = height.shape
-    for k in range(1, _SHADOW_STEPS + 1):
-        distance_mm = _SHADOW_REACH_MM * k / _SHADOW_STEPS
+    for k in range(1, SHADOW_STEPS + 1):
+        distance_mm = SHADOW_REACH_MM * k / SHADOW_STEPS
         step = round(distance_mm / spacing)
         if step == 0 or step >= (columns if dx else rows):
             continue
         here = _slices(rows, columns, -dx * step, -dy * step)
         there = _slices(rows, columns, dx * step, dy * step)
-        over = height[there] - height[here] - np.float32(step * spacing * _LIGHT_RISE)
+        over = height[there] - height[here] - np.float32(step * spacing * LIGHT_RISE)
         np.maximum(hidden[here], over, out=hidden[here])
     return hidden
 
@@ -109,8 +107,6 @@ def _slices(rows: int, columns: int, dx: int, dy: int) -> tuple[slice, slice]:
 
 # The maker's coat is nearly Lambertian; the little gloss that is seen on steep flanks is a broad lobe.
 _GLOSS_LEVEL = 22.0
-_GLOSS_DOUBLINGS = 3
-_GLOSS_TILT = 0.55
 
 
 def specular(planes: F32, nx: F32, ny: F32) -> F32:
@@ -120,12 +116,12 @@ def specular(planes: F32, nx: F32, ny: F32) -> F32:
     colour, so only the change is added. Strength is judged by eye on real threads.
     """
     nz = cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
-    half_z = np.float32((1 - _GLOSS_TILT**2) ** 0.5)
-    flat = float(half_z) ** (2**_GLOSS_DOUBLINGS)
+    half_z = np.float32((1 - GLOSS_TILT**2) ** 0.5)
+    flat = float(half_z) ** (2**GLOSS_DOUBLINGS)
     for plane, (dx, dy) in zip(planes, LIGHTS, strict=True):
         towards = nx * np.float32(dx) if dx else ny * np.float32(dy)
-        lobe = np.maximum(towards * np.float32(_GLOSS_TILT) + nz * half_z, np.float32(0))
-        for _ in range(_GLOSS_DOUBLINGS):
+        lobe = np.maximum(towards * np.float32(GLOSS_TILT) + nz * half_z, np.float32(0))
+        for _ in range(GLOSS_DOUBLINGS):
             lobe *= lobe
         plane += np.float32(_GLOSS_LEVEL) * (lobe - np.float32(flat))
     return planes

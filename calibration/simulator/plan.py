@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.scene import Run, Scene
 from calibration.simulator.defects import Defect, place_defect
-from calibration.simulator.field import Field
+from calibration.simulator.field import LR, Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
@@ -62,7 +62,7 @@ def piece(plan: PressPlan, streams: Streams) -> Specimen:
 # Severe enough to be marked: an imprint change over so many LR pixels of the placement's coarse look.
 _LEAST_MASK_PX = 6
 _TRIES = 8
-_LOOK = Field((224, 224), (0.0634, 0.0634))
+_LOOK = Field((224, 224), LR.mm_per_px)
 
 
 def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Streams) -> Defect | None:

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field import F32, LR, MM_PER_PX_LR
+from calibration.simulator.field import F32, LR
 from calibration.simulator.look import LOOKS
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import named_streams
+from edge.core.profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["BANDS", "BallFigures", "ball_figures", "histogram_overlap", "levels", "read_rgb", "spectrum"]
 
@@ -67,7 +68,7 @@ def spectrum(rgb: F32, window: tuple[slice, slice] = (slice(None), slice(None)))
     grey = rgb.mean(axis=2)[window].astype(np.float64)
     taper = np.hanning(grey.shape[0])[:, None] * np.hanning(grey.shape[1])[None]
     power = np.abs(np.fft.fft2((grey - grey.mean()) * taper)) ** 2 / grey.size / (taper**2).sum()
-    fy, fx = (np.fft.fftfreq(n, MM_PER_PX_LR) for n in grey.shape)
+    fy, fx = (np.fft.fftfreq(n, MINI_LR_MM_PER_PX) for n in grey.shape)
     frequency = np.hypot(fy[:, None], fx[None])
     gradient = power * (2 * np.pi * frequency) ** 2
     return np.array([np.sqrt(gradient[(frequency >= low) & (frequency < high)].sum()) for low, high in BANDS])
@@ -111,7 +112,7 @@ def ball_figures(folder: Path) -> BallFigures:
     for number, (frame, (cx, cy), radius) in enumerate(_presses(folder)):
         real = frame - background
         simulated = _ball(renderer, cx, cy, radius, number) - free
-        distance = (np.hypot(columns - cx, rows - cy) - radius) * MM_PER_PX_LR
+        distance = (np.hypot(columns - cx, rows - cy) - radius) * MINI_LR_MM_PER_PX
         edges.append([_signal_by_distance(change, distance) for change in (real, simulated)])
         inside = distance < 0
         pairs.append((real[inside], simulated[inside]))
@@ -129,8 +130,8 @@ def ball_figures(folder: Path) -> BallFigures:
 
 
 def _ball(renderer: Renderer, cx: float, cy: float, radius_px: float, number: int) -> F32:
-    big, at = _BALL_MM / 2, ((cx + 0.5 - 160) * MM_PER_PX_LR, (cy + 0.5 - 120) * MM_PER_PX_LR)
-    cap = big - np.sqrt(big**2 - (radius_px * MM_PER_PX_LR) ** 2)
+    big, at = _BALL_MM / 2, ((cx + 0.5 - 160) * MINI_LR_MM_PER_PX, (cy + 0.5 - 120) * MINI_LR_MM_PER_PX)
+    cap = big - np.sqrt(big**2 - (radius_px * MINI_LR_MM_PER_PX) ** 2)
 
     def height(x: F32, y: F32) -> F32:
         return f32(np.sqrt(np.maximum(big**2 - x * x - y * y, 0)) - big)

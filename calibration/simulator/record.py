@@ -13,7 +13,7 @@ import numpy as np
 from calibration.scene import Run, Scene
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
-from calibration.simulator.field import F32, HR, LR, NATIVE_SIZE, native_field
+from calibration.simulator.field import F32, HR, LR, native_field
 from calibration.simulator.look import LOOKS
 from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
@@ -24,6 +24,7 @@ from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import RecordingError, StoreError
+from edge.core.profiles import MINI_NATIVE
 from edge.recording import Recording, RecordingHeader, RecordingWriter
 
 __all__ = ["FrameOut", "press_frames", "record_run"]
@@ -151,7 +152,7 @@ def _whole_frames(beside: Path) -> int:
 
 def _header(scene: Scene) -> RecordingHeader:
     mode = scene.camera.modes[0]
-    sizes = {"lr": LR.size, "hr": HR.size, "native": NATIVE_SIZE}
+    sizes = {"lr": LR.size, "hr": HR.size, "native": MINI_NATIVE}
     profile = {"lr": "cropped_lr", "hr": "", "native": "mini_lr"}[mode]
     return RecordingHeader(_PRODUCT, _SERIAL, sizes[mode], scene.camera.fps, profile)
 
@@ -282,5 +283,5 @@ _FINE_QUALITY = 98
 
 def _payload(scene: Scene, rgb: U8) -> bytes:
     """The camera's bytes: scaled up to the camera's size where the scene renders its native mode."""
-    size = NATIVE_SIZE if "native" in scene.camera.modes else None
+    size = MINI_NATIVE if "native" in scene.camera.modes else None
     return encode_jpeg(rgb, CAMERA_QUALITY if "jpeg" in scene.effects else _FINE_QUALITY, size)

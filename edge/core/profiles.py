@@ -8,10 +8,18 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from edge.core.errors import ConfigError
-from edge.core.nearest import suggestion
 from edge.core.profile import SensorProfile
+from edge.core.suggest import suggestion
 
-__all__ = ["MINI_CONTROLS", "PROFILES", "profile"]
+__all__ = [
+    "LR_PIXELS_PER_MM",
+    "MINI_BORDER",
+    "MINI_CONTROLS",
+    "MINI_LR_MM_PER_PX",
+    "MINI_NATIVE",
+    "PROFILES",
+    "profile",
+]
 
 # The one mode that the sensor offers: gelsightinc/gsrobotics issue 36, v4l2-ctl listing of 2026-05-21.
 MINI_NATIVE = (3280, 2464)
@@ -19,7 +27,8 @@ MINI_NATIVE = (3280, 2464)
 MINI_BORDER = (1 / 7, 1 / 7)
 # 0.0634 mm per pixel at 320x240: the maker's README FAQ, from a picture of a ruler. The datasheet's field of view
 # (18.6 x 14.3 mm) says 0.058, so expect 8 % and measure with a ball where millimetres matter.
-LR_PIXELS_PER_MM = 1 / 0.0634
+MINI_LR_MM_PER_PX = 0.0634
+LR_PIXELS_PER_MM = 1 / MINI_LR_MM_PER_PX
 
 # What the maker once recommended (gsrobotics history, mini_set_cam_params.sh), in the control names of kernels from
 # 5.18 on; the device translates for older ones. Exposure is in units of 100 us: 18 ms. Nothing sets them by default,
