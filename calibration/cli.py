@@ -1,7 +1,7 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -60,6 +60,7 @@ def fit(
     from calibration.presses import read_presses
     from calibration.progress import Stages
     from edge import registry
+    from edge.cli.named_values import named_values
     from edge.core.errors import ConfigError
     from edge.core.region import Region
 
@@ -68,7 +69,7 @@ def fit(
         raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
     sensor = chosen_profile(profile, sources)
     detector = registry.load("detectors", method)
-    overrides = _overrides(settings or [])
+    overrides = named_values("--set", settings or ())
     parameters = detector.parameters(mode, **overrides)
     recipe = Recipe(
         part=part,
@@ -135,24 +136,6 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
             f"the recordings name different profiles: {', '.join(sorted(named))}; choose with --profile"
         )
     return profile(named.pop() if named else "mini_lr")
-
-
-def _overrides(settings: list[str]) -> dict[str, Any]:
-    """`name=value` pairs; a value is read as JSON where it is JSON, else as text."""
-    import json
-
-    from edge.core.errors import ConfigError
-
-    overrides: dict[str, Any] = {}
-    for setting in settings:
-        name, equals, text = setting.partition("=")
-        if not (name.isidentifier() and equals):
-            raise ConfigError(f"'--set {setting}' is not understood; write --set name=value")
-        try:
-            overrides[name] = json.loads(text)
-        except ValueError:
-            overrides[name] = text
-    return overrides
 
 
 def summary(fitted: "Fitted", output: Path) -> None:

@@ -17,7 +17,7 @@ from calibration.simulator.look import LOOKS
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
 from edge.core.errors import ConfigError
-from edge.core.nearest import suggestion
+from edge.core.suggest import suggestion
 from edge.table_faults import numbered, sentences
 
 __all__ = ["SCENES", "Camera", "Defects", "Motion", "Nominal", "Run", "Scene", "load_scene", "scene_names"]

@@ -4,6 +4,7 @@ The thread always drains the sensor, so that a slow consumer gets recent frames 
 is dropped oldest first and counted. It opens the sensor again, with growing pauses, whatever made it go.
 """
 
+import random
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from enum import Enum
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
+from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock, Device, DeviceIdentity
@@ -23,6 +25,8 @@ _RATE_FRAMES = 38
 # This many bad frames on end are a sick stream, not bad luck: two seconds' worth.
 _CORRUPT_IN_A_ROW = 38
 _LONGEST_WAIT_NS = 250_000_000
+# Pauses between two attempts to open the sensor.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
 
 
 @runtime_checkable
@@ -71,7 +75,8 @@ class Acquisition:
 
     open_device: makes one attempt. on_change: called from the reader thread with the status, once per change of state
     or fault; it must return soon. depth: frames kept for a consumer that lags. stall_after_s: no new frame for so
-    long, and the sensor is opened again. backoff_s: first and longest pause between attempts.
+    long, and the sensor is opened again. backoff: the pauses between attempts; by default the first is at most 0.5 s
+    and none is longer than 10 s.
 
     A reconnection is to the same sensor: one with another serial is refused as a fault.
     `CameraFrame.sequence` rises over reconnections; a gap means that frames were lost, refused or dropped there.
@@ -85,14 +90,13 @@ class Acquisition:
         *,
         depth: int = 32,
         stall_after_s: float = 2.0,
-        backoff_s: tuple[float, float] = (0.5, 10.0),
+        backoff: Backoff | None = None,
     ) -> None:
-        if depth < 1 or stall_after_s <= 0 or not 0 < backoff_s[0] <= backoff_s[1]:
-            raise ValueError(
-                f"depth, stall time and pauses are positive, found {depth}, {stall_after_s}, {backoff_s}"
-            )
+        if depth < 1 or stall_after_s <= 0:
+            raise ValueError(f"depth and stall time are positive, found {depth} and {stall_after_s}")
         self._open_device, self._clock, self._on_change = open_device, clock, on_change
-        self._depth, self._stall_ns, self._backoff_s = depth, round(stall_after_s * 1e9), backoff_s
+        self._depth, self._stall_ns = depth, round(stall_after_s * 1e9)
+        self._backoff = backoff or Backoff(random.Random(), _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._frames: deque[CameraFrame] = deque()
         self._times_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
         self._changed = threading.Condition()
@@ -166,7 +170,6 @@ class Acquisition:
 
     def _supply(self) -> None:
         """Open, read until it fails, pause, and again."""
-        pause_s = self._backoff_s[0]
         while not self._closing.is_set():
             frames_before = self.status.frames
             try:
@@ -176,9 +179,8 @@ class Acquisition:
             except DeviceError as error:
                 self._set(state=AcquisitionState.FAULT, fault=str(error), fps=0.0)
             if self.status.frames > frames_before:
-                pause_s = self._backoff_s[0]
-            self._closing.wait(pause_s)
-            pause_s = min(pause_s * 2, self._backoff_s[1])
+                self._backoff.succeeded()
+            self._closing.wait(self._backoff.failed())
 
     def _read_one_opening(self) -> None:
         device = self._open_device()

@@ -8,19 +8,19 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
+from edge.core.station import topic_level
 from edge.table_faults import numbered, sentences, types_in
 
 __all__ = ["Config", "PluginTable", "load_config"]
 
 M = TypeVar("M", bound=BaseModel)
 
-Segment = Annotated[str, StringConstraints(pattern=r"^[^\s+#/$]+$", max_length=64)]
-"""One level of an MQTT topic: not empty, no space, none of + # / $."""
+TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
 
 class _Table(BaseModel):
@@ -40,10 +40,12 @@ class StationTable(_Table):
     Each has 1 to 64 characters, no space, and none of + # / $.
     """
 
-    prefix: Segment = Field(default="gelgate", description="first level of every topic")
-    site: Segment = Field(default="site", description="second level: the plant")
-    line: Segment = Field(default="line", description="third level: the production line")
-    station: Segment = Field(default="station", description="fourth level: this gateway, unique on its line")
+    prefix: TopicLevel = Field(default="gelgate", description="first level of every topic")
+    site: TopicLevel = Field(default="site", description="second level: the plant")
+    line: TopicLevel = Field(default="line", description="third level: the production line")
+    station: TopicLevel = Field(
+        default="station", description="fourth level: this gateway, unique on its line"
+    )
 
 
 class InspectionTable(_Table):

@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from edge.core.errors import ConfigError
-from edge.core.nearest import suggestion
+from edge.core.suggest import suggestion
 
 __all__ = ["load", "names"]
 

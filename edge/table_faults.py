@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from edge.core.nearest import suggestion
+from edge.core.suggest import suggestion
 
 __all__ = ["numbered", "sentences", "types_in"]
 

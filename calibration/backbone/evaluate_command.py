@@ -91,7 +91,7 @@ def _chosen_sets(
 
     from calibration.backbone.evaluation_sets import SETS, evaluation_sets
     from edge.core.errors import ConfigError
-    from edge.core.nearest import suggestion
+    from edge.core.suggest import suggestion
 
     for name in only:
         if name not in SETS:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from calibration.simulator import camera, coat, gel, optics, pose
-from edge.core.nearest import suggestion
+from edge.core.suggest import suggestion
 
 __all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]
 

@@ -82,7 +82,7 @@ def _only(serials: list[str]) -> str:
 def _known(serial: str, serials: list[str]) -> str:
     """A slip in the serial must not leave the worn gel in the ledger. Errors: ConfigError with the nearest serial."""
     from edge.core.errors import ConfigError
-    from edge.core.nearest import suggestion
+    from edge.core.suggest import suggestion
 
     if serial not in serials:
         raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, serials)}")

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 from edge.core.ports import Message
 
-__all__ = ["TOPIC_VERSION", "OnCommand", "Station", "topic_root"]
+__all__ = ["TOPIC_VERSION", "OnCommand", "Station", "topic_level", "topic_root"]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
 TOPIC_VERSION = "v1"
 
-# One level of a topic: wildcards (+ #), separators (/), broker-internal names ($) and blanks would change its meaning.
-_SEGMENT = re.compile(r"[^\s+#/$\x00]{1,64}")
+# One level of a topic: wildcards (+ #), separators (/), broker-internal names ($) and blanks would change its meaning;
+# a NUL is refused by every broker (MQTT 3.1.1, 1.5.3).
+_LEVEL = re.compile(r"[^\s+#/$\x00]{1,64}")
 
 OnCommand = Callable[[str, bytes], bytes]
 """(verb, request payload) -> response payload. It answers every fault in the response and never raises."""
@@ -22,14 +23,21 @@ def _no_messages() -> Sequence[Message]:
     return ()
 
 
+def topic_level(text: str) -> str:
+    """The text, if it can be one level of a topic. Errors: ValueError."""
+    if not _LEVEL.fullmatch(text):
+        raise ValueError("a topic level has 1 to 64 characters, no blank, and none of + # / $")
+    return text
+
+
 def topic_root(prefix: str, site: str, line: str, station: str) -> str:
     """`<prefix>/<site>/<line>/<station>/gel/v1`. Errors: ValueError naming the level that cannot be used."""
     levels = {"prefix": prefix, "site": site, "line": line, "station": station}
     for level, text in levels.items():
-        if not _SEGMENT.fullmatch(text):
-            raise ValueError(
-                f"the topic level '{level}' is {text!r}; 1 to 64 characters without blanks and + # / $ are expected"
-            )
+        try:
+            topic_level(text)
+        except ValueError as error:
+            raise ValueError(f"the topic level '{level}' is {text!r}: {error}") from None
     return "/".join([*levels.values(), "gel", TOPIC_VERSION])
 
 

@@ -1,7 +1,6 @@
 """What every detector checks alike: parameters given by name, and features that are fit to learn from."""
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
+from edge.core.suggest import suggestion
 
 __all__ = ["bank_bytes", "choose", "repaired", "require_fittable", "require_scorable"]
 
@@ -24,9 +24,7 @@ def choose(detector: str, defaults: P, overrides: Mapping[str, Any]) -> P:
     known = [field.name for field in dataclasses.fields(defaults)]  # type: ignore[arg-type]
     for name in overrides:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
-            raise FitError(f"{detector} has no parameter '{name}'; {hint}")
+            raise FitError(f"{detector} has no parameter '{name}'; {suggestion(name, known)}")
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in overrides.items()}
     try:
         return dataclasses.replace(defaults, **values)  # type: ignore[type-var]

@@ -1,5 +1,6 @@
 """The configuration: what is accepted, and how every fault is told."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,16 @@ def test_an_unknown_key_is_refused_with_the_nearest_name(tmp_path: Path) -> None
     message = refusal(tmp_path, SOUND + "[gel]\nlimit_preses = 5\n")
 
     assert "'gel.limit_preses' is not known; did you mean 'limit_presses'?" in message
+
+
+@pytest.mark.parametrize("level", ["", "two words", "a/b", "a+", "#", "$SYS", "x" * 65, "\x1f", "null\x00"])
+def test_a_topic_level_is_refused_as_the_topics_would_refuse_it(tmp_path: Path, level: str) -> None:
+    """What cannot be a level of a topic is a fault of the file, not a surprise when the first message is sent."""
+    table = f"[station]\nprefix = {json.dumps(level)}\n"
+    text = refusal(tmp_path, SOUND.replace("[station]\n", table))
+
+    assert "'station.prefix'" in text
+    assert "a topic level has 1 to 64 characters" in text
 
 
 def test_every_fault_is_told_at_once(tmp_path: Path) -> None:

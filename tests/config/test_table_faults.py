@@ -3,7 +3,7 @@
 import pytest
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from edge.core.nearest import suggestion
+from edge.core.suggest import suggestion
 from edge.table_faults import numbered, sentences
 
 

@@ -1,5 +1,6 @@
 """The reader thread: what is counted, what is said, and that it comes back."""
 
+import random
 import threading
 import time
 from collections.abc import Callable
@@ -10,13 +11,17 @@ from small_recordings import SERIAL, FakeClock, jpeg, write_recording
 
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.clock import SystemClock
+from edge.core.backoff import Backoff
 from edge.core.errors import DeviceLost, DeviceNotFound, RecordingEnded, RecordingError
 from edge.core.frames import CameraFrame
 from edge.core.ports import Device, DeviceIdentity
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
-QUICK = (0.001, 0.004)
 PATIENCE_S = 20.0
+
+
+def quick() -> Backoff:
+    return Backoff(random.Random(1), first_s=0.001, ceiling_s=0.004)
 
 
 def options_for(tmp_path: Path, *faults: str, frames: int = 8, **more: object) -> UsbMockOptions:
@@ -114,7 +119,7 @@ def test_pulled_twenty_times(tmp_path: Path) -> None:
     clock = SystemClock()
     bench = plugin.bench(options, clock)
     seen: list[bytes] = []
-    with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff_s=QUICK) as acquisition:
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff=quick()) as acquisition:
         for pull in range(1, 21):
             frame = acquisition.next(PATIENCE_S)
             assert frame is not None
@@ -137,7 +142,7 @@ def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
     options = options_for(tmp_path, "stall@3")
     clock = FakeClock()
     with Acquisition(
-        lambda: plugin.open(options, clock), clock, stall_after_s=2, backoff_s=QUICK
+        lambda: plugin.open(options, clock), clock, stall_after_s=2, backoff=quick()
     ) as acquisition:
         frames = all_frames(acquisition)
         assert acquisition.status.reconnects == 1
@@ -164,7 +169,7 @@ def test_changes_are_said_once() -> None:
     def note(status: AcquisitionStatus) -> None:
         said.append((status.state, status.fault))
 
-    with Acquisition(open_next, clock, note, backoff_s=QUICK) as acquisition:
+    with Acquisition(open_next, clock, note, backoff=quick()) as acquisition:
         assert len(all_frames(acquisition)) == 3
         wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
     assert said == [
@@ -184,8 +189,31 @@ def test_a_reconnection_leaves_a_gap() -> None:
         ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
         ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
     ]
-    with Acquisition(lambda: devices.pop(0), clock, backoff_s=QUICK) as acquisition:
+    with Acquisition(lambda: devices.pop(0), clock, backoff=quick()) as acquisition:
         assert [frame.sequence for frame in all_frames(acquisition)] == [1, 2, 4]
+
+
+def test_pauses_grow_with_failures_in_a_row_and_frames_end_the_row() -> None:
+    """The pauses are the shared `Backoff`: three failures make the row three long, a frame starts a new row."""
+    clock, backoff = FakeClock(), quick()
+    rows: list[int] = []
+    openings: list[Device | Exception] = [
+        DeviceNotFound("none"),
+        DeviceNotFound("none"),
+        ScriptedDevice([jpeg(0), DeviceLost("pulled")], clock),
+        ScriptedDevice([RecordingEnded("over")], clock),
+    ]
+
+    def open_next() -> Device:
+        rows.append(backoff.failures)
+        step = openings.pop(0)
+        if isinstance(step, Exception):
+            raise step
+        return step
+
+    with Acquisition(open_next, clock, backoff=backoff) as acquisition:
+        all_frames(acquisition)
+    assert rows == [0, 1, 2, 1]
 
 
 def test_another_sensor_is_not_taken_for_the_first() -> None:
@@ -198,7 +226,7 @@ def test_another_sensor_is_not_taken_for_the_first() -> None:
     devices: list[Device] = [first, other, again]
     said: list[str | None] = []
     with Acquisition(
-        lambda: devices.pop(0), clock, lambda now: said.append(now.fault), backoff_s=QUICK
+        lambda: devices.pop(0), clock, lambda now: said.append(now.fault), backoff=quick()
     ) as acquisition:
         assert [frame.payload for frame in all_frames(acquisition)] == [jpeg(0), jpeg(2)]
         assert acquisition.status.reconnects == 1
@@ -214,7 +242,7 @@ def test_every_device_is_closed_once() -> None:
         ScriptedDevice([jpeg(0), RecordingEnded("over")], clock),
     ]
     waiting = list(devices)
-    with Acquisition(lambda: waiting.pop(0), clock, backoff_s=QUICK) as acquisition:
+    with Acquisition(lambda: waiting.pop(0), clock, backoff=quick()) as acquisition:
         all_frames(acquisition)
     assert [device.closed for device in devices] == [1, 1]
 
@@ -246,7 +274,7 @@ def test_nothing_yet_is_none(tmp_path: Path) -> None:
     def never() -> Device:
         raise DeviceNotFound("nothing")
 
-    with Acquisition(never, clock, backoff_s=QUICK) as acquisition:
+    with Acquisition(never, clock, backoff=quick()) as acquisition:
         assert acquisition.next(0.001) is None
 
 

@@ -50,7 +50,7 @@ def fit(pictures: Path, out: Path, *more: object) -> Result:
 
 def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
     """A visitor's method is fitted, told about and verified without a line of gelgate that knows it."""
-    result = fit(pictures, tmp_path / "bolt.zip", "--set", "gain=2.5", "--set", "packing=int8")
+    result = fit(pictures, tmp_path / "bolt.zip", "--set", "gain=2.5", "--set", "packing='int8'")
     assert result.exit_code == 0, result.output
     for said in ("6 nominal presses, tiny (corrected) on tiny", "1/7", "warning:", "threshold", "written to"):
         assert said in result.output
