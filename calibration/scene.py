@@ -186,8 +186,8 @@ def _known(name: str, known: Mapping[str, object], what: str) -> str:
 
 
 def scene_names() -> list[str]:
-    """The scenes that come with the product."""
-    return sorted(path.stem for path in SCENES.glob("*.toml"))
+    """The scenes that come with the product, such as `demo` or `paper/pz1`."""
+    return sorted(path.relative_to(SCENES).with_suffix("").as_posix() for path in SCENES.rglob("*.toml"))
 
 
 def load_scene(name_or_path: str | Path) -> Scene:

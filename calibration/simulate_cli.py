@@ -1,6 +1,7 @@
 """`gelgate simulate`: scenes in, recordings or a dataset out."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,32 @@ if TYPE_CHECKING:
     from calibration.scene import Scene
 
 __all__ = ["simulate"]
+
+
+def _list(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo("\n".join(_known()))
+        raise typer.Exit
+
+
+def _known() -> Iterator[str]:
+    """The scenes that come with the product, and the names that a scene's file may use."""
+    from calibration.scene import load_scene, scene_names
+    from calibration.simulator.defects import DEFECTS
+    from calibration.simulator.effects import EFFECTS
+    from calibration.simulator.look import LOOKS
+    from calibration.simulator.parts import PARTS
+
+    for name in scene_names():
+        scene = load_scene(name)
+        kind = "dataset" if scene.nominal else "recordings: " + ", ".join(run.name for run in scene.runs)
+        yield f"{name:10}  {scene.part}  {kind}"
+    yield "paper       all of paper/, into one dataset"
+    yield "\nfor the file of a scene:"
+    parts = (f"{name} ({' '.join(part.positions)})" for name, part in PARTS.items())
+    yield f"  parts    {', '.join(parts)}"
+    for what, names in (("defects", DEFECTS), ("effects", EFFECTS), ("sensors", LOOKS)):
+        yield f"  {what}  {', '.join(names)}"
 
 
 def simulate(
@@ -33,6 +60,10 @@ def simulate(
         typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, effects one by one."),
     ] = False,
     workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
+    is_listed: Annotated[
+        bool,
+        typer.Option("--list", callback=_list, is_eager=True, help="Print what can be simulated, and end."),
+    ] = False,
 ) -> None:
     """Simulate presses: a dataset with exact masks, or recordings of whole press motions.
 

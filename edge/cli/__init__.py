@@ -6,17 +6,19 @@ Exit codes: EXIT_MEANINGS. A service need not be restarted after 2 or 3: a perso
 """
 
 import errno
+import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
 from types import MappingProxyType
-from typing import Final, NoReturn
+from typing import Annotated, Final, NoReturn
 
 import typer
 
 from edge import registry
 from edge.core import errors
 
-__all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main"]
+__all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main", "versions"]
 
 EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
     {
@@ -51,13 +53,11 @@ def build() -> typer.Typer:
         name="gelgate",
         help="Touch inspection at the edge: score GelSight Mini presses, publish verdicts, count gel wear.",
         no_args_is_help=True,
-        add_completion=False,
         epilog="Exit codes: " + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_MEANINGS.items()),
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
-    # Without a callback a single registered verb would lose its name.
-    app.callback()(lambda: None)
+    app.callback()(_options)
     for name in registry.names("commands"):
         verb = registry.load("commands", name)
         if isinstance(verb, typer.Typer):
@@ -65,6 +65,35 @@ def build() -> typer.Typer:
         else:
             app.command(name)(verb)
     return app
+
+
+def _print_versions(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo("\n".join(versions()))
+        raise typer.Exit
+
+
+def _options(
+    is_version_wanted: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            "-V",
+            callback=_print_versions,
+            is_eager=True,
+            help="Print the versions that a report of a fault should name.",
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+def versions() -> Iterator[str]:
+    """The versions that a report of a fault should name, one a line; from metadata, so that nothing is imported."""
+    yield f"gelgate {version('gelgate')}"
+    yield f"python {platform.python_version()} ({platform.system()} {platform.machine()})"
+    for name in ("onnxruntime", "numpy"):
+        yield f"{name} {version(name)}"
 
 
 def exit_code(error: type[errors.GelgateError]) -> int:

@@ -105,7 +105,7 @@ def _look(device: Any) -> Sighting:
         return Sighting(
             place,
             "",
-            refusal=f"its descriptors cannot be read ({error}); see firmware_notes/60-gelgate.rules",
+            refusal=f"its descriptors cannot be read ({error}); run `gelgate install-service` as root",
         )
     finally:
         usb.util.dispose_resources(device)

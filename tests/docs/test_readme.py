@@ -55,6 +55,8 @@ def fault(line: str) -> str | None:
             return option_fault(command, words[position:])
         if word in ("--help", "VERB"):
             return None
+        if word in [name for one in command.params for name in one.opts]:
+            return None
         if word not in command.commands:
             return f"no command '{word}'"
         command = command.commands[word]

@@ -1,8 +1,10 @@
-"""The built wheel holds every package and every data file of the tree."""
+"""Wheel and sdist hold every package and every data file of the tree, the manual and the licence."""
 
 import subprocess
 import sys
+import tarfile
 import zipfile
+from email.parser import Parser
 from pathlib import Path
 
 import pytest
@@ -12,9 +14,9 @@ PACKAGES = ("edge", "plugins", "calibration", "export")
 
 
 @pytest.fixture(scope="module")
-def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
-    """The file names inside a wheel built from the tree as git knows it."""
-    out = tmp_path_factory.mktemp("wheel")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an sdist of the tree as git knows it, and the wheel made from that sdist."""
+    out = tmp_path_factory.mktemp("built")
     source = tmp_path_factory.mktemp("source")
     tracked = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
@@ -24,10 +26,23 @@ def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
         if (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((ROOT / name).read_bytes())
-    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(source)]
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)]
     subprocess.run(build, check=True, capture_output=True)
-    with zipfile.ZipFile(next(out.glob("gelgate-*.whl"))) as archive:
+    return out
+
+
+@pytest.fixture(scope="module")
+def wheel_names(built: Path) -> set[str]:
+    """The file names inside the wheel."""
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as archive:
         return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def sdist_names(built: Path) -> set[str]:
+    """The file names inside the sdist, without its own folder."""
+    with tarfile.open(next(built.glob("*.tar.gz"))) as archive:
+        return {name.partition("/")[2] for name in archive.getnames()}
 
 
 def tracked_files(pattern: str) -> set[str]:
@@ -39,7 +54,9 @@ def tracked_files(pattern: str) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.md", "py.typed"])
+@pytest.mark.parametrize(
+    "pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.md", "*.rules", "*.service", "py.typed"]
+)
 def test_every_file_of_the_packages_is_in_the_wheel(wheel_names: set[str], pattern: str) -> None:
     """A module or a data file that works from the tree also works when installed."""
     assert tracked_files(pattern) <= wheel_names
@@ -52,6 +69,42 @@ def test_every_folder_with_modules_is_a_package(wheel_names: set[str]) -> None:
     assert {f"{folder}/__init__.py" for folder in folders} <= tracked_files("__init__.py")
 
 
-def test_tests_and_docs_stay_out(wheel_names: set[str]) -> None:
-    """Only the four packages and the metadata are shipped."""
-    assert {name.split("/")[0] for name in wheel_names if ".dist-info" not in name} == set(PACKAGES)
+def test_only_the_packages_can_be_imported(wheel_names: set[str]) -> None:
+    """Tests stay out; besides the four packages there are the metadata and the manual."""
+    tops = {name.split("/")[0] for name in wheel_names}
+
+    assert {top for top in tops if not top.startswith("gelgate-")} == set(PACKAGES)
+
+
+def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
+    """Every page lies below `share/doc/gelgate` of the environment, where `gelgate docs` finds it."""
+    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    pages |= {path.name for path in (ROOT / "firmware_notes").glob("*.md")} | {"README.md", "CHANGELOG.md"}
+    shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}
+
+    assert shipped == pages
+
+
+def test_the_wheel_carries_the_licence_and_says_which(built: Path) -> None:
+    """Licence, notice, and metadata that name no person and no address that does not exist."""
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as archive:
+        folder = next(name for name in archive.namelist() if name.endswith("/METADATA")).rpartition("/")[0]
+        metadata = Parser().parsestr(archive.read(f"{folder}/METADATA").decode())
+        texts = {name: archive.read(f"{folder}/licenses/{name}") for name in ("LICENSE", "NOTICE")}
+
+    assert texts == {name: (ROOT / name).read_bytes() for name in texts}
+    assert metadata["License-Expression"] == "Apache-2.0"
+    assert metadata["Author"] == "gelgate maintainers"
+    assert metadata["Keywords"]
+    assert any(one.startswith("Topic ::") for one in metadata.get_all("Classifier", []))
+    assert metadata.get_all("Project-URL") is None
+
+
+def test_the_sdist_can_be_built_tested_and_read(sdist_names: set[str]) -> None:
+    """Packages, tests, manual, licence and the files that make them."""
+    files = {"LICENSE", "NOTICE", "CHANGELOG.md", "README.md", "Makefile", "docs/generate.py", "docs/mqtt.md"}
+    files |= {"tests/conftest.py", "tests/project/test_wheel.py", "firmware_notes/gelsight_mini.md"}
+
+    assert (
+        files | tracked_files("*.py") | tracked_files("*.onnx") | tracked_files("*.service")
+    ) - sdist_names == set()

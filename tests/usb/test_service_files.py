@@ -1,4 +1,4 @@
-"""What is installed beside the program agrees with it."""
+"""The udev rule and the systemd unit that come with the program agree with it."""
 
 import re
 from pathlib import Path
@@ -9,12 +9,12 @@ from edge.cli import EXIT_CODES
 from edge.core.errors import BundleError, ConfigError
 from edge.usb.identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
 
-NOTES = Path(__file__).resolve().parents[2] / "firmware_notes"
+SERVICE = Path(__file__).resolve().parents[2] / "edge/service"
 
 
 def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
     """Every rule asks for the id and the product string of edge.usb.identity."""
-    rules = (NOTES / "60-gelgate.rules").read_text().replace("\\\n", "")
+    rules = (SERVICE / "60-gelgate.rules").read_text().replace("\\\n", "")
     lines = [line for line in rules.splitlines() if line and not line.startswith("#")]
     assert len(lines) == 3
     for line in lines:
@@ -27,6 +27,6 @@ def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
 def test_the_unit_does_not_restart_what_cannot_be_mended(error: type[Exception]) -> None:
     """The exit codes of a wrong configuration or bundle are those that the unit excepts from restarting."""
     (codes,) = re.findall(
-        r"^RestartPreventExitStatus=(.*)$", (NOTES / "gelgate.service").read_text(), re.MULTILINE
+        r"^RestartPreventExitStatus=(.*)$", (SERVICE / "gelgate.service").read_text(), re.MULTILINE
     )
     assert str(dict(EXIT_CODES)[error]) in codes.split()

@@ -1,0 +1,55 @@
+"""`gelgate docs`: the manual that comes with the installation."""
+
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["docs"]
+
+
+def docs(
+    page: Annotated[str, typer.Argument(help="A page's name, such as mqtt; without one, list them.")] = "",
+) -> None:
+    """List the pages of the manual, or print one."""
+    from edge.core.errors import ConfigError
+    from edge.core.nearest import suggestion
+
+    pages = _pages()
+    if not pages:
+        raise ConfigError("this installation has no manual; install gelgate from its wheel")
+    if not page:
+        for name, path in pages.items():
+            typer.echo(f"{name:44} {_title(path)}")
+    elif page not in pages:
+        raise ConfigError(f"no page is named '{page}'; {suggestion(page, pages)}")
+    else:
+        typer.echo(pages[page].read_text(encoding="utf-8"), nl=False)
+
+
+def _pages() -> Mapping[str, Path]:
+    """Every page by its name without `.md`: those of the source tree where there is one, else the installed ones."""
+    tree = Path(__file__).parents[2]
+    folders = [tree / "docs", tree / "firmware_notes"] if (tree / "docs").is_dir() else _installed()
+    found = {
+        path.relative_to(folder).with_suffix("").as_posix(): path
+        for folder in folders
+        for path in folder.rglob("*.md")
+    }
+    return dict(sorted(found.items()))
+
+
+def _installed() -> list[Path]:
+    try:
+        files = distribution("gelgate").files or []
+    except PackageNotFoundError:
+        return []
+    readme = [file for file in files if file.as_posix().endswith("share/doc/gelgate/README.md")]
+    return [Path(str(file.locate())).resolve().parent for file in readme]
+
+
+def _title(path: Path) -> str:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next((line.removeprefix("# ") for line in lines if line.startswith("# ")), "")

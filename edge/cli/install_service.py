@@ -1,0 +1,70 @@
+"""`gelgate install-service`: the systemd unit and the udev rule of a station."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+__all__ = ["install_service"]
+
+# The names under which the files come with the package, and where the system looks for them.
+_PLACES: Final = {
+    "60-gelgate.rules": "etc/udev/rules.d/60-gelgate.rules",
+    "gelgate.service": "etc/systemd/system/gelgate.service",
+}
+# The program and the configuration as the shipped unit names them.
+_PROGRAM: Final = "/opt/gelgate/bin/gelgate"
+_CONFIG: Final = "/etc/gelgate/gelgate.toml"
+
+_BEFORE: Final = (
+    "getent passwd gelgate >/dev/null || useradd --system --user-group --groups video gelgate",
+)  # fmt: skip
+_AFTER: Final = (
+    "udevadm control --reload",
+    "udevadm trigger --subsystem-match=usb --subsystem-match=video4linux",
+    "systemctl daemon-reload",
+)
+_START: Final = "systemctl enable --now gelgate"
+
+
+def install_service(
+    is_printed: Annotated[
+        bool, typer.Option("--print", help="Print a shell script that does the same; change nothing.")
+    ] = False,
+    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(_CONFIG),
+    root: Annotated[Path, typer.Option(help="Write below this folder, such as a mounted image.")] = Path("/"),
+) -> None:
+    """Write the udev rule and the systemd unit, then print the commands that put them to use.
+
+    The unit starts the program that runs this command. Writing to /etc needs root; with --print nothing is written.
+    """
+    texts = {root / place: _text(name, config) for name, place in _PLACES.items()}
+    if is_printed:
+        typer.echo("\n".join(_script(texts, config)))
+        return
+    for path, text in texts.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        typer.echo(f"written: {path}")
+    typer.echo("next, as root:")
+    for command in (*_BEFORE, *_AFTER, f"{_START}    # when {config.absolute()} is there"):
+        typer.echo(f"  {command}")
+
+
+def _text(name: str, config: Path) -> str:
+    """A shipped file with the paths of this installation."""
+    text = (Path(__file__).parents[1] / "service" / name).read_text(encoding="utf-8")
+    program = Path(sys.executable).parent / "gelgate"
+    return text.replace(_PROGRAM, str(program)).replace(_CONFIG, str(config.absolute()))
+
+
+def _script(texts: dict[Path, str], config: Path) -> Iterator[str]:
+    yield "#!/bin/sh\n# Sets gelgate up as a service; run it as root: gelgate install-service --print | sudo sh"
+    yield "set -e"
+    yield from _BEFORE
+    for path, text in texts.items():
+        yield f"mkdir -p '{path.parent}'\ncat > '{path}' <<'END_OF_FILE'\n{text}END_OF_FILE"
+    yield from _AFTER
+    yield f'echo "when {config.absolute()} is there: {_START}"'

@@ -1,0 +1,117 @@
+"""What an installed program brings besides the verbs of inspection: versions, completion, manual, service files."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+
+from calibration.simulator.effects import EFFECTS
+
+ROOT = Path(__file__).resolve().parents[2]
+SERVICE = ROOT / "edge/service"
+
+
+@pytest.mark.parametrize("option", ["--version", "-V"])
+def test_the_version_names_what_decides_a_score(option: str) -> None:
+    """The program, Python, the runtime and NumPy, a line each."""
+    ended = gelgate(option)
+
+    lines = ended.out.splitlines()
+    assert ended.code == 0
+    assert lines[0] == f"gelgate {version('gelgate')}"
+    assert lines[1].startswith(f"python {sys.version.split()[0]} ")
+    assert lines[2:] == [f"{name} {version(name)}" for name in ("onnxruntime", "numpy")]
+
+
+def test_the_shell_completes_verbs() -> None:
+    """The shell's own request for what may follow `gelgate re` gives `record`."""
+    asked = {"_GELGATE_COMPLETE": "complete_bash", "COMP_WORDS": "gelgate re", "COMP_CWORD": "1"}
+    done = subprocess.run(
+        [Path(sys.executable).parent / "gelgate"],
+        env=os.environ | asked, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+
+    assert done.stdout.split() == ["record"]
+
+
+def test_the_manual_is_listed_and_printed() -> None:
+    """`gelgate docs` has every page; with a name it prints that one."""
+    listed = {line.split()[0] for line in gelgate("docs").out.splitlines()}
+
+    assert {
+        path.relative_to(ROOT / "docs").with_suffix("").as_posix() for path in (ROOT / "docs").rglob("*.md")
+    } < listed
+    assert gelgate("docs", "mqtt").out == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
+
+
+def test_a_page_that_does_not_exist_is_refused_with_the_nearest() -> None:
+    """One sentence, with a page that does."""
+    ended = gelgate("docs", "sensor")
+
+    assert ended.code == 3
+    assert "did you mean 'sensors'?" in ended.sentence()
+
+
+def test_the_service_files_are_written_for_this_installation(tmp_path: Path) -> None:
+    """The unit starts this program with that configuration; the rule is the shipped one."""
+    ended = gelgate("install-service", "--root", tmp_path, "--config", "/srv/station.toml")
+
+    assert ended.code == 0, ended.err
+    unit = (tmp_path / "etc/systemd/system/gelgate.service").read_text()
+    assert f"ExecStart={Path(sys.executable).parent / 'gelgate'} run" in unit
+    assert "/srv/station.toml" in unit
+    assert "/etc/gelgate" not in unit
+    assert "/opt/gelgate" not in unit
+    rule = (tmp_path / "etc/udev/rules.d/60-gelgate.rules").read_bytes()
+    assert rule == (SERVICE / "60-gelgate.rules").read_bytes()
+    for command in ("useradd", "udevadm control --reload", "systemctl enable --now gelgate"):
+        assert command in ended.out
+
+
+def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
+    """`--print` changes nothing; its script, run by a shell, writes the files that the verb writes."""
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name in ("getent", "udevadm", "systemctl"):
+        (tools / name).write_text(f'#!/bin/sh\necho {name} "$@" >> {tmp_path}/called\n')
+        (tools / name).chmod(0o755)
+    by_script, by_verb = tmp_path / "by_script", tmp_path / "by_verb"
+
+    script = gelgate("install-service", "--print", "--root", by_script).out
+    is_untouched = not by_script.exists()
+    subprocess.run(["sh"], input=script, text=True, check=True, env={"PATH": f"{tools}:{os.environ['PATH']}"})
+    gelgate("install-service", "--root", by_verb)
+
+    assert is_untouched
+    written = {path.relative_to(by_verb): path.read_text() for path in by_verb.rglob("*") if path.is_file()}
+    assert len(written) == 2
+    assert written == {
+        path.relative_to(by_script): path.read_text() for path in by_script.rglob("*") if path.is_file()
+    }
+    called = (tmp_path / "called").read_text().splitlines()
+    assert called[0] == "getent passwd gelgate"
+    assert called[-1] == "systemctl daemon-reload"
+
+
+def test_files_that_cannot_be_written_are_one_sentence() -> None:
+    """Without the rights, or where nothing can be written: the path, why, and what to check."""
+    ended = gelgate("install-service", "--root", "/proc/no")
+
+    assert ended.code == 1
+    assert "/proc/no" in ended.sentence()
+
+
+def test_what_can_be_simulated_is_listed() -> None:
+    """Scenes, those of the paper too, and every name that a scene's file may use."""
+    ended = gelgate("simulate", "--list")
+
+    assert ended.code == 0, ended.err
+    assert {"demo", "small", "paper", "paper/pz3"} <= {
+        line.split()[0] for line in ended.out.splitlines() if line
+    }
+    assert [name for name in EFFECTS if name not in ended.out] == []
+    assert gelgate("simulate", "pz3", "-o", "x").sentence().count("paper/pz3") == 1
