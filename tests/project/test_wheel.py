@@ -1,5 +1,6 @@
 """Wheel and sdist hold every package and every data file of the tree, the manual and the licence."""
 
+import os
 import subprocess
 import sys
 import tarfile
@@ -83,6 +84,36 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
     shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}
 
     assert shipped == pages
+
+
+def test_the_installed_program_finds_its_manual_and_its_service_files(built: Path, tmp_path: Path) -> None:
+    """Far from the source tree, where only the wheel is."""
+    wheel = next(built.glob("*.whl"))
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-deps",
+        "--no-index",
+        "--target",
+        str(tmp_path / "lib"),
+    ]
+    subprocess.run([*pip, str(wheel)], check=True, capture_output=True)
+
+    def gelgate(*arguments: str) -> str:
+        code = "import sys; from edge.cli import main; sys.argv = ['gelgate', *sys.argv[1:]]; main()"
+        return subprocess.run(
+            [sys.executable, "-c", code, *arguments],
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": "lib"}, check=True, capture_output=True, text=True,
+        ).stdout  # fmt: skip
+
+    assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
+    assert "decisions/0001-flat-packages" in gelgate("docs")
+    assert (ROOT / "edge/service/60-gelgate.rules").read_text(encoding="utf-8") in gelgate(
+        "install-service", "--print"
+    )
 
 
 def test_the_wheel_carries_the_licence_and_says_which(built: Path) -> None:
