@@ -89,24 +89,15 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
 def test_the_installed_program_finds_its_manual_and_its_service_files(built: Path, tmp_path: Path) -> None:
     """Far from the source tree, where only the wheel is."""
     wheel = next(built.glob("*.whl"))
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "-q",
-        "--no-deps",
-        "--no-index",
-        "--target",
-        str(tmp_path / "lib"),
-    ]
-    subprocess.run([*pip, str(wheel)], check=True, capture_output=True)
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--ignore-installed"]
+    subprocess.run([*pip, "--prefix", str(tmp_path), str(wheel)], check=True, capture_output=True)
+    (edge,) = tmp_path.rglob("edge/__init__.py")
 
     def gelgate(*arguments: str) -> str:
         code = "import sys; from edge.cli import main; sys.argv = ['gelgate', *sys.argv[1:]]; main()"
         return subprocess.run(
             [sys.executable, "-c", code, *arguments],
-            cwd=tmp_path, env=os.environ | {"PYTHONPATH": "lib"}, check=True, capture_output=True, text=True,
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(edge.parents[1])}, check=True, capture_output=True, text=True,
         ).stdout  # fmt: skip
 
     assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
