@@ -97,7 +97,8 @@ def test_the_installed_program_finds_its_manual_and_its_service_files(built: Pat
         code = "import sys; from edge.cli import main; sys.argv = ['gelgate', *sys.argv[1:]]; main()"
         return subprocess.run(
             [sys.executable, "-c", code, *arguments],
-            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(edge.parents[1])}, check=True, capture_output=True, text=True,
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(edge.parents[1])},
+            check=True, capture_output=True, text=True,
         ).stdout  # fmt: skip
 
     assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
