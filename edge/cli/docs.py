@@ -15,7 +15,7 @@ def docs(
 ) -> None:
     """List the pages of the manual, or print one."""
     from edge.core.errors import ConfigError
-    from edge.core.nearest import suggestion
+    from edge.core.suggest import suggestion
 
     pages = _pages()
     if not pages:
