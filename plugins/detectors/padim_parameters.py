@@ -27,6 +27,7 @@ class PadimParameters:
     0.254 then 0.752 (0.679). In blocks of 4x4, rank 8 0.759 (0.62) and all 63 directions (0.59): that weak
     directions count as ridge is part of what works.
 
+    channel_list: these channels, counted through all taps, instead of drawn ones: a published choice.
     ridge: added to the covariance's diagonal; in units of the mean nominal variance where the taps are balanced.
     is_ridge_twice: add it again at prediction, as the seed paper's scripts do. rank: directions kept per location
     (None: all, exact). neighbours: 0, or 1 to fit each location on its 3x3 neighbourhood (tolerates small shifts).
@@ -41,6 +42,7 @@ class PadimParameters:
     grid_tap: str = "layer1"
     projection: Projection = "semi_orthogonal"
     channels: int | None = 64
+    channel_list: tuple[int, ...] = ()
     is_balanced: bool = True
     is_sampled: bool = True
     ridge: float = 0.1
@@ -77,7 +79,13 @@ class PadimParameters:
     @property
     def embedding(self) -> EmbeddingChoice:
         return EmbeddingChoice(
-            self.taps, self.grid_tap, self.projection, self.channels, self.is_balanced, self.is_sampled
+            self.taps,
+            self.grid_tap,
+            self.projection,
+            self.channels,
+            self.is_balanced,
+            self.is_sampled,
+            self.channel_list,
         )
 
     @property

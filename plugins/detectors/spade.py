@@ -5,8 +5,8 @@ presses whose global descriptor is nearest give the gallery; a cell's score at o
 gallery cell of that layer; layers are averaged in pixels and blurred once. Read against byungjae89/SPADE-pytorch
 @077c67b and the seed paper's scripts.
 
-`paper` is that, with every gallery position allowed, unit-length descriptors and the chunked scan that loses up to
-99 gallery cells. `corrected` looks at the finest layer as it is and only near the own place, keeps leading
+`paper` is that as the seed paper's scripts run it: every gallery position allowed, descriptors of unit length.
+`corrected` looks at the finest layer as it is and only near the own place, keeps leading
 principal directions and as many presses as the bank's size allows, none of them where no press touches, and scores a
 press by its map.
 """
@@ -339,7 +339,8 @@ def _search(
         return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
     found = []
     for t, tile in enumerate(tiles):
-        flat = gallery[:, t].reshape(-1, rows.shape[1])
+        one = gallery[:, t] if p.is_gallery_whole else gallery[:, t].swapaxes(1, 2)
+        flat = one.reshape(-1, rows.shape[1])
         found.append(nearest(tile.reshape(h * w, -1), flat[: p.searched(len(flat))]).distances.reshape(h, w))
     return np.stack(found)
 

@@ -92,7 +92,7 @@ def _emit_layer(
     rows = graph.reshape(rows, -1, tiles * h * w, width)
     if p.window(grid, tap) is None:
         presses = graph.input(f"{tap}_bank", ("presses", tiles * h * w, width))
-        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h * w, width), p)
+        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h, w, width), p)
     else:
         distances = _emit_windows(graph, tap, rows, gallery, grid, bank, p)
     weight = graph.input(f"{tap}_weight", (1,))
@@ -129,21 +129,24 @@ def _emit_windows(
 
 
 def _emit_whole_search(
-    graph: Graph, rows: Value, presses: Value, gallery: Value, size: tuple[int, int, int], p: SpadeParameters
+    graph: Graph,
+    rows: Value,
+    presses: Value,
+    gallery: Value,
+    size: tuple[int, int, int, int],
+    p: SpadeParameters,
 ) -> Value:
     """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, so many rows at a time that memory stays
-    bounded. size: tiles, cells of one, width."""
-    tiles, cells, width = size
+    bounded. size: tiles, rows and columns of one, width."""
+    tiles, h, w, width = size
+    cells = h * w
     count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
     found = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
     shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
     bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
     rows = graph.reshape(rows, -1, cells, width)
     if not p.is_gallery_whole:
-        total = graph.op("Shape", bank, start=1, end=2)
-        whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
-        small = graph.op("Less", total, graph.ints(CHUNK))
-        bank = graph.op("Slice", bank, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))
+        bank = _emit_whole_chunks(graph, bank, (h, w, width))
     bank = emit_ranked(graph, bank)
     step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
     parts = [
@@ -156,3 +159,14 @@ def _emit_whole_search(
         for first in range(0, cells, step)
     ]
     return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+
+
+def _emit_whole_chunks(graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
+    """The gallery (m, presses * cells, width) column by column, what the last whole chunk leaves over cut off."""
+    h, w, width = size
+    total = graph.op("Shape", bank, start=1, end=2)
+    turned = graph.transpose(graph.reshape(bank, 0, -1, h, w, width), 0, 1, 3, 2, 4)
+    columns = graph.op("Reshape", turned, graph.op("Concat", graph.ints(0), total, graph.ints(width), axis=0))
+    whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
+    small = graph.op("Less", total, graph.ints(CHUNK))
+    return graph.op("Slice", columns, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))

@@ -15,7 +15,7 @@ from plugins.detectors.maths.window import Blocks
 
 __all__ = ["CHUNK", "PAPER", "REPAIRS", "SpadeParameters"]
 
-# SPADE-pytorch src/main.py @077c67b: the gallery is scanned in chunks of this many cells.
+# SPADE-pytorch src/main.py @077c67b: the gallery (presses, columns, rows) is scanned in chunks of this many cells.
 CHUNK = 100
 
 
@@ -42,7 +42,8 @@ class SpadeParameters:
     is_normalised: descriptors divided by their length: 0.706, 0.975 with, where 0.752, 0.987 stood without.
     is_floor_relative: the term that keeps that division finite is a part of the nominal length, so that scaled
     features give the same map, instead of the absolute 1e-6.
-    is_gallery_whole: every gallery cell is searched, instead of whole chunks of 100 only.
+    is_gallery_whole: every gallery cell is searched. False re-creates SPADE-pytorch, which scans whole chunks of 100
+    cells, column by column, and so never sees the last columns of the last press; it needs a search without window.
     is_balanced: each layer is divided by the median distance between nominal presses, so that none dominates
     by its scale. image_score: `map` is the maximum of the score map, `presses` the mean distance to the
     image neighbours. is_squared: those distances squared, as SPADE-fast has them.
@@ -91,6 +92,10 @@ class SpadeParameters:
         if self.packing not in ("none", "float16", "int8") or self.sigma_unit not in ("mm", "px"):
             raise ValueError(
                 f"packing is none, float16 or int8 and sigma_unit mm or px, found '{self.packing}', '{self.sigma_unit}'"
+            )
+        if not self.is_gallery_whole and self.window_mm is not None:
+            raise ValueError(
+                "is_gallery_whole=false leaves out cells of a search without window; set window_mm=null"
             )
         for name in ("cell_mm", "window_mm", "margin_mm", "sigma", "bank_mb"):
             value = getattr(self, name)
@@ -171,7 +176,6 @@ PAPER = SpadeParameters(
     dims=(),
     is_normalised=True,
     is_floor_relative=False,
-    is_gallery_whole=False,
     is_balanced=False,
     image_score="presses",
     is_touched_only=False,
@@ -188,7 +192,6 @@ REPAIRS = (
     "window_mm",
     "is_normalised",
     "is_floor_relative",
-    "is_gallery_whole",
     "is_balanced",
     "image_score",
     "is_touched_only",

@@ -287,6 +287,9 @@ def test_neighbours_tolerate_a_shift() -> None:
         ({"grid_tap": "layer4"}, "not among the taps"),
         ({"projection": "pca"}, "projection is all"),
         ({"projection": "random", "channels": 0}, "needs channels >= 1"),
+        ({"channel_list": (3, 1)}, "projection=random"),
+        ({"projection": "random", "channel_list": (3, 3)}, "different channel numbers"),
+        ({"projection": "random", "channel_list": (-1, 3)}, "different channel numbers"),
     ],
 )
 def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str) -> None:
@@ -323,6 +326,32 @@ def test_the_oracle_refuses_features_that_are_not_finite() -> None:
     spoilt["layer3"][0, 0, 0, 0] = np.inf
     with pytest.raises(NotScorable, match="layer3"):
         padim.reference_score(spoilt, LIKE_RESNET, bank, parameters)
+
+
+def test_a_published_choice_of_channels_is_taken() -> None:
+    """A list counted through all taps replaces the draw, whatever the seed: the bank keeps exactly those channels, and
+    scores are those of taps that have no others.
+    """
+    listed = (39, 3, 8, 19, 0)
+    parameters = padim.parameters("paper", channel_list=listed)
+    train = features(6, seed=1)
+    bank = fitted(padim, parameters, Nominal(train), seed=5)
+    kept = [bank.arrays[f"channels_{tap}"].tolist() for tap in DEEP]
+    assert kept == [[0, 3], [0, 11], [19]]
+    few = {tap: value[:, chosen] for (tap, value), chosen in zip(train.items(), kept, strict=True)}
+    asked = {tap: value[:, chosen] for (tap, value), chosen in zip(QUERY.items(), kept, strict=True)}
+    at = Grid((48, 48), {tap: value.shape[1:] for tap, value in few.items()}, LIKE_RESNET.pixels_per_mm)
+    every = padim.parameters("paper", projection="all", channels=None)
+    alone = padim.reference_score(asked, at, fitted(padim, every, Nominal(few), at), every)
+    assert largest_error(padim.reference_score(QUERY, LIKE_RESNET, bank, parameters), alone) < 1e-9
+    assert largest_error(head_scores(padim, parameters, QUERY, bank), alone) < 2e-6
+
+
+def test_a_listed_channel_that_no_tap_has_is_refused() -> None:
+    """The list counts through all taps: of 40 channels the last is 39."""
+    parameters = padim.parameters("paper", channel_list=(3, 40))
+    with pytest.raises(FitError, match="names channel 40, the taps have 40 together, 0 to 39"):
+        fitted(padim, parameters, Nominal(features(4, seed=1)))
 
 
 def test_the_fit_is_reproducible() -> None:

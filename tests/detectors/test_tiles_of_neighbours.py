@@ -47,7 +47,7 @@ def test_the_graph_is_the_oracle_on_tiles(detector: object, mode: str, choice: d
 def test_no_tile_sees_another(detector: object, mode: str, choice: dict[str, object]) -> None:
     """A foreign tile changes its own part of the raw mosaic and not one cell of the others."""
     settled = {  # SPADE's gallery follows the whole press: here it holds every press, whatever the order
-        "spade": {"pixel_neighbours": 6, "is_gallery_whole": True},
+        "spade": {"pixel_neighbours": 6},
         "fapm": {"weighting": "none"},
     }
     p = detector.parameters(mode, **choice, **settled.get(detector.name, {}))  # type: ignore[attr-defined]

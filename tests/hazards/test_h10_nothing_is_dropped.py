@@ -2,7 +2,7 @@
 
 Guards: searches run to the last row whatever the chunk (`maths/distances.py`, `Spade` and `PatchBank` with
 `range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade_head._emit_whole_search` the
-second test fails on the shape; with the published slice always on the first two fail.
+second test fails on the shape; with the slice of SPADE-pytorch always on the first two fail.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def test_every_gallery_cell_is_found(h: int, w: int, n: int, seed: int) -> None:
     taps = {"layer1": (4, h, w)}
     at = Grid((4 * h, 4 * w), taps, 15.77)
     nominal = presses_of(n, seed, taps)
-    p = spade.parameters("paper", layers=("layer1",), is_gallery_whole=True, is_normalised=False)
+    p = spade.parameters("paper", layers=("layer1",), is_normalised=False)
     bank = fit(spade, p, nominal, at)
     raw = run_head(spade.head(at, bank, p), nominal, bank)["raw_map"]
     assert raw.max() < 1e-4
@@ -34,7 +34,7 @@ def test_rows_searched_in_parts_are_the_same_rows() -> None:
     taps = {"layer1": (8, 56, 56)}
     assert 56 * 56 % (PRODUCT_LIMIT // (5 * 56 * 56)) != 0
     nominal = presses_of(5, 0, taps)
-    p = spade.parameters("paper", layers=("layer1",), is_gallery_whole=True, is_normalised=False)
+    p = spade.parameters("paper", layers=("layer1",), is_normalised=False)
     bank = fit(spade, p, nominal, grid(taps))
     asked = {"layer1": np.concatenate([nominal["layer1"][3:4], presses_of(1, 8, taps)["layer1"]])}
     raw = run_head(spade.head(grid(taps), bank, p), asked, bank)["raw_map"]

@@ -38,7 +38,8 @@ class EmbeddingChoice:
     down to it, coarser ones repeated. channels: how many remain (None or more than there are: all). is_balanced: each
     tap is divided by its nominal deviation, so that none rules by its scale and the result does not depend on the
     scale of the features. is_sampled: a coarse cell is repeated around the pixel where its convolution looks, not to
-    the right of and below it.
+    the right of and below it. channel_list: the channels, counted through all taps, that stand in place of a random
+    choice; `channels` then does not count.
     """
 
     taps: tuple[str, ...]
@@ -47,6 +48,7 @@ class EmbeddingChoice:
     channels: int | None
     is_balanced: bool
     is_sampled: bool
+    channel_list: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.taps or len(set(self.taps)) != len(self.taps):
@@ -55,7 +57,19 @@ class EmbeddingChoice:
             raise ValueError(f"grid_tap '{self.grid_tap}' is not among the taps {', '.join(self.taps)}")
         if self.projection not in ("all", "random", "semi_orthogonal"):
             raise ValueError(f"projection is all, random or semi_orthogonal, found '{self.projection}'")
-        if self.projection != "all" and (self.channels is None or self.channels < 1):
+        if self.channel_list and self.projection != "random":
+            raise ValueError(
+                f"channel_list is a choice of channels: projection=random, found '{self.projection}'"
+            )
+        if len(set(self.channel_list)) != len(self.channel_list) or min(self.channel_list, default=0) < 0:
+            raise ValueError(
+                "channel_list holds different channel numbers, 0 or more, counted through all taps"
+            )
+        if (
+            self.projection != "all"
+            and not self.channel_list
+            and (self.channels is None or self.channels < 1)
+        ):
             raise ValueError(f"projection '{self.projection}' needs channels >= 1, found {self.channels}")
 
 
@@ -204,7 +218,7 @@ def learn_embedding(
 ) -> Embedding:
     """Draw the channels and measure the scales. touched: flat bool over the grid's cells, where scales are measured.
 
-    Errors: FitError when no channel is left.
+    Errors: FitError when no channel is left, or one of the list does not exist.
     """
     counts = [grid.taps[tap][0] for tap in choice.taps]
     total = sum(counts)
@@ -231,7 +245,10 @@ def learn_embedding(
             arrays[f"projection_{tap}"] = (frame[end - count : end] * scale).astype(np.float32)
         return Embedding(choice, grid, arrays)
     if choice.projection == "random":
-        drawn = np.sort(rng.choice(total, channels, replace=False))
+        drawn = (
+            _listed(choice.channel_list, total) if choice.channel_list else rng.choice(total, channels, False)
+        )
+        drawn = np.sort(drawn)
         for tap, end, count in zip(choice.taps, ends, counts, strict=True):
             arrays[f"channels_{tap}"] = drawn[(drawn >= end - count) & (drawn < end)] - (end - count)
     if choice.is_balanced:
@@ -263,6 +280,15 @@ def touched_cells(
     )
     touched: NDArray[np.bool_] = (inside > 0).ravel()
     return touched
+
+
+def _listed(channels: tuple[int, ...], total: int) -> NDArray[np.int64]:
+    """The channels of a list. Errors: FitError for one that the taps do not have."""
+    if max(channels) >= total:
+        raise FitError(
+            f"channel_list names channel {max(channels)}, the taps have {total} together, 0 to {total - 1}"
+        )
+    return np.array(channels, np.int64)
 
 
 def _squares(
