@@ -85,8 +85,8 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
     import os
 
     from calibration.progress import progress
-    from calibration.scene import load_scene
     from calibration.simulate import simulate_recording
+    from calibration.simulator.scene import load_scene
 
     scene = load_scene("demo")
     paths = []

@@ -6,9 +6,9 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from calibration.scene import SCENES, Nominal, Run, Scene, load_scene
 from calibration.simulator.dataset_writer import write_dataset
 from calibration.simulator.record import record_run
+from calibration.simulator.scene import SCENES, Nominal, Run, Scene, load_scene
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError
 from edge.table_faults import sentences

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from calibration.scene import Scene
+    from calibration.simulator.scene import Scene
 
 __all__ = ["simulate"]
 
@@ -69,8 +69,8 @@ def simulate(
 
     An interrupted command, given again, goes on where it stopped; what is complete is not made again.
     """
-    from calibration.scene import load_scene
     from calibration.simulate import paper_scenes
+    from calibration.simulator.scene import load_scene
 
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
     workers = workers or os.cpu_count() or 1

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration.backbone.evaluation_sets import FORMAT
+from calibration.benchmark.trial import FORMAT
 from edge.core.errors import ConfigError
 from plugins.backbones.tactile import tactile_resnet18
 

@@ -9,7 +9,8 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.backbone.evaluation_sets import FORMAT, EvaluationSet, Trial
+from calibration.backbone.evaluation_sets import EvaluationSet
+from calibration.benchmark.trial import FORMAT, Trial
 from calibration.features import extract, trunk_grid
 from calibration.heads import head_of
 from calibration.metrics import image_weights, interval, pixel_measures

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.backbone.evaluation_sets import PROFILE, REGION, Trial
+from calibration.benchmark.trial import PROFILE, REGION, Trial
 from calibration.presses import MAX_NO_CONTACT, NominalPresses, named_presses
 from calibration.simulator import look, optics
 from calibration.simulator.field import F32, LR, grids

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.backbone.evaluation_sets import PROFILE, REGION, Trial
+from calibration.benchmark.trial import PROFILE, REGION, Trial
 from calibration.presses import named_presses
-from calibration.scene import Defects, JitterTable, Nominal, Scene
 from calibration.simulate import paper_scenes
 from calibration.simulator import parts as analogues
 from calibration.simulator.field import F32, LR
@@ -21,6 +20,7 @@ from calibration.simulator.plan import PressPlan, dataset_plan, placed_damage
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.scene import Defects, JitterTable, Nominal, Scene
 from calibration.simulator.steady import steady_opencv
 from calibration.simulator.streams import Streams, named_streams
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from calibration.backbone.card import TRIALS_FORMAT
 from calibration.backbone.checkpoint import load
-from calibration.backbone.evaluation_sets import FORMAT
+from calibration.benchmark.trial import FORMAT
 from edge.core.errors import ConfigError, GelgateError
 from plugins.backbones.tactile import tactile_resnet18
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from calibration.scene import Run, Scene
 from calibration.simulator.defects import Defect, place_defect
 from calibration.simulator.field import LR, Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
+from calibration.simulator.scene import Run, Scene
 from calibration.simulator.streams import Streams, named_streams
 
 __all__ = ["PressPlan", "damage", "dataset_plan", "piece", "placed_damage", "recording_plan"]

@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.scene import Scene
 from calibration.simulator.defects import Defect, place_defect
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.field import LR
@@ -14,6 +13,7 @@ from calibration.simulator.look import LOOKS
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.scene import Scene
 from calibration.simulator.streams import named_streams
 
 __all__ = ["preview", "write_preview"]

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.scene import Run, Scene
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
 from calibration.simulator.field import F32, HR, LR, native_field
@@ -19,6 +18,7 @@ from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.scene import Run, Scene
 from calibration.simulator.steady import steady_opencv
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order

@@ -21,8 +21,9 @@ from calibration.backbone.evaluation_pictures import (
     screw_trial,
 )
 from calibration.backbone.evaluation_presses import PARTS, Sizes, development_trial, part_trial
-from calibration.backbone.evaluation_sets import REGION, SETS, EvaluationSet, Trial, evaluation_sets
+from calibration.backbone.evaluation_sets import SETS, EvaluationSet, evaluation_sets
 from calibration.backbones import open_trunk
+from calibration.benchmark.trial import REGION, Trial
 from calibration.presses import NominalPresses
 from calibration.simulator.field import LR, Field, grids
 from calibration.simulator.pose import Pose, sample

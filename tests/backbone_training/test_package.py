@@ -12,10 +12,10 @@ import torch
 from calibration.backbone import package as packaging
 from calibration.backbone.card import card, page, write_card
 from calibration.backbone.checkpoint import Checkpoint, save
-from calibration.backbone.evaluation_sets import FORMAT
 from calibration.backbone.network import Trunk, state_arrays
 from calibration.backbone.recipe import STAGES, Recipe
 from calibration.backbone.trials import joined
+from calibration.benchmark.trial import FORMAT
 from edge import cli
 from edge.core.errors import ConfigError
 from plugins.backbones.resnet import build_trunk

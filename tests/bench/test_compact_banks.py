@@ -19,8 +19,8 @@ from presses import stored as stored_bank
 
 from calibration.backbone.evaluation import random_trunk
 from calibration.backbone.evaluation_presses import development_trial
-from calibration.backbone.evaluation_sets import Trial
 from calibration.backbones import DEFAULT_BACKBONE, open_trunk
+from calibration.benchmark.trial import Trial
 from calibration.features import extract, trunk_grid
 from calibration.metrics import aupro
 from edge.core.detector import Bank, Features, Grid, Nominal

@@ -12,8 +12,8 @@ from chosen import Chosen
 
 from calibration.backbone.evaluation import random_trunk, scored_columns
 from calibration.backbone.evaluation_presses import development_trial
-from calibration.backbone.evaluation_sets import Trial
 from calibration.backbones import open_trunk
+from calibration.benchmark.trial import Trial
 from edge import registry
 
 pytestmark = pytest.mark.bench

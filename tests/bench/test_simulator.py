@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.scene import load_scene
 from calibration.simulator import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -28,6 +27,7 @@ from calibration.simulator import (
 from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import sample
 from calibration.simulator.record import press_frames
+from calibration.simulator.scene import load_scene
 
 PART = PARTS["PZ3"].positions["pos1"]
 SETS = {

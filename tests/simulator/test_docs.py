@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from calibration.scene import Camera, Defects, JitterTable, Motion, Nominal, Run, Scene, scene_names
 from calibration.simulator import DEFECTS, EFFECTS, LOOKS, PARTS
+from calibration.simulator.scene import Camera, Defects, JitterTable, Motion, Nominal, Run, Scene, scene_names
 
 MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
 

@@ -8,7 +8,6 @@ from types import CodeType, FrameType, FunctionType
 import numpy as np
 import pytest
 
-from calibration.scene import Scene, load_scene
 from calibration.simulator import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -25,6 +24,7 @@ from calibration.simulator import (
 from calibration.simulator.effects import chosen
 from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import sample
+from calibration.simulator.scene import Scene, load_scene
 from calibration.simulator.streams import named_streams
 
 SMALL = Field((160, 120), (0.12, 0.12))

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import cv2
 
-from calibration.scene import load_scene
 from calibration.simulate import simulate_dataset
+from calibration.simulator.scene import load_scene
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 

@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from calibration.scene import load_scene
 from calibration.simulate import paper_scenes
 from calibration.simulator.motion import PressMotion
 from calibration.simulator.plan import damage, dataset_plan, recording_plan
+from calibration.simulator.scene import load_scene
 from calibration.simulator.streams import named_streams
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.scene import Scene, load_scene
 from calibration.simulate import simulate_recording
+from calibration.simulator.scene import Scene, load_scene
 from edge.core.errors import RecordingError
 from edge.recording import Recording
 

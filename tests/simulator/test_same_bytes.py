@@ -9,7 +9,7 @@ import pytest
 SCRIPT = """
 import hashlib, sys, tempfile
 from pathlib import Path
-from calibration.scene import load_scene
+from calibration.simulator.scene import load_scene
 from calibration.simulate import simulate_dataset, simulate_recording
 from calibration.simulator import EFFECTS, LR, PARTS, Renderer, named_streams, native_field
 from calibration.simulator.random_parts import random_part
