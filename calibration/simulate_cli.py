@@ -21,11 +21,11 @@ def _list(is_wanted: bool) -> None:
 
 def _known() -> Iterator[str]:
     """The scenes that come with the product, and the names that a scene's file may use."""
-    from calibration.simulator.scene import load_scene, scene_names
     from calibration.simulator.defects import DEFECTS
     from calibration.simulator.effects import EFFECTS
     from calibration.simulator.look import LOOKS
     from calibration.simulator.parts import PARTS
+    from calibration.simulator.scene import load_scene, scene_names
 
     for name in scene_names():
         scene = load_scene(name)
