@@ -1,0 +1,66 @@
+"""Files made by version 0.1.0 still load: a bundle with its scores, a recording with its presses, a database.
+
+The bundle was fitted on twelve simulated presses with a region of 64x64 pixels; the database is what a station left
+behind after twelve presses with a broker that was away.
+"""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from calibration.presses import read_presses
+from edge.bundle import Bundle
+from edge.core.profiles import profile
+from edge.core.region import Region
+from edge.outbox import Outbox
+from edge.scorer import Scorer
+from edge.store import Store
+
+KEPT = Path(__file__).parent / "version_0_1_0"
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    """A copy, for opening a database may write to it."""
+    return Path(shutil.copy(KEPT / "gelgate.db", tmp_path / "gelgate.db"))
+
+
+def test_the_bundle_loads_and_gives_its_golden_scores() -> None:
+    """The scores stored at fit are found again, within the tolerance stored with them."""
+    bundle = Bundle.load(KEPT / "bundle")
+
+    Scorer(bundle, threads=1).check_golden()
+    assert (bundle.manifest.part, bundle.manifest.method) == ("PZ3", "padim")
+    assert len(bundle.golden) == 3
+
+
+def test_the_recording_gives_its_presses() -> None:
+    """Two presses were recorded and two are found."""
+    sensor = profile("cropped_lr")
+
+    presses = read_presses([KEPT / "recording"], sensor, Region.centre(sensor.size))
+
+    assert len(presses) == 2
+
+
+def test_the_database_keeps_its_history(database: Path) -> None:
+    """Presses, the count of the gel, and the order of the presses are as they were left."""
+    with Store(database) as store:
+        store.check()
+        (gel,) = store.gels()
+        presses = store.presses()
+
+    assert (gel.gel_id, gel.presses, gel.limit_presses) == ("SIM00001-1", 12, 1000)
+    assert [press.verdict for press, _ in presses].count("fail") == 5
+    assert len(presses) == 12
+
+
+def test_what_waits_in_the_database_is_still_offered(database: Path) -> None:
+    """Messages that no broker has taken wait for the sink of the same name."""
+    with Store(database), Outbox(database) as outbox:
+        outbox.register(["mqtt", "jsonl"])
+        waiting = outbox.pending("mqtt", limit=100)
+
+    assert len(waiting) == 19
+    assert sum(row.message.topic.endswith("result") for row in waiting) == 12
