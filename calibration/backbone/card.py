@@ -143,6 +143,7 @@ def card(
         "",
         f"A {facts['topology']} up to {facts['taps'][-1]} (taps {', '.join(facts['taps'])}), trained by this project",
         "on simulated presses that are drawn while it learns; no picture is stored and none is downloaded.",
+        "Licence: Apache-2.0, as the program; docs/licences.md says what the training saw.",
         "",
         "## Training",
         "",
