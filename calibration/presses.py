@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact_table import State
-from edge.core.decode import VIEW_SIZE, decode, decode_view
+from edge.core.decode import VIEW_SIZE, decode
 from edge.core.encoded import picture_size
 from edge.core.errors import DatasetError, FitError, FrameCorrupt
 from edge.core.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.frames import CameraFrame
+from edge.core.press_detector import PressDetector
 from edge.core.profile import SensorProfile
 from edge.core.reference import Reference, View
 from edge.core.region import Region, touched_in
@@ -162,26 +163,18 @@ def _add_picture(
 
 def _read_recording(folder: Path, gathered: _Gathered) -> None:
     """Every press that settles, and the free gel before each."""
-    recording, tracker = Recording.open(folder), ContactTracker()
-    recent: dict[int, CameraFrame] = {}
-    labels: dict[int, object] = {}
+    recording, detector = Recording.open(folder), PressDetector(gathered.profile)
+    specimens: dict[int, object] = {}
     last_free: CameraFrame | None = None
     for recorded in recording:
-        frame = recorded.frame
-        try:
-            events = tracker.feed(decode_view(frame, gathered.profile), frame.timestamp_ns, frame.sequence)
-        except FrameCorrupt:
-            continue  # one bad frame is not the recording's end; the gateway goes on as well
-        recent[frame.sequence], labels[frame.sequence] = frame, (recorded.label or {}).get("specimen")
-        recent = {k: f for k, f in recent.items() if k in (frame.sequence, tracker.candidate)}
-        for event in events:
-            if isinstance(event, PressSettled):
-                specimen = labels.get(event.sequence)
-                _add_settled(folder, recent[event.sequence], specimen, tracker, gathered)
+        specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
+        for event in detector.feed(recorded.frame):
+            if isinstance(event, PressSettled) and (chosen := detector.chosen(event)) is not None:
+                _add_settled(folder, chosen, specimens[chosen.sequence], detector.tracker, gathered)
             elif isinstance(event, PressBegan | ReferenceReady) and last_free is not None:
                 gathered.free.append(gathered.region.crop(decode(last_free, gathered.profile).rgb))
-        if tracker.state in (State.BASELINE, State.NO_CONTACT):
-            last_free = frame
+        if detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
+            last_free = detector.newest
 
 
 def _add_settled(

@@ -21,8 +21,8 @@ from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, Sto
 from edge.core.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity, Sink
+from edge.core.press_detector import PressDetector
 from edge.core.station import Station, topic_root
-from edge.core.tracker import ContactTracker
 from edge.core.wear import wear
 from edge.inspection import Inspection, Inspector
 from edge.ledger import GelRecord
@@ -42,8 +42,6 @@ log = logging.getLogger(__name__)
 # The loop looks up from waiting for a frame this often, to serve commands and notice faults.
 WAIT_S: Final = 0.2
 STATS_EVERY_S: Final = 10.0
-# Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
-GAP_S: Final = 0.27
 # How long a store that refuses writes is left alone before it is tried again.
 STORE_RETRY_S: Final = 1.0
 # What is waited for before anything is inspected.
@@ -67,7 +65,6 @@ class Gateway:
         self._parts = ExitStack()
         self._stop = threading.Event()
         self._requests = Requests()
-        self._last_frame_ns: int | None = None
         self._last_stats_ns = clock.monotonic_ns()
         self._taker: PressTaker | None = None
         self._recorder: Recorder | None = None
@@ -191,9 +188,6 @@ class Gateway:
         taker = self._taker or self._begun()
         if taker is None:
             return
-        if self._last_frame_ns is not None and frame.timestamp_ns - self._last_frame_ns > GAP_S * 1e9:
-            self._record_all(taker.gap())
-        self._last_frame_ns = frame.timestamp_ns
         self._record_all(taker.feed(frame))
 
     def _begun(self) -> PressTaker | None:
@@ -214,8 +208,8 @@ class Gateway:
         self._reporter.mended("store")
         settings = ContactSettings(is_external=self._config.inspection.trigger == "command")
         stored = self._references.load(identity.serial, gel.gel_id, "last")
-        tracker = ContactTracker(settings, stored)
-        self._taker = PressTaker(tracker, self._inspector, self._clock, self._contact_said)
+        detector = PressDetector(self._inspector.bundle.profile, settings, stored)
+        self._taker = PressTaker(detector, self._inspector, self._clock, self._contact_said)
         self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
         self._mounted(gel)
         self._reporter.info(self._inspector.bundle, identity)
@@ -320,7 +314,7 @@ class Gateway:
             self._store_refuses(error)
             return
         self._reporter.mended("store")
-        corrupt = self._taker.corrupt if self._taker else 0
+        corrupt = self._taker.detector.corrupt if self._taker else 0
         self._reporter.stats(self.summary, self._acquisition.status, outbox, corrupt)
         errors = [c.last_error for c in self._publisher.counters().values() if c.refused]
         self._reporter.refused(outbox.refused, errors)

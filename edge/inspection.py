@@ -12,7 +12,7 @@ from edge.core.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.quality import NominalContact, QualitySettings, check_contact, check_freshness, check_light
 from edge.core.touch import Touch
-from edge.core.verdict import Verdict, decide
+from edge.core.verdict import Verdict
 from edge.manifest import ContactRange
 from edge.scorer import Scorer
 
@@ -68,11 +68,9 @@ class Inspector:
         return self._scored(rgb, latency)
 
     def _scored(self, rgb: NDArray[np.uint8], latency: dict[str, float]) -> Inspection:
-        manifest = self.bundle.manifest
         try:
             scored = self.scorer.score(rgb)
-            tolerance = manifest.tolerance.score + manifest.tolerance.relative * abs(scored.anomaly_score)
-            verdict = decide(scored.anomaly_score, manifest.threshold.value, tolerance)
+            verdict = self.bundle.manifest.decide(scored.anomaly_score)
         except NotScorable as error:
             return Inspection(None, error=str(error), rgb=rgb, latency_ms=latency)
         latency |= {"trunk": scored.trunk_ms, "head": scored.head_ms}

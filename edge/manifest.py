@@ -15,6 +15,7 @@ from edge.core.profile import SensorProfile
 from edge.core.region import Region
 from edge.core.tiles import Tiles
 from edge.core.touch import Touch
+from edge.core.verdict import Verdict, decide
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -354,6 +355,10 @@ class Manifest(Facts):
         if not self.region.region().is_within(self.profile.size):
             raise ValueError(f"region {self.region.region()} lies outside the picture of {self.profile.size}")
         return self
+
+    def decide(self, score: float) -> Verdict:
+        """The verdict on a score, by this bundle's threshold and tolerance. Errors: NotScorable."""
+        return decide(score, self.threshold.value, self.tolerance.around(score))
 
     @property
     def frame(self) -> tuple[int, int]:

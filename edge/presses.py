@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from edge.core.decode import decode_view
-from edge.core.errors import FrameCorrupt
 from edge.core.events import Event, PressNotSettled, PressSettled, TriggerRepeated, TriggerWithoutContact
 from edge.core.frames import CameraFrame
 from edge.core.ports import Clock
+from edge.core.press_detector import PressDetector
 from edge.core.quality import Reason, Rejection
 from edge.core.tracker import ContactTracker
 from edge.core.verdict import Verdict
@@ -102,44 +101,27 @@ class Recorder:
 
 
 class PressTaker:
-    """Feeds frames to the contact tracker and judges the one frame that each press gives.
-
-    on_event hears every contact event. Frames that contact does not need are not decoded.
-    """
+    """Judges the one frame that each press gives. on_event hears every contact event."""
 
     def __init__(
         self,
-        tracker: ContactTracker,
+        detector: PressDetector,
         inspector: Inspector,
         clock: Clock,
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
-        self.tracker = tracker
-        self.corrupt = 0
+        self.detector = detector
         self._inspector = inspector
         self._clock = clock
         self._on_event = on_event
-        self._kept: dict[int, CameraFrame] = {}
+
+    @property
+    def tracker(self) -> ContactTracker:
+        return self.detector.tracker
 
     def feed(self, frame: CameraFrame) -> list[Inspection]:
         """One camera frame; gives an inspection for each press that it decides (at most one)."""
-        if not self.tracker.is_due(frame.timestamp_ns):
-            return []
-        try:
-            view = decode_view(frame, self._inspector.bundle.profile)
-        except FrameCorrupt:
-            self.corrupt += 1
-            return []
-        self._kept[frame.sequence] = frame
-        events = self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
-        inspections = self._told(events)
-        wanted = {self.tracker.candidate, frame.sequence}
-        self._kept = {sequence: kept for sequence, kept in self._kept.items() if sequence in wanted}
-        return inspections
-
-    def gap(self) -> list[Inspection]:
-        """The stream was interrupted."""
-        return self._told(self.tracker.gap())
+        return self._told(self.detector.feed(frame))
 
     def trigger(self) -> str | None:
         """A verdict is asked for now; gives why there will be none, or None."""
@@ -172,7 +154,7 @@ class PressTaker:
 
     def _judged(self, event: PressSettled) -> Inspection:
         started_ns = self._clock.monotonic_ns()
-        frame = self._kept.get(event.sequence)
+        frame = self.detector.chosen(event)
         if frame is None:
             return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)

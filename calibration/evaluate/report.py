@@ -33,11 +33,16 @@ def as_table(evaluation: Evaluation) -> str:
     lines += [
         "",
         f"at threshold {e.threshold:.6g}: {e.false_alarms} of {good} good presses fail, "
-        f"{e.misses} of {bad} defective ones pass",
+        f"{e.misses} of {bad} defective ones pass" + _unsure(e),
         f"time per frame, median: trunk {_median(e, 'trunk_ms'):.1f} ms, head {_median(e, 'head_ms'):.1f} ms",
     ]
     lines += [f"no score: {press.path}: {reason}" for press, reason in e.unscorable]
     return "\n".join(lines)
+
+
+def _unsure(evaluation: Evaluation) -> str:
+    good, bad = evaluation.unsure
+    return f"; {good} good and {bad} defective ones are unsure" if good or bad else ""
 
 
 def _row(one: Measure) -> str:
@@ -87,7 +92,12 @@ def as_json(evaluation: Evaluation) -> str:
         "dataset": {"layout": e.dataset.layout, "left_out": e.left_out, "seen_specimens": e.seen_specimens},
         "measures": {m.name: _measure(m) for m in e.measures},
         "bootstrap": {"replicates": e.replicates, "seed": e.seed, "confidence": 0.95},
-        "threshold": {"value": e.threshold, "false_alarms": e.false_alarms, "misses": e.misses},
+        "threshold": {
+            "value": e.threshold,
+            "false_alarms": e.false_alarms,
+            "misses": e.misses,
+            "unsure": sum(e.unsure),
+        },
         "milliseconds": {"trunk": _median(e, "trunk_ms"), "head": _median(e, "head_ms")},
         "presses": presses,
         "unscorable": [{"file": p.path.name, "reason": reason} for p, reason in e.unscorable],

@@ -13,6 +13,7 @@ from calibration.metrics import Measure, measure
 from calibration.progress import Advance
 from edge.bundle import Bundle
 from edge.core.errors import DatasetError, NotScorable
+from edge.core.verdict import Kind
 from edge.scorer import Scorer
 
 __all__ = ["Evaluation", "Show", "evaluate_bundle", "score_presses"]
@@ -62,13 +63,26 @@ class Evaluation:
 
     @property
     def false_alarms(self) -> int:
-        """Good presses at or above the threshold."""
-        return sum(not s.press.is_defective and s.anomaly_score >= self.threshold for s in self.scored)
+        """Good presses that the gateway would fail."""
+        return self._count(Kind.FAIL, is_defective=False)
 
     @property
     def misses(self) -> int:
-        """Defective presses below the threshold."""
-        return sum(s.press.is_defective and s.anomaly_score < self.threshold for s in self.scored)
+        """Defective presses that the gateway would pass."""
+        return self._count(Kind.PASS, is_defective=True)
+
+    @property
+    def unsure(self) -> tuple[int, int]:
+        """Good and defective presses that lie too near the threshold for the gateway to say."""
+        return self._count(Kind.UNSURE, is_defective=False), self._count(Kind.UNSURE, is_defective=True)
+
+    def _count(self, kind: Kind, *, is_defective: bool) -> int:
+        """How many presses of this truth get this verdict."""
+        decided = self.bundle.manifest.decide
+        return sum(
+            s.press.is_defective is is_defective and decided(s.anomaly_score).kind is kind
+            for s in self.scored
+        )
 
 
 def evaluate_bundle(

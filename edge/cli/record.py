@@ -31,7 +31,7 @@ Press = Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of eve
 Number = Annotated[
     bool,
     typer.Option(
-        "--number-copies", help="Write a comment into each copy: same pixels, but not taken for stale."
+        help="Write a comment into each copy: same pixels, but not taken for the last frame again.",
     ),
 ]
 Noise = Annotated[float | None, typer.Option(help="Add noise of this many grey levels (sd) to copies.")]
@@ -54,7 +54,7 @@ def record(
     lead: Lead = 20,
     repeat_free: Free = 20,
     repeat_press: Press = 12,
-    number_copies: Number = False,
+    number_copies: Number = True,
     noise: Noise = None,
     seed: Seed = 0,
     product: Product = "GelSight Mini R0B 2BNN-4ZE7",
@@ -63,8 +63,8 @@ def record(
 ) -> None:
     """Record frames from a device (Ctrl-C ends it), or make a press-and-lift recording from images.
 
-    Copies of an image are identical, which a player takes for a hung camera: use --number-copies or --noise to play
-    them through a sensor. Nothing is invented unless asked for.
+    Copies of an image get a number each, for identical frames are what a hung camera sends, and are left out by the
+    gateway and by fit alike. Nothing is invented unless asked for.
     """
     from edge.core.errors import ConfigError
 

@@ -16,7 +16,7 @@ from calibration.progress import progress
 from edge import cli
 from edge.bundle import write_bundle
 from edge.core.errors import DatasetError, GelgateError
-from edge.manifest import Provenance
+from edge.manifest import Provenance, ToleranceEntry
 
 
 def frame(path: Path, square: bool, rng: np.random.Generator) -> None:
@@ -64,6 +64,22 @@ def test_bright_squares_are_found_exactly(tmp_path: Path, dataset: Path) -> None
     assert values == pytest.approx(dict.fromkeys(values, 1.0))
     assert (evaluation.false_alarms, evaluation.misses) == (0, 0)
     assert len(evaluation.scored) == 10
+
+
+def test_a_press_fails_where_the_gateway_would_fail_it(tmp_path: Path, dataset: Path) -> None:
+    """A good press at the threshold passes; within the tolerance of it no press passes or fails."""
+
+    def judged(tolerance: float) -> Evaluation:
+        folder = tmp_path / f"within {tolerance}"
+        folder.mkdir()
+        wide = ToleranceEntry(score=tolerance, score_map=1.0, relative=0.0, measured=0.0)
+        return run(bundle(folder, threshold=largest, tolerance=wide), dataset)
+
+    largest = max(s.anomaly_score for s in run(bundle(tmp_path), dataset).scored if not s.press.is_defective)
+    exact, wide = judged(0.0), judged(100.0)
+    assert (exact.false_alarms, exact.misses, exact.unsure) == (0, 0, (0, 0))
+    assert (wide.false_alarms, wide.misses, wide.unsure) == (0, 0, (6, 4))
+    assert "6 good and 4 defective ones are unsure" in as_table(wide)
 
 
 def test_a_name_in_train_and_test_means_the_one_in_train(tmp_path: Path, dataset: Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.presses import MAX_NO_CONTACT, read_presses
+from edge.core.encoded import with_comment
 from edge.core.errors import DatasetError, FitError, RecordingError
 from edge.core.profile import SensorProfile
 from edge.core.region import Region
@@ -42,7 +43,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         frames += [(free[k % 4], None) for k in range(70)]
     with RecordingWriter(folder, header) as writer:
         for number, (payload, label) in enumerate(frames):
-            writer.add(payload, number * FRAME_NS, label)
+            writer.add(with_comment(payload, str(number)), number * FRAME_NS, label)
     return folder
 
 

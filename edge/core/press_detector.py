@@ -1,0 +1,98 @@
+"""Which frame of which press: camera frames in, contact events out, and the frame that each settled press gives.
+
+The gateway, `fit` and `record` all find their presses here, so that what is learnt is what will be scored. It leaves
+out what says nothing (a broken frame, the last frame delivered again), notices interruptions by the frames' own times,
+decodes only what contact detection asks for, and keeps the few frames that may still be chosen.
+"""
+
+from typing import Final, final
+
+from edge.core.contact import ContactSettings
+from edge.core.decode import decode_view
+from edge.core.encoded import Freshness, damage
+from edge.core.errors import FrameCorrupt
+from edge.core.events import Event, PressSettled
+from edge.core.frames import CameraFrame
+from edge.core.profile import SensorProfile
+from edge.core.reference import Reference
+from edge.core.tracker import ContactTracker
+
+__all__ = ["GAP_S", "PressDetector"]
+
+# Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
+GAP_S: Final = 0.27
+
+
+@final
+class PressDetector:
+    """Finds the presses in one sensor's frames. Feed every frame, in order; the frames' times are all it knows of time.
+
+    corrupt: frames that could not be read. first_fault: why, for the first of them. looked_at: frames that were read.
+    """
+
+    def __init__(
+        self,
+        profile: SensorProfile,
+        settings: ContactSettings | None = None,
+        stored: Reference | None = None,
+    ) -> None:
+        self.tracker = ContactTracker(settings, stored)
+        self.corrupt = 0
+        self.looked_at = 0
+        self.first_fault: str | None = None
+        self._profile = profile
+        self._freshness = Freshness()
+        self._last_ns: int | None = None
+        self._newest: CameraFrame | None = None
+        self._kept: dict[int, CameraFrame] = {}
+
+    @property
+    def newest(self) -> CameraFrame | None:
+        """The last frame that was read."""
+        return self._newest
+
+    def feed(self, frame: CameraFrame) -> list[Event]:
+        """What this frame makes happen. A frame that cannot be read is counted in `corrupt` and changes nothing."""
+        if not self._is_sound(frame) or not self._is_new(frame):
+            return []
+        events = self._interrupted_before(frame)
+        if not self.tracker.is_due(frame.timestamp_ns):
+            return events
+        try:
+            view = decode_view(frame, self._profile)
+        except FrameCorrupt as error:
+            self._count_corrupt(str(error))
+            return events
+        self.looked_at += 1
+        self._newest = self._kept[frame.sequence] = frame
+        return [*events, *self.tracker.feed(view, frame.timestamp_ns, frame.sequence)]
+
+    def chosen(self, settled: PressSettled) -> CameraFrame | None:
+        """The frame that a settled press is scored by; ask before the next frame is fed. None only when asked later."""
+        return self._kept.get(settled.sequence)
+
+    def _is_sound(self, frame: CameraFrame) -> bool:
+        fault = damage(frame.payload)
+        if fault is not None:
+            self._count_corrupt(f"frame {frame.sequence} is {fault}")
+        return fault is None
+
+    def _is_new(self, frame: CameraFrame) -> bool:
+        """False for the last frame delivered again, and for one whose time does not rise."""
+        is_later = self._last_ns is None or frame.timestamp_ns > self._last_ns
+        return self._freshness.is_new(frame.payload) and is_later
+
+    def _interrupted_before(self, frame: CameraFrame) -> list[Event]:
+        self._forget_all_but_candidate()
+        last_ns, self._last_ns = self._last_ns, frame.timestamp_ns
+        if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
+            return []
+        return self.tracker.gap()
+
+    def _forget_all_but_candidate(self) -> None:
+        candidate = self.tracker.candidate
+        self._kept = {sequence: kept for sequence, kept in self._kept.items() if sequence == candidate}
+
+    def _count_corrupt(self, fault: str) -> None:
+        self.corrupt += 1
+        self.first_fault = self.first_fault or fault

@@ -1,0 +1,144 @@
+"""What is learnt is what is scored: `fit` and the gateway choose the same frames of any recording."""
+
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from small_recordings import FakeClock
+
+from calibration.presses import read_presses
+from edge.core.encoded import with_comment
+from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
+from edge.core.frames import CameraFrame
+from edge.core.press_detector import PressDetector
+from edge.core.profile import SensorProfile
+from edge.core.region import Region
+from edge.core.touch import Touch
+from edge.inspection import Inspection
+from edge.presses import PressTaker
+from edge.recording import Recording, RecordingHeader, RecordingWriter
+from plugins.devices.recorded import RecordedSensor
+
+SIZE = (160, 120)
+PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 1, 4.0)
+WHOLE = Region(0, 0, *SIZE)
+SECOND = 1_000_000_000
+
+
+@cache
+def picture(depth: float) -> bytes:
+    """The gel with a ball pressed into it, 0 to 1 deep."""
+    rows, columns = np.mgrid[:120, :160].astype(np.float32)
+    radius = max(20 * depth**0.5, 1e-3)
+    u, v = (columns - 80) / radius, (rows - 60) / radius
+    slopes = np.stack([-60 * v, 55 * u, 60 * v], axis=-1) * (u * u + v * v <= 1)[..., None] * depth
+    noise = np.random.default_rng(round(depth * 100)).normal(0, 1.3, slopes.shape)
+    level = (110 + rows / 6 + columns / 8)[..., None]
+    return cv2.imencode(".jpg", np.clip(level + slopes + noise, 0, 255).astype(np.uint8))[1].tobytes()
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some frames of one kind: `what` is a depth, or how the frame is spoilt."""
+
+    what: float | str
+    frames: int
+    hole_frames: int
+
+
+STRETCHES = st.lists(
+    st.builds(
+        Stretch,
+        what=st.sampled_from([0.0, 0.0, 0.5, 1.0, 1.0, "cut", "small", "again", "black"]),
+        frames=st.integers(1, 24),
+        hole_frames=st.sampled_from([0, 0, 0, 1, 15, 40]),
+    ),
+    min_size=2,
+    max_size=12,
+)
+
+
+def payload(what: float | str, number: int, before: bytes) -> bytes:
+    match what:
+        case "again":
+            return before
+        case "cut":
+            return with_comment(picture(1.0), str(number))[:-30]
+        case "small":
+            return cv2.imencode(".png", np.full((4, 4, 3), number % 256, np.uint8))[1].tobytes()
+        case "black":
+            flat = cv2.imencode(".png", np.zeros((120, 160, 3), np.uint8))[1].tobytes()
+            return with_comment(flat, str(number))
+    assert isinstance(what, float)
+    return with_comment(picture(what), str(number))
+
+
+def recorded(folder: Path, stretches: list[Stretch], fps: float) -> Path:
+    lead = [Stretch(0.0, 40, 0), Stretch(1.0, round(fps), 0), Stretch(0.0, 10, 0)]
+    last, place = picture(0.0), 0
+    with RecordingWriter(folder, RecordingHeader("mock", "TEST", SIZE, 25.0)) as writer:
+        for stretch in [*lead, *stretches]:
+            place += stretch.hole_frames
+            for _ in range(stretch.frames):
+                last = payload(stretch.what, len(writer), last)
+                writer.add(last, SECOND + round(place * SECOND / fps))
+                place += 1
+    return folder
+
+
+class Listener:
+    """An inspector that keeps what it is asked to judge."""
+
+    def __init__(self) -> None:
+        self.asked: list[bytes] = []
+
+    def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
+        self.asked.append(frame.payload)
+        return Inspection(None, error="not judged")
+
+
+def scored_by_the_gateway(folder: Path) -> list[bytes]:
+    """The gateway's own chain, from a recorded device that plays at the recorded times."""
+    clock, listener = FakeClock(), Listener()
+    sensor = RecordedSensor(Recording.open(folder), clock, pace=1.0, loop=False)
+    taker = PressTaker(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]
+    while True:
+        try:
+            taker.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
+        except FrameCorrupt:
+            continue
+        except RecordingEnded:
+            return listener.asked
+
+
+def learnt_by_fit(folder: Path) -> list[bytes]:
+    try:
+        names = read_presses([folder], PROFILE, WHOLE).names
+    except FitError:
+        return []
+    frames = Recording.open(folder)
+    return [frames[int(name.rpartition("#")[2])].frame.payload for name in names]
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(stretches=STRETCHES, fps=st.sampled_from([5.0, 10.0, 15.0, 18.75, 25.0, 30.0, 60.0]))
+def test_fit_and_gateway_choose_the_same_frames(stretches: list[Stretch], fps: float) -> None:
+    """Recordings with holes, broken, black, small and repeated frames, at any rate: the same frames, in order."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = recorded(Path(folder) / "any", stretches, fps)
+        learnt = learnt_by_fit(recording)
+        assert learnt == scored_by_the_gateway(recording)
+        assert learnt, "the first press is a second long and settles"
+
+
+def test_a_hole_is_an_interruption_for_both() -> None:
+    """Fifteen frames are missing in the middle of a press: one press for the gateway, and one for fit."""
+    stretches = [Stretch(1.0, 3, 0), Stretch(1.0, 20, 15), Stretch(0.0, 20, 0)]
+    with tempfile.TemporaryDirectory() as folder:
+        recording = recorded(Path(folder) / "hole", stretches, 18.75)
+        assert len(learnt_by_fit(recording)) == len(scored_by_the_gateway(recording)) == 2
