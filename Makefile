@@ -28,7 +28,7 @@ docs: $(VENV)/.test
 
 # The detectors' graphs that ship, after a change to a detector or to its settings; the tests compare them.
 heads: $(VENV)/.test
-	$(BIN)/python -m export.heads
+	$(BIN)/python -m export.prebuilt_heads
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.local_broker import LocalBroker
-    from edge.mqtt import Level
+    from edge.messaging.local_broker import LocalBroker
+    from edge.messaging.mqtt_connection import Level
 
 __all__ = ["demo"]
 
@@ -56,7 +56,7 @@ def demo(
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings too, about 190 MB.")] = False,
 ) -> None:
     """Simulate a bolt, learn it, inspect it on a virtual sensor, publish over a real broker, keep the heatmaps."""
-    from edge.local_broker import LocalBroker
+    from edge.messaging.local_broker import LocalBroker
 
     started = time.monotonic()
     heatmaps = output / "heatmaps"
@@ -85,8 +85,8 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
     import os
 
     from calibration.progress import progress
-    from calibration.simulate import simulate_recording
     from calibration.simulator.scene import load_scene
+    from calibration.simulator.simulate import simulate_recording
 
     scene = load_scene("demo")
     paths = []
@@ -108,13 +108,13 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
 def _fitted(nominal: Path, path: Path) -> Path:
     import datetime
 
-    from calibration.backbones import DEFAULT_BACKBONE, open_trunk
-    from calibration.fit import Recipe, fit_bundle
-    from calibration.presses import read_presses
+    from calibration.fitting.fit import Recipe, fit_bundle
+    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
     from calibration.progress import Stages
     from edge import registry
-    from edge.core.profiles import profile
-    from edge.core.region import Region
+    from edge.core.imaging.known_profiles import profile
+    from edge.core.imaging.region import Region
 
     detector, sensor = registry.load("detectors", "padim"), profile("mini_lr")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
@@ -160,8 +160,8 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
     from edge.cli.run import press_line
     from edge.clock import SystemClock
     from edge.config import load_config
-    from edge.gateway import Gateway
-    from edge.store import Store
+    from edge.gateway.gateway import Gateway
+    from edge.store.press_store import Store
 
     tally = _known_truth(recording)
     for old in folder.glob("gelgate.db*"):
@@ -201,7 +201,7 @@ def _level(broker: "LocalBroker") -> "Level":
 
 def _known_truth(recording: Path) -> _Tally:
     """What the simulation wrote beside each frame: which press is damaged, and how."""
-    from edge.recording import Recording
+    from edge.recording.format import Recording
 
     damaged: dict[int, bool] = {}
     kinds: dict[int, str] = {}
@@ -218,7 +218,7 @@ def _known_truth(recording: Path) -> _Tally:
 @contextmanager
 def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]]:
     """A plant's subscriber: press id to verdict, as they arrive; pictures are saved under the verdict's name."""
-    from edge.mqtt import Broker, Connection, Received
+    from edge.messaging.mqtt_connection import Broker, Connection, Received
 
     results: dict[str, str] = {}
 

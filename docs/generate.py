@@ -20,7 +20,7 @@ from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
 from edge.config import Config
 from edge.core import errors
-from edge.mqtt_reference import reference
+from edge.messaging.topic_reference import reference
 
 FOLDER: Final = Path(__file__).parent
 NOTICE: Final = "<!-- Printed from the program by `make docs`; change the program, not this page. -->\n"

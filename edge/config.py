@@ -13,8 +13,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
-from edge.core.station import topic_level
-from edge.table_faults import numbered, sentences, types_in
+from edge.core.sink_context import topic_level
+from edge.validation_messages import numbered, sentences, types_in
 
 __all__ = ["Config", "PluginTable", "load_config"]
 

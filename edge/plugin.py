@@ -6,7 +6,7 @@ from typing import Protocol, TypeVar
 from pydantic import BaseModel
 
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting, Sink
-from edge.core.station import Station
+from edge.core.sink_context import Station
 
 __all__ = ["DevicePlugin", "SinkPlugin"]
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from edge.archive import write_file
-from edge.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.core.errors import BundleCorrupt, BundleMismatch
-from edge.manifest import Facts, Manifest
-from edge.scorer import Scorer, map_peaks
+from edge.model.archive import write_file
+from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.manifest import Facts, Manifest
+from edge.model.scorer import Scorer, map_peaks
 from plugins.backbones.tiled import mosaic_trunk
 
 __all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.presses import NominalPresses
-from edge.core.profiles import profile
-from edge.core.region import Region
+from calibration.fitting.nominal_presses import NominalPresses
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
 
 __all__ = ["FORMAT", "PROFILE", "REGION", "Trial"]
 

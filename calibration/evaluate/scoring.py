@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from calibration.dataset import SIZES, Dataset, Press, Resolution, open_dataset
 from calibration.metrics import Measure, measure
 from calibration.progress import Advance
-from edge.bundle import Bundle
 from edge.core.errors import DatasetError, NotScorable
 from edge.core.verdict import Kind
-from edge.scorer import Scorer
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
 
 __all__ = ["Evaluation", "Show", "evaluate_bundle", "score_presses"]
 

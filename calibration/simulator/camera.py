@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator.constants import NOISE_LEVEL, NOISE_SD
-from calibration.simulator.field import F32, Field, grids
+from calibration.simulator.field_of_view import F32, Field, grids
 
 __all__ = [
     "CAMERA_QUALITY",

@@ -3,7 +3,7 @@
 What one renderer alone uses stands where it is used.
 """
 
-from edge.core.profiles import MINI_LR_MM_PER_PX
+from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = [
     "COARSEST_MM",

@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import pool_mask
 from calibration.dataset.opening import DATASET_VERSION, SUMMARY_FILE
-from calibration.simulator.field import HR, LR, Field
-from calibration.simulator.look import LOOKS
+from calibration.simulator.field_of_view import HR, LR, Field
 from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.reproducible_math import steady_opencv
 from calibration.simulator.scene import Scene
-from calibration.simulator.steady import steady_opencv
+from calibration.simulator.sensor_appearance import LOOKS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibration.simulator import steady
-from calibration.simulator.field import F32, Field, grids
+from calibration.simulator import reproducible_math as steady
+from calibration.simulator.field_of_view import F32, Field, grids
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.shapes import f32, ramp, rotate
 

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from calibration.simulator import camera, coat, gel, optics, pose
+from calibration.simulator import camera, gel, optics, pose
+from calibration.simulator import gel_surface as coat
 from edge.core.suggest import suggestion
 
 __all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]

@@ -14,7 +14,7 @@ from calibration.simulator.constants import (
     SHORT_MM,
     SWEEPS,
 )
-from calibration.simulator.field import F32, Field
+from calibration.simulator.field_of_view import F32, Field
 
 __all__ = ["deformation", "residual_imprint"]
 

@@ -16,7 +16,7 @@ from calibration.simulator.constants import (
     SHADOW_REACH_MM,
     SHADOW_STEPS,
 )
-from calibration.simulator.field import F32, Field
+from calibration.simulator.field_of_view import F32, Field
 
 __all__ = ["LIGHTS", "headlight", "illumination", "normals", "shadows", "specular"]
 

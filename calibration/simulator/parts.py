@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.simulator import steady
-from calibration.simulator.field import F32
+from calibration.simulator import reproducible_math as steady
+from calibration.simulator.field_of_view import F32
 from calibration.simulator.pose import HeightField, Jitter
 from calibration.simulator.shapes import FLOOR_MM, box, disc, f32, plateau, ramp, rotate
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from calibration.simulator.defects import Defect, place_defect
-from calibration.simulator.field import LR, Field
+from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calibration.simulator.field import F32, Field, grids
+from calibration.simulator.field_of_view import F32, Field, grids
 
 __all__ = ["HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_jitter", "sample"]
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from calibration.simulator.defects import Defect, place_defect
 from calibration.simulator.effects import EFFECTS
-from calibration.simulator.field import LR
-from calibration.simulator.look import LOOKS
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scene import Scene
+from calibration.simulator.sensor_appearance import LOOKS
 from calibration.simulator.streams import named_streams
 
 __all__ = ["preview", "write_preview"]

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field import F32, LR
-from calibration.simulator.look import LOOKS
+from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import Renderer
+from calibration.simulator.sensor_appearance import LOOKS
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import named_streams
-from edge.core.profiles import MINI_LR_MM_PER_PX
+from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["BANDS", "BallFigures", "ball_figures", "histogram_overlap", "levels", "read_rgb", "spectrum"]
 

@@ -12,20 +12,20 @@ import numpy as np
 
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
-from calibration.simulator.field import F32, HR, LR, native_field
-from calibration.simulator.look import LOOKS
+from calibration.simulator.field_of_view import F32, HR, LR, native_field
 from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.reproducible_math import steady_opencv
 from calibration.simulator.scene import Run, Scene
-from calibration.simulator.steady import steady_opencv
+from calibration.simulator.sensor_appearance import LOOKS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import RecordingError, StoreError
-from edge.core.profiles import MINI_NATIVE
-from edge.recording import Recording, RecordingHeader, RecordingWriter
+from edge.core.imaging.known_profiles import MINI_NATIVE
+from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 
 __all__ = ["FrameOut", "press_frames", "record_run"]
 

@@ -15,10 +15,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator import camera, coat, gel, look, optics, pose
+from calibration.simulator import camera, gel, optics, pose
+from calibration.simulator import gel_surface as coat
+from calibration.simulator import sensor_appearance as look
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS, chosen
-from calibration.simulator.field import F32, LR, Field
+from calibration.simulator.field_of_view import F32, LR, Field
 from calibration.simulator.pose import HeightField, Jitter, Pose
 from calibration.simulator.streams import Streams, named_streams
 

@@ -13,12 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS, chosen
-from calibration.simulator.look import LOOKS
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
+from calibration.simulator.sensor_appearance import LOOKS
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
-from edge.table_faults import numbered, sentences
+from edge.validation_messages import numbered, sentences
 
 __all__ = ["SCENES", "Camera", "Defects", "Motion", "Nominal", "Run", "Scene", "load_scene", "scene_names"]
 

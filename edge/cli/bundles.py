@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.manifest import ColourEntry, Manifest
+    from edge.model.manifest import ColourEntry, Manifest
 
 __all__ = ["inspect", "verify"]
 
@@ -29,8 +29,8 @@ def inspect(
     """
     import hashlib
 
-    from edge.archive import MANIFEST, open_archive
-    from edge.bundle import MAX_MANIFEST_BYTES, parse_manifest
+    from edge.model.archive import MANIFEST, open_archive
+    from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
 
     archive = open_archive(bundle)
     raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
@@ -152,9 +152,9 @@ def verify(
 
     Exit code 5 when a check fails.
     """
-    from edge.bundle import Bundle
     from edge.core.errors import BundleError
-    from edge.scorer import Scorer
+    from edge.model.bundle import Bundle
+    from edge.model.scorer import Scorer
 
     try:
         checked = Bundle.load(bundle, trunks)

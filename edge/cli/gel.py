@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.store import GelRecord, Store
+    from edge.store.press_store import GelRecord, Store
 
 __all__ = ["gel"]
 
@@ -54,7 +54,7 @@ def replace(
     import json
     import time
 
-    from edge.messages import GelPayload, gel_message
+    from edge.messaging.payloads import GelPayload, gel_message
 
     now_ns = time.time_ns()
     with _open(database, config) as store:
@@ -92,7 +92,7 @@ def _known(serial: str, serials: list[str]) -> str:
 def _open(database: Path | None, config: Path | None) -> "Store":
     from edge.config import load_config
     from edge.core.errors import ConfigError
-    from edge.store import Store
+    from edge.store.press_store import Store
 
     if (database is None) == (config is None):
         raise ConfigError(
@@ -131,6 +131,6 @@ def _plain(record: "GelRecord") -> dict[str, object]:
 
 
 def _date(time_ns: int) -> str:
-    from edge.messages import iso_time
+    from edge.messaging.payloads import iso_time
 
     return iso_time(time_ns)[:16].replace("T", " ")

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from edge.cli.named_values import named_values
 from edge.core.errors import ConfigError
-from edge.table_faults import numbered, sentences
+from edge.validation_messages import numbered, sentences
 
 __all__ = ["plugin_options"]
 

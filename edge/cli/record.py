@@ -73,7 +73,7 @@ def record(
     if device is not None:
         typer.echo(_from_device(out, device, option or [], seconds, frames, profile))
         return
-    from edge.press_images import CopyNoise, PressLift, images_in, record_images
+    from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
 
     assert from_images is not None
     presses = [
@@ -101,7 +101,7 @@ def _from_device(
     from edge.cli.plugin_options import plugin_options
     from edge.clock import SystemClock
     from edge.core.errors import GelgateError
-    from edge.recording import RecordingHeader, RecordingWriter
+    from edge.recording.format import RecordingHeader, RecordingWriter
 
     clock = SystemClock()
     plugin = registry.load("devices", name)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.presses import PressReport
+    from edge.gateway.press_pipeline import PressReport
 
 __all__ = ["EXAMPLE", "check", "press_line", "run"]
 
@@ -65,8 +65,8 @@ def run(
     from edge.clock import SystemClock
     from edge.config import load_config
     from edge.core.errors import DeviceError
-    from edge.gateway import Gateway
-    from edge.preflight import preflight
+    from edge.gateway.gateway import Gateway
+    from edge.gateway.preflight import preflight
 
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.INFO,
@@ -95,7 +95,7 @@ def check(
         return
     from edge.config import load_config
     from edge.core.errors import GelgateError
-    from edge.preflight import preflight
+    from edge.gateway.preflight import preflight
 
     loaded = load_config(config)
     typer.echo(f"ok     configuration: {config}")

@@ -5,6 +5,6 @@ __all__ = ["topics"]
 
 def topics() -> None:
     """Print the MQTT reference: every topic and every field, as in docs/mqtt.md."""
-    from edge.mqtt_reference import reference
+    from edge.messaging.topic_reference import reference
 
     print(reference(), end="")

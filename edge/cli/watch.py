@@ -31,9 +31,9 @@ def watch(
     import sys
 
     from edge.core.errors import ConfigError
-    from edge.mqtt import Broker, Tls
-    from edge.watching import describe, station_filter
-    from edge.watching import watch as listen
+    from edge.messaging.mqtt_connection import Broker, Tls
+    from edge.messaging.subscriber import describe, station_filter
+    from edge.messaging.subscriber import watch as listen
 
     def tell(sentence: str) -> None:
         print(f"gelgate: {sentence}", file=sys.stderr)

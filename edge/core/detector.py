@@ -17,7 +17,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.tiles import Tiles
+from edge.core.imaging.tiles import Tiles
 
 __all__ = ["Bank", "Detector", "Features", "Grid", "Mode", "Nominal", "Packing", "Progress", "ScoreMaps"]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from edge.core.frames import CameraFrame
+from edge.core.imaging.frames import CameraFrame
 
 __all__ = ["Clock", "Device", "DeviceIdentity", "Message", "PluginOptions", "Sighting", "Sink"]
 

@@ -7,15 +7,15 @@ decodes only what contact detection asks for, and keeps the few frames that may 
 
 from typing import Final, final
 
-from edge.core.contact import ContactSettings
-from edge.core.decode import decode_view
-from edge.core.encoded import Freshness, damage
+from edge.core.contact.events import Event, PressSettled
+from edge.core.contact.reference import Reference
+from edge.core.contact.rules import ContactSettings
+from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
-from edge.core.events import Event, PressSettled
-from edge.core.frames import CameraFrame
-from edge.core.profile import SensorProfile
-from edge.core.reference import Reference
-from edge.core.tracker import ContactTracker
+from edge.core.imaging.decode import decode_view
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import Freshness, damage
+from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["GAP_S", "PressDetector"]
 

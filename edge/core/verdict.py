@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Self
 
 from edge.core.errors import NotScorable
-from edge.core.quality import Rejection
+from edge.core.imaging.quality import Rejection
 
 __all__ = ["Kind", "Verdict", "decide"]
 

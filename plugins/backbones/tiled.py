@@ -2,17 +2,17 @@
 
 Each tap lies tile beside tile, (c, tile rows * h, tile columns * w). To a head that is one larger map in which every
 tile's locations are its own, so a bank per tile and location comes of itself, and blending is a matrix
-(edge.core.tiles).
+(edge.core.imaging.tiles).
 
 The file holds the trunk for one tile and the layout in its metadata, where the fit finds it: the tiles are cut and laid
-out by whoever runs it (edge.tiled), one at a time, so that memory stays that of one tile and tiles can be skipped.
+out by whoever runs it (`tile_runner`), one at a time, so that memory stays that of one tile and tiles can be skipped.
 `mosaic_trunk` draws the same inside the graph, all tiles as one batch, for runtimes that are not gelgate.
 """
 
 from typing import Any
 
 from edge.core.errors import ConfigError
-from edge.core.tiles import TILES_KEY, Tiles
+from edge.core.imaging.tiles import TILES_KEY, Tiles
 from plugins.graph import IR_VERSION
 
 __all__ = ["mosaic_trunk", "tile_trunk"]

@@ -12,12 +12,12 @@ import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
-from edge.usb.controls import report_unset
-from edge.usb.faults import guarded
-from edge.usb.identity import SensorOnBus, choose, survey
-from edge.usb.libusb import LibusbBackend, get_backend
-from edge.usb.lock import SensorLock
-from edge.usb.stream import UvcSensor
+from plugins.devices.uvc.controls import report_unset
+from plugins.devices.uvc.faults import guarded
+from plugins.devices.uvc.identity import SensorOnBus, choose, survey
+from plugins.devices.uvc.libusb import LibusbBackend, get_backend
+from plugins.devices.uvc.lock import SensorLock
+from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.v4l2.controls import pin_v4l2_controls
 from plugins.devices.v4l2.nodes import capture_node
 from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture

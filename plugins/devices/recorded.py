@@ -8,11 +8,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.encoded import Freshness, damage
 from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded, RecordingError
-from edge.core.frames import CameraFrame
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import Freshness, damage
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
-from edge.recording import Recording
+from edge.recording.format import Recording
 
 __all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
 

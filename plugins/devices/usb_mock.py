@@ -17,12 +17,12 @@ from typing import Annotated
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 
 from edge.clock import SystemClock
-from edge.core.encoded import comment, kind, with_comment
 from edge.core.errors import FrameCorrupt
+from edge.core.imaging.image_bytes import comment, kind, with_comment
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
-from edge.recording import Recording, RecordingHeader
-from edge.usb.identity import choose, survey
-from edge.usb.stream import UvcSensor
+from edge.recording.format import Recording, RecordingHeader
+from plugins.devices.uvc.identity import choose, survey
+from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.virtual.bus import VirtualBus
 from plugins.devices.virtual.camera import VirtualCamera
 from plugins.devices.virtual.descriptors import WEBCAM, Board

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
-from edge.core.station import Station
+from edge.core.sink_context import Station
 
 __all__ = ["JsonlSink", "Options", "open"]
 

@@ -8,7 +8,7 @@ import threading
 from pydantic import BaseModel, ConfigDict
 
 from edge.core.ports import Message
-from edge.core.station import Station
+from edge.core.sink_context import Station
 
 __all__ = ["MemorySink", "Options", "open"]
 

@@ -24,8 +24,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from edge.core.backoff import Backoff
 from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message
-from edge.core.station import Station
-from edge.mqtt import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
+from edge.core.sink_context import Station
+from edge.messaging.mqtt_connection import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
 
 __all__ = ["MqttSink", "Options", "TlsOptions", "open"]
 

@@ -8,11 +8,11 @@ import pytest
 from presses import fitted, head_scores, largest_error
 from typer.testing import CliRunner
 
-from calibration.features import extract, trunk_grid
+from calibration.fitting.features import extract, trunk_grid
 from edge.cli import build
 from edge.core.detector import Nominal
 from edge.core.errors import ConfigError, FitError
-from edge.core.tiles import TILES_KEY, Tiles, tiling
+from edge.core.imaging.tiles import TILES_KEY, Tiles, tiling
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tiled import mosaic_trunk, tile_trunk

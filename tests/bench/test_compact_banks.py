@@ -17,15 +17,15 @@ import pytest
 from heads import stored_bytes
 from presses import stored as stored_bank
 
-from calibration.backbone.evaluation import random_trunk
-from calibration.backbone.evaluation_presses import development_trial
-from calibration.backbones import DEFAULT_BACKBONE, open_trunk
+from calibration.benchmark.evaluation import random_trunk
+from calibration.benchmark.presses import development_trial
 from calibration.benchmark.trial import Trial
-from calibration.features import extract, trunk_grid
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.runtime import open_session
-from edge.trunk_cut import cut_trunk
+from edge.model.onnx_prune import cut_trunk
+from edge.model.session import open_session
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.core.decode import decode, decode_view
-from edge.core.frames import CameraFrame
-from edge.core.profiles import PROFILES
-from edge.core.reference import View
-from edge.core.tracker import ContactTracker
+from edge.core.contact.reference import View
+from edge.core.contact.tracker import ContactTracker
+from edge.core.imaging.decode import decode, decode_view
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.known_profiles import PROFILES
 
 FPS = 25
 

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.backbones import DEFAULT_BACKBONE, open_trunk
-from calibration.features import extract, trunk_grid
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
-from edge.runtime import open_session
-from edge.trunk_cut import cut_trunk
+from edge.model.onnx_prune import cut_trunk
+from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 

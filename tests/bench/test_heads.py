@@ -16,10 +16,10 @@ import onnxruntime as ort
 import pytest
 from heads import RESNET18, fit, grid, presses_of
 
-from calibration.backbones import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge.core.detector import Bank
-from edge.packing import pack
-from edge.trunk_cut import cut_trunk
+from edge.model.onnx_prune import cut_trunk
+from edge.model.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.detectors.fapm import fapm

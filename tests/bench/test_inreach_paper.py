@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from heads import run_head
 
-from calibration.features import extract, trunk_grid
+from calibration.fitting.features import extract, trunk_grid
 from edge.core.detector import Nominal
-from edge.runtime import open_session
+from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.detectors.inreach import inreach

@@ -13,7 +13,7 @@ import pytest
 from heads import run_head, stored_bytes
 
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.tiles import tiling
+from edge.core.imaging.tiles import tiling
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from chosen import Chosen
 
-from calibration.backbone.evaluation import scored_columns
-from calibration.backbone.evaluation_presses import PARTS, part_trial
-from calibration.backbones import open_trunk
+from calibration.benchmark.evaluation import scored_columns
+from calibration.benchmark.presses import PARTS, part_trial
+from calibration.fitting.trunks import open_trunk
 from edge import registry
 
 pytestmark = pytest.mark.bench

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from chosen import Chosen
 
-from calibration.backbone.evaluation import random_trunk, scored_columns
-from calibration.backbone.evaluation_presses import development_trial
-from calibration.backbones import open_trunk
+from calibration.benchmark.evaluation import random_trunk, scored_columns
+from calibration.benchmark.presses import development_trial
 from calibration.benchmark.trial import Trial
+from calibration.fitting.trunks import open_trunk
 from edge import registry
 
 pytestmark = pytest.mark.bench

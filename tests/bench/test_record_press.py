@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from edge.core.verdict import Kind
-from edge.messages import ResultPayload, press_messages
-from edge.store import GelRecord, Press, Store
-from edge.ulid import new_ulid
+from edge.messaging.payloads import ResultPayload, press_messages
+from edge.store.press_store import GelRecord, Press, Store
+from edge.store.ulid import new_ulid
 
 PRESSES = 300
 

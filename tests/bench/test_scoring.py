@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.backbones import DEFAULT_BACKBONE, Trunk, open_trunk
-from calibration.fit import Recipe, fit_files
-from calibration.presses import NominalPresses
+from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, open_trunk
 from edge import registry
-from edge.core.profile import SensorProfile
-from edge.core.profiles import LR_PIXELS_PER_MM
-from edge.core.region import Region
-from edge.runtime import TrunkSessions
-from edge.scorer import Scorer
+from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.scorer import Scorer
+from edge.model.session import TrunkSessions
 
 ROUNDS = 60
 THREADS = 2

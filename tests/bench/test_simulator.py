@@ -12,21 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.simulator import (
-    DEFAULT_EFFECTS,
-    EFFECTS,
-    HR,
-    LR,
-    PARTS,
-    Exposure,
-    Field,
-    Pose,
-    Renderer,
-    native_field,
-)
+from calibration.simulator.effects import DEFAULT_EFFECTS, EFFECTS
+from calibration.simulator.field_of_view import HR, LR, Field, native_field
+from calibration.simulator.parts import PARTS
 from calibration.simulator.plan import recording_plan
-from calibration.simulator.pose import sample
+from calibration.simulator.pose import Pose, sample
 from calibration.simulator.record import press_frames
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import load_scene
 
 PART = PARTS["PZ3"].positions["pos1"]

@@ -16,13 +16,13 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.backbones import Trunk
-from calibration.fit import Recipe, fit_files
-from calibration.presses import NominalPresses
-from edge.core.profile import SensorProfile
-from edge.core.region import Region
-from edge.core.tiles import tiling
-from edge.scorer import Scorer
+from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.tiles import tiling
+from edge.model.scorer import Scorer
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tiled import tile_trunk
@@ -142,9 +142,9 @@ MEMORY = """
 import sys
 import numpy as np
 import onnxruntime as ort
-from edge.core.tiles import tiling
-from edge.runtime import open_session
-from edge.tiled import TiledMaps, TileRunner
+from edge.core.imaging.tiles import tiling
+from edge.model.session import open_session
+from edge.model.tile_runner import TiledMaps, TileRunner
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tiled import mosaic_trunk, tile_trunk

@@ -15,11 +15,11 @@ import pytest
 from onnx import numpy_helper
 from presses import fitted
 
-from calibration.heads import head_of
+from calibration.fitting.heads import head_of
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.tiles import tiling
-from edge.trunk_cut import cut_trunk
+from edge.core.imaging.tiles import tiling
+from edge.model.onnx_prune import cut_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tactile import tactile_resnet18, tactile_resnet18_int8

@@ -14,8 +14,8 @@ from command_line import gelgate
 from small_recordings import write_recording
 from spoilable_station import JSONL, Bench
 
-from edge.database import APPLICATION_ID
-from edge.usb.lock import SensorLock
+from edge.store.database import APPLICATION_ID
+from plugins.devices.uvc.lock import SensorLock
 
 
 def nothing(bench: Bench) -> Path:
@@ -70,7 +70,7 @@ def foreign(bench: Bench) -> Path:
 
 def damaged(bench: Bench) -> Path:
     """A database of ours whose later pages were overwritten."""
-    from edge.store import Store
+    from edge.store.press_store import Store
 
     path = bench.folder / "damaged.db"
     Store(path).close()
@@ -227,9 +227,9 @@ def test_two_gateways_on_one_database(bench: Bench) -> None:
     """The second one is refused: both would publish the same rows."""
     import random
 
-    from edge.announcements import Announcements
     from edge.clock import SystemClock
-    from edge.publisher import Publisher
+    from edge.messaging.publisher import Publisher
+    from edge.messaging.retained_state import Announcements
 
     publisher = Publisher(bench.folder / "gelgate.db", {}, Announcements(), SystemClock(), random.Random(0))
     try:

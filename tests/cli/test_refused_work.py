@@ -12,9 +12,10 @@ from command_line import gelgate
 from small_recordings import write_recording
 from spoilable_station import Bench
 
-from edge import cli, local_broker, registry
+from edge import cli, registry
 from edge.core.errors import ConfigError
-from edge.store import Store
+from edge.messaging import local_broker
+from edge.store.press_store import Store
 
 
 def picture(path: Path, width: int, height: int) -> None:
@@ -62,7 +63,7 @@ def verify_other_scores(bench: Bench) -> list[object]:
     """Hashes agree, golden frames do not."""
     import tiny
 
-    from edge.bundle import GoldenFrame, write_bundle
+    from edge.model.bundle import GoldenFrame, write_bundle
 
     golden = GoldenFrame(tiny.presses(1)[0], "a press", 9.0, tuple((9.0,) * 8 for _ in range(8)))
     write_bundle(bench.folder / "off", tiny.tiny_files(golden=[golden])[1])

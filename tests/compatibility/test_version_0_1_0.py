@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from calibration.presses import read_presses
-from edge.bundle import Bundle
-from edge.core.profiles import profile
-from edge.core.region import Region
-from edge.outbox import Outbox
-from edge.scorer import Scorer
-from edge.store import Store
+from calibration.fitting.nominal_presses import read_presses
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from edge.store.outbox import Outbox
+from edge.store.press_store import Store
 
 KEPT = Path(__file__).parent / "version_0_1_0"
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edge.core.errors import NotScorable
-from edge.core.quality import Reason, Rejection
+from edge.core.imaging.quality import Reason, Rejection
 from edge.core.verdict import Kind, Verdict, decide
 
 finite = st.floats(-1e6, 1e6)

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
-from edge.packing import pack
+from edge.model.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 from plugins.detectors.maths.smoothing import smoothing_matrix

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from presses import fitted, head_scores, largest_error
 
-from calibration.features import extract, trunk_grid
+from calibration.fitting.features import extract, trunk_grid
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
-from edge.runtime import open_session
+from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.detectors.inreach_parameters import PAPER_TAPS

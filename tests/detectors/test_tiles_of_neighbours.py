@@ -5,7 +5,7 @@ import pytest
 from heads import fit, parity, presses_of, run_head
 
 from edge.core.detector import Features, Grid
-from edge.core.tiles import tiling
+from edge.core.imaging.tiles import tiling
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.patchcore import patchcore

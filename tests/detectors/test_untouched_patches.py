@@ -15,7 +15,7 @@ from heads import run_head
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError
-from edge.core.tiles import tiling
+from edge.core.imaging.tiles import tiling
 from plugins.detectors.inreach import inreach
 from plugins.detectors.maths.mosaic import split
 from plugins.detectors.patchcore import patchcore

@@ -12,7 +12,7 @@ from heads import run_head, stored_bytes
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError
-from edge.core.tiles import tiling
+from edge.core.imaging.tiles import tiling
 from plugins.detectors.fapm import fapm
 from plugins.detectors.spade import spade
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from small_recordings import SERIAL, FakeClock, jpeg, write_recording
 
-from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.clock import SystemClock
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceLost, DeviceNotFound, RecordingEnded, RecordingError
-from edge.core.frames import CameraFrame
+from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Device, DeviceIdentity
+from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
 PATIENCE_S = 20.0

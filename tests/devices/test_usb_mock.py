@@ -17,9 +17,9 @@ from edge.core.errors import (
     RecordingEnded,
 )
 from edge.core.ports import Device
-from edge.usb.identity import survey
-from edge.usb.uvc import mjpeg_formats
 from plugins.devices.usb_mock import Bench, UsbMockOptions, plugin
+from plugins.devices.uvc.identity import survey
+from plugins.devices.uvc.uvc import mjpeg_formats
 from plugins.devices.virtual.faults import Fault
 
 SECOND = 1_000_000_000
@@ -94,7 +94,7 @@ class TestDescriptors:
         """The message names the serial that is there."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
-        from edge.usb.identity import choose
+        from plugins.devices.uvc.identity import choose
 
         with pytest.raises(DeviceNotFound, match=SERIAL):
             choose(survey(bench.bus), "AAAABBBB")
@@ -318,7 +318,7 @@ def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: FakeClock) -
 
 def test_png_frames_are_sent_as_jpeg(tmp_path: Path, clock: FakeClock) -> None:
     """An MJPEG mode has no PNG; numbered copies stay apart on the way."""
-    from edge.core.encoded import with_comment
+    from edge.core.imaging.image_bytes import with_comment
 
     png = jpeg(0, suffix=".png")
     folder = write_recording(tmp_path / "r", [png, with_comment(png, "copy 1"), png])

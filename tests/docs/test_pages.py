@@ -17,9 +17,9 @@ from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
 from edge.cli.run import EXAMPLE
 from edge.config import Config, load_config
 from edge.core import errors
-from edge.gateway import Gateway
-from edge.mqtt_reference import COMMANDS, TOPICS
-from edge.store import Store
+from edge.gateway.gateway import Gateway
+from edge.messaging.topic_reference import COMMANDS, TOPICS
+from edge.store.press_store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

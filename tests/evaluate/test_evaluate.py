@@ -14,9 +14,9 @@ from calibration.evaluate.scoring import Evaluation, evaluate_bundle
 from calibration.evaluate.sheet import draw_sheet
 from calibration.progress import progress
 from edge import cli
-from edge.bundle import write_bundle
 from edge.core.errors import DatasetError, GelgateError
-from edge.manifest import Provenance, ToleranceEntry
+from edge.model.bundle import write_bundle
+from edge.model.manifest import Provenance, ToleranceEntry
 
 
 def frame(path: Path, square: bool, rng: np.random.Generator) -> None:

@@ -12,9 +12,9 @@ import tiny
 from typer.testing import CliRunner
 
 from edge import cli
-from edge.bundle import Bundle, GoldenFrame, write_bundle
 from edge.core.errors import BundleCorrupt, BundleMismatch
-from edge.scorer import Scorer
+from edge.model.bundle import Bundle, GoldenFrame, write_bundle
+from edge.model.scorer import Scorer
 from export.merge import merge_bundle, merged_graph
 
 

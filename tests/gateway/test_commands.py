@@ -11,8 +11,8 @@ from station import Motion, press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import GelgateError
-from edge.gateway import Gateway
-from edge.presses import PressReport
+from edge.gateway.gateway import Gateway
+from edge.gateway.press_pipeline import PressReport
 
 Refusals = (GelgateError, ValueError)
 
@@ -79,6 +79,6 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
 )
 def test_arguments_that_cannot_be_are_refused(arguments: dict[str, object], words: str) -> None:
     """Each in a sentence that names the argument."""
-    from edge.messages import ReplaceGelArguments
+    from edge.messaging.payloads import ReplaceGelArguments
 
     assert words in answered(lambda: ReplaceGelArguments.of(arguments))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from calibration.demo import _inspected
-from edge.local_broker import LocalBroker
+from edge.messaging.local_broker import LocalBroker
 
 
 def test_the_demo_inspects_over_a_broker(

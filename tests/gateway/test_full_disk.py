@@ -8,7 +8,7 @@ from pathlib import Path
 import gateway_on_a_full_disk
 from station import press_recording, station_config
 
-from edge.store import Store
+from edge.store.press_store import Store
 
 PROGRAM = Path(gateway_on_a_full_disk.__file__)
 

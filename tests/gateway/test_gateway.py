@@ -11,10 +11,10 @@ from station import Motion, gel, jpeg, press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch
-from edge.gateway import Gateway
-from edge.presses import PressReport
-from edge.recording import RecordingHeader, RecordingWriter
-from edge.store import Store
+from edge.gateway.gateway import Gateway
+from edge.gateway.press_pipeline import PressReport
+from edge.recording.format import RecordingHeader, RecordingWriter
+from edge.store.press_store import Store
 
 
 def inspected(config: Path) -> list[PressReport]:

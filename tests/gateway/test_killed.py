@@ -16,8 +16,8 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 from station import MQTT, Motion, press_recording, station_config
 
-from edge.local_broker import LocalBroker
-from edge.store import Store
+from edge.messaging.local_broker import LocalBroker
+from edge.store.press_store import Store
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ class Results:
 
 # Every process is forked from one that has the imports behind it: they cost more than a press.
 PROCESSES = multiprocessing.get_context("forkserver")
-PROCESSES.set_forkserver_preload(["edge.gateway"])
+PROCESSES.set_forkserver_preload(["edge.gateway.gateway"])
 
 
 def run(config: Path, deadly: int) -> int | None:

@@ -11,8 +11,8 @@ from station import JSONL, MQTT, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
-from edge.gateway import Gateway
-from edge.publisher import PublisherLock
+from edge.gateway.gateway import Gateway
+from edge.messaging.publisher import PublisherLock
 
 
 @pytest.fixture
@@ -58,10 +58,10 @@ def test_a_sink_that_breaks_while_it_is_closed_does_not_keep_the_others_open(tmp
     """Nor the database's lock."""
     import random
 
-    from edge.announcements import Announcements
     from edge.core.ports import Message
-    from edge.publisher import Publisher
-    from edge.store import Store
+    from edge.messaging.publisher import Publisher
+    from edge.messaging.retained_state import Announcements
+    from edge.store.press_store import Store
 
     class Plain:
         is_closed = False

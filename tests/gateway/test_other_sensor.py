@@ -10,16 +10,16 @@ import pytest
 from station import jpeg, press_recording, station_config
 from tiny import TINY, tiny_trunk
 
-from calibration.backbones import Trunk
-from calibration.fit import Recipe, fit_bundle
-from calibration.presses import read_presses
+from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.trunks import Trunk
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.core.profiles import profile
-from edge.core.region import Region
-from edge.gateway import Gateway
-from edge.presses import PressReport
-from edge.recording import Recording, RecordingWriter
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.gateway.gateway import Gateway
+from edge.gateway.press_pipeline import PressReport
+from edge.recording.format import Recording, RecordingWriter
 
 PROFILE = profile("cropped_lr")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.core.reference import Reference
-from edge.references import ReferenceFolder
+from edge.core.contact.reference import Reference
+from edge.store.reference_files import ReferenceFolder
 
 
 def test_a_picture_comes_back(tmp_path: Path) -> None:

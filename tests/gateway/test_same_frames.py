@@ -11,17 +11,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_recordings import FakeClock
 
-from calibration.presses import read_presses
-from edge.core.encoded import with_comment
+from calibration.fitting.nominal_presses import read_presses
+from edge.core.contact.mask import Touch
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
-from edge.core.frames import CameraFrame
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import with_comment
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press_detector import PressDetector
-from edge.core.profile import SensorProfile
-from edge.core.region import Region
-from edge.core.touch import Touch
-from edge.inspection import Inspection
-from edge.presses import PressTaker
-from edge.recording import Recording, RecordingHeader, RecordingWriter
+from edge.gateway.inspector import Inspection
+from edge.gateway.press_pipeline import PressTaker
+from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from plugins.devices.recorded import RecordedSensor
 
 SIZE = (160, 120)

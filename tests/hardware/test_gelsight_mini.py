@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from edge.clock import SystemClock
-from edge.core.encoded import picture_size
 from edge.core.errors import DeviceBusy
+from edge.core.imaging.image_bytes import picture_size
+from edge.core.imaging.known_profiles import MINI_CONTROLS
 from edge.core.ports import Device, DeviceIdentity
-from edge.core.profiles import MINI_CONTROLS
-from edge.recording import Recording, RecordingHeader, RecordingWriter
+from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from plugins.devices.gelsight_mini import GelsightMiniOptions, plugin
 
 pytestmark = pytest.mark.hardware

@@ -1,7 +1,7 @@
 """H5: a half holds 65504 at most; squared distances, large means and far outliers do not fit.
 
 Guards: halves are storage alone (with a power of two taken out), everything in a graph is float32. Checked by
-removal: with the exponent in `edge/packing.py` fixed at 0 the first test fails (overflow at 1e6, 4 % error at 1e-6);
+removal: with the exponent in `packing.py` fixed at 0 the first test fails (overflow at 1e6, 4 % error at 1e-6);
 with the squared distances cast to float16 before the root in `padim.head` both fail (NaN and 0).
 """
 

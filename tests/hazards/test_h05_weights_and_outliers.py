@@ -10,7 +10,7 @@ import pytest
 from heads import fit, grid, presses_of, run_head
 
 from edge.core.detector import Bank
-from edge.packing import pack, unpack
+from edge.model.packing import pack, unpack
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.patchcore import patchcore

@@ -1,6 +1,6 @@
 """H15: windows that reach zero, padding and means over tiles make blind seams and diluted scores.
 
-Guards: windows with a floor and no taper without a neighbour, the last tile shifted (`edge/core/tiles.py`); distances
+Guards: windows with a floor and no taper without a neighbour, the last tile shifted (`imaging/tiles.py`); distances
 blended raw and blurred once; the score is the map's maximum. Checked by removal: with a Hann window on every side in
 `_window` and the sum of weights floored at 1e-6, as published runners have it, the border of the map is 0 and the
 first test fails; with the map's mean in `Smoothing.score_maps` the one on dilution fails.
@@ -11,7 +11,7 @@ import pytest
 from presses import features, fitted, head_scores, largest_error
 
 from edge.core.detector import Features, Grid, Nominal
-from edge.core.tiles import tiling
+from edge.core.imaging.tiles import tiling
 from plugins.detectors.padim import padim
 from plugins.detectors.subspace import subspace
 

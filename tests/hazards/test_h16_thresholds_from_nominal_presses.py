@@ -2,7 +2,7 @@
 
 Guards: a press's score depends on nothing but that press and the bank; the threshold comes from nominal presses scored
 by banks that did not know them. Checked by removal: with scores divided by the batch's maximum in `heads` the first
-test fails; with the whole bank in place of the fold's in `calibration/fit.py` the second finds a threshold near 0.
+test fails; with the whole bank in place of the fold's in `fit.py` the second finds a threshold near 0.
 """
 
 import dataclasses
@@ -12,9 +12,9 @@ import pytest
 import tiny
 from heads import fit, grid, presses_of, run_head, with_spot
 
-from calibration.backbones import Trunk
-from calibration.fit import Recipe, fit_files
-from calibration.presses import NominalPresses
+from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.patchcore import patchcore
@@ -55,7 +55,7 @@ def test_the_threshold_knows_no_press_of_its_own() -> None:
     )
     manifest = fit_files(nominal, recipe, created="2026-01-01").manifest
     single = fit_files(nominal, dataclasses.replace(recipe, threshold=1.0), created="2026-01-01").bundle()
-    from edge.scorer import Scorer
+    from edge.model.scorer import Scorer
 
     scorer = Scorer(single)
     own = max(scorer.score(frame).anomaly_score for frame in frames)

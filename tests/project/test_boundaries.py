@@ -16,10 +16,17 @@ MAY_IMPORT = {
     "plugins": (),
     "plugins.detectors": ("edge.core", "plugins.graph"),
     "plugins.backbones": ("edge.core", "plugins.graph"),
-    "plugins.devices": ("edge.core", "edge.recording", "edge.usb", "edge.clock"),
-    "plugins.sinks": ("edge.core", "edge.mqtt"),
+    "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),
+    "plugins.sinks": ("edge.core", "edge.messaging.mqtt_connection"),
     "calibration": ("edge", "plugins.detectors", "plugins.backbones", "plugins.graph"),
-    "export": ("edge", "plugins.detectors", "plugins.backbones", "plugins.graph"),
+    "export": (
+        "edge",
+        "plugins.detectors",
+        "plugins.backbones",
+        "plugins.graph",
+        "calibration.fitting",
+        "calibration.progress",
+    ),
 }
 
 

@@ -34,7 +34,7 @@ def test_building_the_command_line_imports_nothing_heavy() -> None:
 
 def test_the_gateway_imports_no_training_module() -> None:
     """Starting the gateway imports neither torch, onnx, depthai, matplotlib nor scikit-learn."""
-    loaded = modules_after("import edge.gateway")
+    loaded = modules_after("import edge.gateway.gateway")
 
     assert not {"torch", "onnx", "onnxscript", "depthai", "matplotlib", "sklearn", "scipy"} & loaded
     assert {"onnxruntime", "cv2"} <= loaded

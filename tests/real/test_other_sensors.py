@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.colours import nominal_colours
-from edge.core.colour import NominalColours, check_sensor
-from edge.core.profiles import profile
-from edge.core.quality import Reason
-from edge.core.region import Region
+from calibration.fitting.colours import nominal_colours
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.quality import Reason
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_check import NominalColours, check_sensor
 
 SIZE = profile("cropped_lr").size
 REGION = Region.centre(SIZE)

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 from station import JSONL, station_config
 
-from calibration.backbones import DEFAULT_BACKBONE, open_trunk
-from calibration.fit import Recipe, fit_bundle
-from calibration.measure import scatter_warnings
-from calibration.presses import read_presses
+from calibration.fitting.bundle_measurements import scatter_warnings
+from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import FitError
-from edge.core.profiles import profile
-from edge.core.region import Region
-from edge.gateway import Gateway
-from edge.press_images import CopyNoise, PressLift, record_images
-from edge.presses import PressReport
-from edge.store import Store
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.gateway.gateway import Gateway
+from edge.gateway.press_pipeline import PressReport
+from edge.recording.from_images import CopyNoise, PressLift, record_images
+from edge.store.press_store import Store
 
 PROFILE = profile("cropped_lr")
 REGION = Region.centre(PROFILE.size)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from small_recordings import PRODUCT, SERIAL, jpeg
 
-from edge.core.encoded import comment, damage
 from edge.core.errors import DatasetError
-from edge.press_images import CopyNoise, PressLift, images_in, record_images
-from edge.recording import Recording
+from edge.core.imaging.image_bytes import comment, damage
+from edge.recording.format import Recording
+from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
 
 
 def make(folder: Path, plan: PressLift, *, suffix: str = ".jpg", presses: int = 2) -> Recording:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_recordings import PRODUCT, SERIAL, jpeg, write_recording
 
 from edge.core.errors import RecordingError, StoreError
-from edge.recording import Recording, RecordingHeader, RecordingWriter
+from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 
 HEADER = RecordingHeader(PRODUCT, SERIAL, (64, 48), 25.0, "mini_lr")
 
@@ -197,7 +197,7 @@ def test_another_recording_is_not_gone_on_with(
 WRITE_UNTIL_FULL = """
 import pathlib, resource, signal, sys
 from edge.core.errors import StoreError
-from edge.recording import RecordingHeader, RecordingWriter
+from edge.recording.format import RecordingHeader, RecordingWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 folder, size, beyond_index = pathlib.Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 writer = RecordingWriter(folder, RecordingHeader("p", "s", (64, 48), 25.0))

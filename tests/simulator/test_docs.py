@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
-from calibration.simulator import DEFECTS, EFFECTS, LOOKS, PARTS
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.effects import EFFECTS
+from calibration.simulator.parts import PARTS
 from calibration.simulator.scene import Camera, Defects, JitterTable, Motion, Nominal, Run, Scene, scene_names
+from calibration.simulator.sensor_appearance import LOOKS
 
 MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
 

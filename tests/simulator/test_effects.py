@@ -8,22 +8,13 @@ from types import CodeType, FrameType, FunctionType
 import numpy as np
 import pytest
 
-from calibration.simulator import (
-    DEFAULT_EFFECTS,
-    EFFECTS,
-    LR,
-    PARTS,
-    Exposure,
-    Field,
-    Jitter,
-    Pose,
-    Renderer,
-    dataset_writer,
-    record,
-)
-from calibration.simulator.effects import chosen
+from calibration.simulator import dataset_writer, record
+from calibration.simulator.effects import DEFAULT_EFFECTS, EFFECTS, chosen
+from calibration.simulator.field_of_view import LR, Field
+from calibration.simulator.parts import PARTS
 from calibration.simulator.plan import recording_plan
-from calibration.simulator.pose import sample
+from calibration.simulator.pose import Jitter, Pose, sample
+from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import Scene, load_scene
 from calibration.simulator.streams import named_streams
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.simulator import HR, LR, PARTS, Field, Pose
-from calibration.simulator.field import grids, native_field
+from calibration.simulator.field_of_view import HR, LR, Field, grids, native_field
 from calibration.simulator.gel import deformation, residual_imprint
-from calibration.simulator.pose import contact, sample
+from calibration.simulator.parts import PARTS
+from calibration.simulator.pose import Pose, contact, sample
 
 
 def imprint(field: Field, part: str = "PZ5") -> np.ndarray:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import cv2
 
-from calibration.simulate import simulate_dataset
 from calibration.simulator.scene import load_scene
+from calibration.simulator.simulate import simulate_dataset
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 

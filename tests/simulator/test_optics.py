@@ -3,22 +3,14 @@
 import numpy as np
 import pytest
 
-from calibration.simulator import (
-    LOOKS,
-    LR,
-    Exposure,
-    Field,
-    Pose,
-    Renderer,
-    coat,
-    look,
-    native_field,
-    optics,
-    random_look,
-)
 from calibration.simulator import camera as cam
-from calibration.simulator.field import F32, HR, grids
-from calibration.simulator.pose import contact, sample
+from calibration.simulator import gel_surface as coat
+from calibration.simulator import optics
+from calibration.simulator import sensor_appearance as look
+from calibration.simulator.field_of_view import F32, HR, LR, Field, grids, native_field
+from calibration.simulator.pose import Pose, contact, sample
+from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.sensor_appearance import LOOKS, random_look
 
 
 def ball(radius_mm: float = 3.0, x0: float = 0.0, y0: float = 0.0):  # type: ignore[no-untyped-def]

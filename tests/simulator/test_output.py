@@ -10,15 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.dataset import open_dataset
-from calibration.simulate import simulate_dataset, simulate_recording
-from calibration.simulate_cli import simulate
+from calibration.simulator.command import simulate
 from calibration.simulator.dataset_writer import press_pictures
 from calibration.simulator.plan import dataset_plan
 from calibration.simulator.scene import Scene, load_scene
-from edge.core.decode import decode
+from calibration.simulator.simulate import simulate_dataset, simulate_recording
 from edge.core.errors import ConfigError, DatasetError, RecordingError
-from edge.core.profiles import PROFILES
-from edge.recording import Recording
+from edge.core.imaging.decode import decode
+from edge.core.imaging.known_profiles import PROFILES
+from edge.recording.format import Recording
 
 TINY = """version = 1
 name = "tiny"

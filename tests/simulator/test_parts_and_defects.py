@@ -5,20 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.simulator import (
-    DEFECTS,
-    LR,
-    PARTS,
-    Damaged,
-    Defect,
-    Field,
-    Pose,
-    Renderer,
-    place_defect,
-    specimen,
-)
-from calibration.simulator.pose import sample
+from calibration.simulator.defects import DEFECTS, Damaged, Defect, place_defect
+from calibration.simulator.field_of_view import LR, Field
+from calibration.simulator.parts import PARTS, specimen
+from calibration.simulator.pose import Pose, sample
 from calibration.simulator.random_parts import random_part
+from calibration.simulator.renderer import Renderer
 
 COARSE = Field((160, 120), (0.127, 0.127))
 EVERY = [(part.name, position) for part in PARTS.values() for position in part.positions]

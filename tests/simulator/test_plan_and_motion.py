@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from calibration.simulate import paper_scenes
 from calibration.simulator.motion import PressMotion
 from calibration.simulator.plan import damage, dataset_plan, recording_plan
 from calibration.simulator.scene import load_scene
+from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import named_streams
 
 
@@ -53,7 +53,10 @@ def test_a_recordings_first_press_is_sound_and_the_asked_number_is_damaged() -> 
 
 def test_the_demos_damage_shows_for_many_seeds() -> None:
     """For ten seeds every damaged press of the demo has a mark of at least 40 pixels of imprint."""
-    from calibration.simulator import LR, PARTS, Pose, Renderer
+    from calibration.simulator.field_of_view import LR
+    from calibration.simulator.parts import PARTS
+    from calibration.simulator.pose import Pose
+    from calibration.simulator.renderer import Renderer
 
     scene = load_scene("demo")
     look, part = Renderer(LR, ("deformation",)), PARTS["PZ1"].positions["pos1"]

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.simulator import DEFAULT_EFFECTS, LOOKS, LR, Renderer
+from calibration.simulator.effects import DEFAULT_EFFECTS
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.realism import ball_figures, histogram_overlap, levels, read_rgb, spectrum
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.sensor_appearance import LOOKS
 
 
 def test_the_free_gel_has_the_real_histograms(real_tactile: Path) -> None:

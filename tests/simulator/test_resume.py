@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from calibration.simulate import simulate_recording
 from calibration.simulator.scene import Scene, load_scene
+from calibration.simulator.simulate import simulate_recording
 from edge.core.errors import RecordingError
-from edge.recording import Recording
+from edge.recording.format import Recording
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 # Every effect that knows of time or of earlier presses, on a gel that changes within the run.

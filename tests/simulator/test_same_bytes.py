@@ -10,11 +10,15 @@ SCRIPT = """
 import hashlib, sys, tempfile
 from pathlib import Path
 from calibration.simulator.scene import load_scene
-from calibration.simulate import simulate_dataset, simulate_recording
-from calibration.simulator import EFFECTS, LR, PARTS, Renderer, named_streams, native_field
+from calibration.simulator.simulate import simulate_dataset, simulate_recording
+from calibration.simulator.effects import EFFECTS
+from calibration.simulator.field_of_view import LR, native_field
+from calibration.simulator.parts import PARTS
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.streams import named_streams
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.defects import Damaged, Defect
-from calibration.simulator.steady import steady_opencv
+from calibration.simulator.reproducible_math import steady_opencv
 total = hashlib.sha256()
 with steady_opencv():
     for number, part in enumerate(PARTS.values()):

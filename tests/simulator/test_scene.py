@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.simulate import paper_scenes
 from calibration.simulator.scene import SCENES, load_scene, scene_names
+from calibration.simulator.simulate import paper_scenes
 from edge.core.errors import ConfigError
 
 GOOD = """version = 1

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from edge.core.verdict import Kind
-from edge.messages import ResultPayload, press_messages
-from edge.store import GelRecord, MakeMessages, Press, Store
-from edge.ulid import new_ulid
+from edge.messaging.payloads import ResultPayload, press_messages
+from edge.store.press_store import GelRecord, MakeMessages, Press, Store
+from edge.store.ulid import new_ulid
 
 SERIAL = "2BNN4ZE7"
 T0 = 1_780_000_000 * 10**9  # 2026, a plausible clock

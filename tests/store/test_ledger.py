@@ -6,7 +6,7 @@ import pytest
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
-from edge.store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, Press, Store
 
 SERIAL = "2BNN4ZE7"
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from edge.core.ports import Message
-from edge.outbox import ROW_OVERHEAD_BYTES, Bounds, Outbox, Worth, worth_of
-from edge.store import MakeMessages, Press, Store
+from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, Outbox, Worth, worth_of
+from edge.store.press_store import MakeMessages, Press, Store
 
 DAY_S = 86400.0
 MakePress = Callable[..., Press]

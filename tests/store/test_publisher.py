@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-import edge.publisher
-from edge.announcements import Announcements
+import edge.messaging.publisher
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Message
-from edge.messages import ALARMS, StatePayload, state_message
-from edge.outbox import Outbox
-from edge.publisher import IDLE_S, OFFER_REFUSED_S, Lane, Publisher, PublisherLock
-from edge.store import MakeMessages, Press, Store
+from edge.messaging.payloads import ALARMS, StatePayload, state_message
+from edge.messaging.publisher import IDLE_S, OFFER_REFUSED_S, Lane, Publisher, PublisherLock
+from edge.messaging.retained_state import Announcements
+from edge.store.outbox import Outbox
+from edge.store.press_store import MakeMessages, Press, Store
 
 MakePress = Callable[..., Press]
 MessagesOf = Callable[..., MakeMessages]
@@ -448,7 +448,7 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
     hangs_in: str,
 ) -> None:
     """`stop` ends, says whom it waited for, and has closed the others; the rows wait for the next process."""
-    monkeypatch.setattr(edge.publisher, "CLOSE_S", 0.5)
+    monkeypatch.setattr(edge.messaging.publisher, "CLOSE_S", 0.5)
     is_hanging, is_over = threading.Event(), threading.Event()
 
     class Hanging(ScriptedSink):

@@ -11,9 +11,9 @@ import pytest
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
-from edge.database import Database
-from edge.outbox import Outbox
-from edge.store import MakeMessages, Press, Store
+from edge.store.database import Database
+from edge.store.outbox import Outbox
+from edge.store.press_store import MakeMessages, Press, Store
 
 MakePress = Callable[..., Press]
 MessagesOf = Callable[..., MakeMessages]

@@ -7,7 +7,7 @@ import numpy as np
 import onnxruntime as ort
 
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
-from edge.packing import pack
+from edge.model.packing import pack
 
 __all__ = [
     "RESNET18",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.gateway import Gateway
+from edge.gateway.gateway import Gateway
 
 WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
 KILLED = 9
@@ -37,8 +37,8 @@ class Deadline(logging.Handler):
 
 def main(config: Path, deadly: int) -> None:
     deadline = Deadline(deadly)
-    logging.getLogger("edge.gateway").setLevel(logging.DEBUG)
-    logging.getLogger("edge.gateway").addHandler(deadline)
+    logging.getLogger("edge.gateway.gateway").setLevel(logging.DEBUG)
+    logging.getLogger("edge.gateway.gateway").addHandler(deadline)
     connect = sqlite3.connect
 
     def traced(*arguments: object, **options: object) -> sqlite3.Connection:

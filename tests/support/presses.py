@@ -56,7 +56,7 @@ def largest_error(found: ScoreMaps, expected: ScoreMaps) -> float:
 
 def stored(bank: Bank) -> Bank:
     """The bank as it comes back from storage in its packing."""
-    from edge.packing import pack, unpack
+    from edge.model.packing import pack, unpack
 
     arrays: dict[str, NDArray[Any]] = {
         name: unpack(pack(array, bank.packing.get(name, "none")), bank.packing.get(name, "none"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edge.recording import RecordingHeader, RecordingWriter
+from edge.recording.format import RecordingHeader, RecordingWriter
 
 PRODUCT, SERIAL = "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7"
 PERIOD_NS = 53_333_333  # 18.75 fps

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import tiny
 
-from edge.bundle import GoldenFrame, write_bundle
-from edge.core.profile import SensorProfile
-from edge.manifest import ProfileEntry
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.bundle import GoldenFrame, write_bundle
+from edge.model.manifest import ProfileEntry
 
 CONFIG = """\
 version = 1

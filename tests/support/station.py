@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tiny import TINY, tiny_trunk
 
-from calibration.backbones import Trunk
-from calibration.fit import Recipe, fit_bundle
-from calibration.presses import read_presses
-from edge.core.profiles import profile
-from edge.core.region import Region
-from edge.recording import RecordingHeader, RecordingWriter
+from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.trunks import Trunk
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.recording.format import RecordingHeader, RecordingWriter
 
 FPS = 18.75
 SERIAL = "TEST0001"

@@ -12,12 +12,12 @@ import onnx
 import onnx.parser
 from numpy.typing import NDArray
 
-from edge.bundle import Graphs, bundle_files
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from edge.core.profile import SensorProfile
-from edge.core.region import Region
-from edge.manifest import (
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.bundle import Graphs, bundle_files
+from edge.model.manifest import (
     Facts,
     GridEntry,
     Manifest,

@@ -1,6 +1,6 @@
 """A mosaic of tiles taken apart and put together again, so that no neighbourhood reaches into another tile.
 
-Taps of a tiled trunk lie tile beside tile (`edge.core.tiles`). Cells that touch across a seam of the mosaic are no
+Taps of a tiled trunk lie tile beside tile (`edge.core.imaging`). Cells that touch across a seam of the mosaic are no
 neighbours on the part, so windows, averages and matches are made tile by tile: the mosaic's tiles become a batch.
 Without tiles there is one, the whole map, and nothing moves.
 """

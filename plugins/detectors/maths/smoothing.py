@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Grid, ScoreMaps
-from edge.core.tiles import Tiles
+from edge.core.imaging.tiles import Tiles
 from plugins.graph import Graph, Value
 
 __all__ = [

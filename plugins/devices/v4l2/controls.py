@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from edge.usb.controls import NEW_NAMES, pin
+from plugins.devices.uvc.controls import NEW_NAMES, pin
 
 __all__ = ["control_ids", "control_name", "pin_v4l2_controls"]
 

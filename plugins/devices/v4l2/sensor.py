@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from edge.core.encoded import Freshness, damage, kind, picture_size
 from edge.core.errors import DeviceBusy, DeviceLost, DeviceStalled, FrameCorrupt
-from edge.core.frames import CameraFrame
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import Freshness, damage, kind, picture_size
 from edge.core.ports import Clock, DeviceIdentity
 
 __all__ = ["V4l2Sensor", "open_capture"]

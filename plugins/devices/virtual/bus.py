@@ -38,7 +38,7 @@ class Handle:
 
 
 class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untyped
-    """A pyusb backend. Pass it as `backend=` to `usb.core.find`, or to `edge.usb.stream.UvcSensor.open`."""
+    """A pyusb backend. Pass it as `backend=` to `usb.core.find`, or to `plugins.devices.uvc.stream.UvcSensor.open`."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
@@ -145,7 +145,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         return dev_handle.live_camera().control(bmRequestType, bRequest, wValue, wIndex, data)
 
     def packet_stream(self, dev_handle: Handle, endpoint: int, packet_bytes: int) -> VirtualPacketStream:
-        """Isochronous reads that keep the packets apart (see `edge.usb.stream.PacketBackend`)."""
+        """Isochronous reads that keep the packets apart (see `plugins.devices.uvc.stream.PacketBackend`)."""
         camera = dev_handle.live_camera()
         if (
             camera.claims.get(STREAMING_INTERFACE) is not dev_handle

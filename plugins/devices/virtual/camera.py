@@ -13,8 +13,8 @@ import usb.core
 
 from edge.core.errors import RecordingEnded
 from edge.core.ports import Clock
-from edge.usb.payload import Packet, split_frame
-from edge.usb.uvc import (
+from plugins.devices.uvc.payload import Packet, split_frame
+from plugins.devices.uvc.uvc import (
     COMMIT,
     GET_CUR,
     GET_DEF,
@@ -274,7 +274,7 @@ class VirtualCamera:
 
 
 class VirtualPacketStream:
-    """The isochronous endpoint of a camera, as `edge.usb.stream.PacketStream`."""
+    """The isochronous endpoint of a camera, as `plugins.devices.uvc.stream.PacketStream`."""
 
     def __init__(self, camera: VirtualCamera, clock: Clock, packet_bytes: int) -> None:
         self._camera, self._clock, self._packet_bytes = camera, clock, packet_bytes

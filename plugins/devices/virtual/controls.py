@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from edge.usb.controls import UvcControl, uvc_control
-from edge.usb.uvc import GET_CUR, GET_DEF, GET_INFO, GET_LEN, GET_MAX, GET_MIN, GET_RES, SET_CUR
+from plugins.devices.uvc.controls import UvcControl, uvc_control
+from plugins.devices.uvc.uvc import GET_CUR, GET_DEF, GET_INFO, GET_LEN, GET_MAX, GET_MIN, GET_RES, SET_CUR
 from plugins.devices.virtual.descriptors import CAMERA_TERMINAL, PROCESSING_UNIT
 
 __all__ = ["RANGES", "ControlBank"]

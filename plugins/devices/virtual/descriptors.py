@@ -9,8 +9,8 @@ import struct
 from dataclasses import dataclass
 from types import SimpleNamespace
 
-from edge.usb.identity import PRODUCT_ID, VENDOR_ID
-from edge.usb.uvc import CLASS_VIDEO, SUBCLASS_CONTROL, SUBCLASS_STREAMING, UNITS_PER_SECOND
+from plugins.devices.uvc.identity import PRODUCT_ID, VENDOR_ID
+from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_CONTROL, SUBCLASS_STREAMING, UNITS_PER_SECOND
 
 __all__ = [
     "ALTERNATE_PACKETS",

@@ -14,8 +14,8 @@ from usbip import UsbIpPort  # noqa: E402
 
 from edge.clock import SystemClock  # noqa: E402
 from edge.core.errors import DeviceBusy, DeviceLost, FrameCorrupt  # noqa: E402
+from edge.core.imaging.known_profiles import MINI_CONTROLS  # noqa: E402
 from edge.core.ports import Device  # noqa: E402
-from edge.core.profiles import MINI_CONTROLS  # noqa: E402
 from plugins.devices.gelsight_mini import GelsightMiniOptions, plugin  # noqa: E402
 from plugins.devices.v4l2.nodes import video_nodes  # noqa: E402
 from plugins.devices.virtual.camera import VirtualCamera  # noqa: E402

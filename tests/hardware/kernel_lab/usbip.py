@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 import usb.core
 
-from edge.usb.payload import Packet
+from plugins.devices.uvc.payload import Packet
 from plugins.devices.virtual import descriptors
 from plugins.devices.virtual.camera import VirtualCamera
 from plugins.devices.virtual.descriptors import STREAMING_INTERFACE, Board

@@ -1,0 +1,144 @@
+"""The verb `evaluate-backbone`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.benchmark.sets import EvaluationSet
+
+__all__ = ["evaluate_backbone"]
+
+
+def evaluate_backbone(
+    out: Annotated[Path, typer.Argument(help="folder that the evaluation file is written to")],
+    trunks: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME=TRUNK]...",
+            help="an installed backbone or a trunk .onnx file under the name of its rows, the one that ships first; "
+            "default: trained=tactile_resnet18 trained_int8=tactile_resnet18_int8",
+        ),
+    ] = None,
+    random: Annotated[bool, typer.Option(help="compare with random weights, under the name random")] = True,
+    tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
+    screws: Annotated[Path | None, typer.Option(help="folder of screw pictures in MVTec's layout")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="only this set of trials, for every trunk; may be given several times"),
+    ] = None,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", help="a detector to compare with; default: padim, spade, fapm, inreach"),
+    ] = None,
+    trials: Annotated[int, typer.Option(help="only so many trials of each set, 0 for all", min=0)] = 0,
+    replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
+    workers: Annotated[int, typer.Option(help="trials at a time", min=1, max=64)] = 1,
+    page: Annotated[
+        Path | None, typer.Option(help="write the model card there too, and this page of the manual")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
+) -> None:
+    """Compare backbones on presses that training never draws: every table of the model card in one run."""
+    import os
+    import sys
+    from json import dumps
+
+    from calibration.benchmark.evaluation import DETECTORS, RANDOM, evaluate, random_trunk
+    from calibration.fitting.trunks import open_trunk
+    from calibration.progress import progress
+    from edge.core.errors import StoreError
+
+    # Workers are processes of their own; several threads of linear algebra in each would fight over the cores.
+    if workers > 1:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+    sets = _chosen_sets(tactile, screws, only or [], trials)
+    given = _named(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"])
+    graphs = {name: open_trunk(trunk).graph for name, trunk in given.items()}
+    if random and RANDOM not in graphs:
+        graphs[RANDOM] = random_trunk()
+    for chosen in sets.values():
+        if chosen.missing:
+            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
+    is_terminal = sys.stderr.isatty()
+    with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
+        found = evaluate(
+            graphs,
+            sets,
+            methods or DETECTORS,
+            replicates=replicates,
+            workers=workers,
+            say=(lambda _: None) if is_terminal or json else lambda line: typer.echo(line, err=True),
+            advance=advance,
+        )
+    found["trunks"] = _facts(graphs)
+    text = dumps(found, indent=1) + "\n"
+    try:
+        _write(out, text, page)
+    except OSError as error:
+        raise StoreError(
+            f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
+        ) from error
+    typer.echo(text if json else _tables(found), nl=not json)
+
+
+def _chosen_sets(
+    tactile: Path | None, screws: Path | None, only: list[str], trials: int
+) -> dict[str, "EvaluationSet"]:
+    """The sets to compare on; one that is named is brief for nobody. Errors: ConfigError for an unknown set."""
+    from dataclasses import replace
+
+    from calibration.benchmark.sets import SETS, evaluation_sets
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+
+    for name in only:
+        if name not in SETS:
+            raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
+    sets = evaluation_sets(tactile, screws)
+    return {
+        name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
+        for name, chosen in sets.items()
+        if name in (only or SETS)
+    }
+
+
+def _named(words: list[str]) -> dict[str, str]:
+    """NAME=TRUNK pairs; a bare name stands for the installed backbone of that name. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in words)]
+    names = [name for name, _ in pairs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or "" in names:
+        raise ConfigError(
+            f"every trunk needs a name of its own, found {'twice ' + ', '.join(twice) if twice else 'an empty one'}; "
+            "write NAME=TRUNK"
+        )
+    return dict(pairs)
+
+
+def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
+    import hashlib
+
+    return {
+        name: {"sha256": hashlib.sha256(graph).hexdigest(), "bytes": len(graph)}
+        for name, graph in graphs.items()
+    }
+
+
+def _write(out: Path, text: str, page: Path | None) -> None:
+    from calibration.benchmark import model_card as card
+
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{card.NAME}_evaluation.json").write_text(text)
+    if page is not None:
+        card.write_card(out)
+        page.write_text(card.page(out))
+
+
+def _tables(found: dict[str, Any]) -> str:
+    from calibration.benchmark.model_card import evaluation_tables
+
+    return "\n".join(evaluation_tables(found))

@@ -1,0 +1,258 @@
+"""Backbones side by side: the same detectors, presses and measures, on trunks that differ in their weights alone."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from calibration.benchmark.sets import EvaluationSet
+from calibration.benchmark.trial import FORMAT, Trial
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.heads import head_of
+from calibration.metrics import image_weights, interval, pixel_measures
+from calibration.simulator.workers import in_order
+from edge import registry
+from edge.core.detector import Detector, Features, Grid, Nominal
+from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
+from edge.model.onnx_prune import cut_trunk
+from edge.model.packing import pack, unpack
+from edge.model.session import open_session
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+
+__all__ = [
+    "DETECTORS",
+    "RANDOM",
+    "Column",
+    "evaluate",
+    "random_trunk",
+    "scored_columns",
+    "trial_columns",
+    "used_settings",
+]
+
+DETECTORS = ("padim", "spade", "fapm", "inreach")
+RANDOM = "random"
+"""The name of the column with random weights."""
+
+_MEASURES = ("image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01")
+_FALSE_ALARMS = 0.01
+_THREADS = 1
+
+Column = NDArray[np.float64]
+"""One measure: its value, then one value per bootstrap replicate."""
+
+Scored = dict[tuple[str, str], dict[str, Column]]
+"""(backbone, detector) to the measures of one trial."""
+
+
+def random_trunk() -> bytes:
+    """A ResNet-18 with random weights, seed 0: what training is compared with."""
+    return build_trunk(random_state("resnet18"), "resnet18")
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """The features of one trial by one trunk."""
+
+    grid: Grid
+    nominal: Nominal
+    scored: Features
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One trial of a set with the trunks to compare on it."""
+
+    make: Callable[[], Trial]
+    trunks: Mapping[str, bytes]
+    detectors: Sequence[str]
+    replicates: int
+
+
+def evaluate(
+    trunks: Mapping[str, bytes],
+    sets: Mapping[str, EvaluationSet],
+    detectors: Sequence[str] = DETECTORS,
+    *,
+    replicates: int = 200,
+    workers: int = 1,
+    say: Callable[[str], None] = lambda _: None,
+    advance: Callable[[int], None] = lambda done: None,
+) -> dict[str, Any]:
+    """One row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
+
+    trunks: name to graph, the one that ships first. The intervals are bootstrapped over presses, within each trial.
+    Brief sets compare the first trunk and `random` alone. advance: called with the trials done.
+    """
+    tasks = list(_tasks(trunks, sets, detectors, replicates))
+    results = in_order(_run, [task for _, task in tasks], workers)
+    found: dict[str, list[tuple[str, Scored]]] = {name: [] for name in sets}
+    for done, ((name, _), (trial, scored)) in enumerate(zip(tasks, results, strict=True), start=1):
+        found[name].append((trial, scored))
+        for (trunk, method), columns in scored.items():
+            first = ", ".join(f"{measure} {column[0]:.3f}" for measure, column in columns.items())
+            say(f"{name} / {trial} / {trunk} / {method}: {first}")
+        advance(done)
+    return {
+        "format": FORMAT,
+        "replicates": replicates,
+        "settings": {method: used_settings(method) for method in detectors},
+        "sets": {name: _written(sets[name], trials) for name, trials in found.items()},
+    }
+
+
+def _tasks(
+    trunks: Mapping[str, bytes], sets: Mapping[str, EvaluationSet], detectors: Sequence[str], replicates: int
+) -> Iterator[tuple[str, _Task]]:
+    taps = _taps(detectors)
+    shallow = {name: cut_trunk(graph, taps) for name, graph in trunks.items()}
+    first = next(iter(shallow))
+    brief = {name: graph for name, graph in shallow.items() if name in (first, RANDOM)}
+    for name, chosen in sets.items():
+        for make in chosen.trials:
+            yield name, _Task(make, brief if chosen.is_brief else shallow, detectors, replicates)
+
+
+def _run(task: _Task) -> tuple[str, Scored]:
+    """One trial's name and measures; runs in any process."""
+    trial = task.make()
+    return trial.name, scored_columns(task.trunks, trial, task.detectors, task.replicates)
+
+
+def scored_columns(
+    trunks: Mapping[str, bytes], trial: Trial, detectors: Sequence[str], replicates: int
+) -> Scored:
+    """The measures of every trunk with every detector on one trial."""
+    scored: Scored = {}
+    for trunk, graph in trunks.items():
+        taken = _features(graph, trial, _taps(detectors))
+        for method in detectors:
+            detector = registry.load("detectors", method)
+            scored[trunk, method] = trial_columns(detector, taken, trial, replicates)
+    return scored
+
+
+def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
+    """Every tap that one of the detectors reads."""
+    loaded = [registry.load("detectors", method) for method in detectors]
+    return tuple(sorted({tap for detector in loaded for tap in detector.taps(detector.parameters())}))
+
+
+def used_settings(method: str) -> dict[str, Any]:
+    """Every parameter of the method that the rows are of."""
+    return dict(dataclasses.asdict(registry.load("detectors", method).parameters()))
+
+
+def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:
+    if not trials:
+        return {"title": of.title, "text": of.text, "missing": of.missing}
+    pairs = list(trials[0][1])
+    return {
+        "title": of.title,
+        "text": of.text,
+        "trials": [name for name, _ in trials],
+        "rows": [_row(*pair, [(name, scored[pair]) for name, scored in trials]) for pair in pairs],
+    }
+
+
+def _row(trunk: str, method: str, trials: Sequence[tuple[str, dict[str, Column]]]) -> dict[str, Any]:
+    columns = [column for _, column in trials]
+    return {
+        "backbone": trunk,
+        "detector": method,
+        "measures": {name: _mean(columns, name) for name in columns[0]},
+        "trials": {trial: {name: _plain(column[0]) for name, column in row.items()} for trial, row in trials},
+    }
+
+
+def _mean(rows: Sequence[dict[str, Column]], name: str) -> dict[str, Any]:
+    column = np.mean([row[name] for row in rows], axis=0)
+    span = interval(column[1:]) if len(column) > 1 else None
+    return {
+        "value": _plain(column[0]),
+        "over_images": None if span is None else [_plain(end) for end in span],
+    }
+
+
+def _plain(value: float) -> float | None:
+    return round(float(value), 5) if np.isfinite(value) else None
+
+
+def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
+    """taps: those that are read, all of the trunk's when not given."""
+    session = open_session(graph, _THREADS, "trunk")
+    taps = list(taps) or [output.name for output in session.get_outputs()]
+    shape = (trial.frames.shape[1], trial.frames.shape[2])
+    grid = trunk_grid(session, taps, shape, LR_PIXELS_PER_MM)
+
+    def take(frames: NDArray[np.uint8]) -> Features:
+        return extract(session, frames, grid, lambda fraction: None)
+
+    free = trial.nominal.no_contact
+    nominal = Nominal(take(trial.nominal.frames), trial.nominal.touched, None if free is None else take(free))
+    return _Taken(grid, nominal, take(trial.frames))
+
+
+def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
+    """The measures of one detector on one trial. `foreign_out` is there where the trial has foreign frames: the share
+    of them that score above every sound held-out press.
+    """
+    maps, scores = _scored(detector, taken)
+    own = ~trial.is_foreign
+    masks = trial.masks[own]
+    label = np.array([bool(mask.any()) for mask in masks])
+    drawn = image_weights(label, replicates, np.random.default_rng(0))
+    weights = np.concatenate([np.ones((1, len(label))), drawn])
+    pixel = pixel_measures(maps[own], masks, weights, _FALSE_ALARMS)
+    values = (
+        _image_auroc(scores[own], label, weights),
+        pixel.auroc,
+        pixel.average_precision,
+        pixel.aupro,
+    )
+    columns = dict(zip(_MEASURES, values, strict=True))
+    if trial.is_foreign.any():
+        share = (scores[trial.is_foreign] > scores[own][~label].max()).mean()
+        # The foreign frames are a handful that was picked, not drawn: an interval would promise too much.
+        columns["foreign_out"] = np.concatenate([[share], np.full(replicates, np.nan)])
+    return columns
+
+
+def _scored(detector: Detector, taken: _Taken) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Score maps (n, h, w) and anomaly scores (n,) by the detector's own graph."""
+    parameters = detector.parameters("corrected")
+    taps = detector.taps(parameters)
+    grid = Grid(taken.grid.frame, {t: taken.grid.taps[t] for t in taps}, taken.grid.pixels_per_mm)
+    bank = detector.fit(taken.nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
+    head = open_session(head_of(detector, grid, bank, parameters), _THREADS, f"head of {detector.name}")
+    wanted = {given.name for given in head.get_inputs()}
+    stored = {
+        name: unpack(pack(array, packing), packing)
+        for name, array in bank.arrays.items()
+        if name in wanted
+        for packing in [bank.packing.get(name, "none")]
+    }
+    answers = [_one(head, stored, taken.scored, wanted, k) for k in range(len(taken.scored[taps[0]]))]
+    return np.stack([m for m, _ in answers]), np.array([s for _, s in answers])
+
+
+def _one(
+    head: ort.InferenceSession, stored: dict[str, NDArray[Any]], features: Features, wanted: set[str], k: int
+) -> tuple[NDArray[np.float32], float]:
+    taps = {tap: maps[k : k + 1] for tap, maps in features.items() if tap in wanted}
+    score_map, score = head.run(["score_map", "score"], {**taps, **stored})
+    return score_map[0], float(score[0])
+
+
+def _image_auroc(scores: NDArray[np.float64], label: NDArray[np.bool_], weights: Column) -> Column:
+    """The share of (damaged, sound) pairs in the right order under each weighting, ties counting half."""
+    bad, good = scores[label], scores[~label]
+    wins = (bad[:, None] > good).astype(np.float64) + 0.5 * (bad[:, None] == good)
+    w_bad, w_good = weights[:, label], weights[:, ~label]
+    right: Column = ((w_bad @ wins) * w_good).sum(axis=1) / (w_bad.sum(axis=1) * w_good.sum(axis=1))
+    return right

@@ -1,0 +1,88 @@
+"""What a backbone is judged on: presses of parts, damage and sensors that training never draws, and real frames.
+
+Every set is a list of trials that can be made in any process. Simulated ones come from `evaluation_presses`, pictures
+of real things from `evaluation_pictures`, whose folders are no part of the product. What each set says, and cannot
+say, is in `calibration/benchmark/sets.toml`.
+"""
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+
+from calibration.benchmark.pictures import (
+    BALLS,
+    REGISTERED_BALLS,
+    ball_trial,
+    registered_ball_trial,
+    screw_trial,
+)
+from calibration.benchmark.presses import PARTS, development_trial, part_trial
+from calibration.benchmark.trial import Trial
+
+__all__ = ["SETS", "EvaluationSet", "evaluation_sets"]
+
+
+@dataclass(frozen=True)
+class EvaluationSet:
+    """Trials whose measures are averaged.
+
+    text: what they are, and what they cannot say. is_brief: only the first backbone and random weights are compared
+    on it. missing: why there are no trials, empty when there are.
+    """
+
+    title: str
+    text: str
+    trials: tuple[Callable[[], Trial], ...]
+    is_brief: bool = False
+    missing: str = ""
+
+    def __post_init__(self) -> None:
+        if bool(self.trials) == bool(self.missing):
+            raise ValueError(f"set '{self.title}' has trials or a reason for having none")
+
+
+_DESCRIPTIONS = tomllib.loads(
+    files("calibration.benchmark").joinpath("sets.toml").read_text(encoding="utf-8")
+)
+
+SETS = tuple(_DESCRIPTIONS)
+"""The names of the sets, in the order of the tables."""
+
+# Three parts are enough for what the gel and the press do.
+_FEW = tuple(part for part in PARTS if part in ("PZ1", "PZ4", "PZ5"))
+
+
+def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str, EvaluationSet]:
+    """Every set by its name in `SETS`. real_tactile, screws: folders of real frames, None or absent to do without."""
+    no_balls = _missing(real_tactile, "real tactile frames", "--tactile")
+    no_screws = _missing(screws, "pictures of screws", "--screws")
+    missing = {"registered-presses": no_balls, "real-presses": no_balls, "screws": no_screws}
+    trials: dict[str, Sequence[Callable[[], Trial]]] = {
+        "random-parts": [partial(development_trial, number) for number in range(6)],
+        "parts": [partial(part_trial, part) for part in PARTS],
+        "sensor": [partial(part_trial, part, "unseen sensor") for part in PARTS],
+        "worn-gel": [partial(part_trial, part, "worn gel") for part in _FEW],
+        "marker-gel": [partial(part_trial, part, "marker gel") for part in _FEW],
+        "residual-imprint": [partial(part_trial, part, "residual imprint") for part in _FEW],
+        "sliding-press": [partial(part_trial, part, "sliding press") for part in _FEW],
+    }
+    if real_tactile is not None and not no_balls:
+        trials["registered-presses"] = [
+            partial(registered_ball_trial, real_tactile, ball) for ball in REGISTERED_BALLS
+        ]
+        trials["real-presses"] = [partial(ball_trial, real_tactile, ball) for ball in BALLS]
+    if screws is not None and not no_screws:
+        trials["screws"] = [partial(screw_trial, screws)]
+    return {
+        name: EvaluationSet(**about, trials=tuple(trials.get(name, ())), missing=missing.get(name, ""))
+        for name, about in _DESCRIPTIONS.items()
+    }
+
+
+def _missing(folder: Path | None, what: str, option: str) -> str:
+    if folder is None:
+        return f"no folder of {what} was given ({option})"
+    return "" if folder.is_dir() else f"there is no folder of {what} at the place given with {option}"

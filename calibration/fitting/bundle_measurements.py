@@ -1,0 +1,207 @@
+"""What is measured on a bundle before it is written: golden frames, tolerance, costs, where presses touch."""
+
+import contextlib
+import importlib.metadata
+import platform
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from calibration.fitting.nominal_presses import NominalPresses
+from edge.core.errors import FitError, NotScorable
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.bundle import GoldenFrame
+from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEntry, ToleranceEntry
+from edge.model.scorer import Scorer, map_peaks
+
+__all__ = [
+    "contact_range",
+    "cost_card",
+    "given_threshold",
+    "golden_frames",
+    "measured_tolerance",
+    "placeholders",
+    "provenance",
+    "scatter_warnings",
+    "warnings",
+]
+
+TOLERANCE_FACTOR = 8.0
+"""The tolerance is this many times the largest difference seen over runs, threads and batch sizes."""
+
+TOLERANCE_RELATIVE = 1e-3
+"""Room for other processors, which sum in another order: float32 features through some thousand additions and a
+square root agree to about 1e-5; ten times that and a margin. Measured on x86 alone."""
+
+CONTACT_MARGIN = 0.05
+"""How far beyond the nominal presses one may lie, as a fraction of the picture, or half their spread if more."""
+
+PAINTED_LEVEL = 40
+
+
+def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame]:
+    """The nominal frames of middle and highest score, and a painted one, so that a score far out is checked as well.
+
+    frames: uint8 (n, h, w, 3). Errors: NotScorable.
+    """
+    order = np.argsort([scorer.score(frame).anomaly_score for frame in frames], kind="stable")
+    middle = frames[order[len(order) // 2]]
+    chosen = {
+        "middle nominal score": middle,
+        "highest nominal score": frames[order[-1]],
+        "middle nominal press with a painted square": _painted(middle),
+    }
+    scored = {what: scorer.score(rgb) for what, rgb in chosen.items()}
+    return [
+        GoldenFrame(rgb, what, scored[what].anomaly_score, map_peaks(scored[what].score_map))
+        for what, rgb in chosen.items()
+    ]
+
+
+def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The frame with a dark square of an eighth of its side in the middle."""
+    h, w = rgb.shape[:2]
+    painted, half = rgb.copy(), max(1, min(h, w) // 16)
+    painted[h // 2 - half : h // 2 + half, w // 2 - half : w // 2 + half] = PAINTED_LEVEL
+    return painted
+
+
+def measured_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:
+    """What repeated runs, one thread, two threads and another batch size change in the golden frames."""
+    frames = np.stack([frame.rgb for frame in golden])
+    runs = [[scorer.score(frame) for frame in frames] for _ in range(2)]
+    with contextlib.suppress(NotScorable):  # a third party's graph may take one frame at a time
+        runs.append(scorer.score_batch(frames))
+    for count in {1, 2} - {threads}:
+        other = Scorer(scorer.bundle, count)
+        runs.append([other.score(frame) for frame in frames])
+    scores = np.array([[s.anomaly_score for s in run] for run in runs])
+    maps = np.stack([np.stack([s.score_map for s in run]) for run in runs]).astype(np.float64)
+    score, score_map = np.ptp(scores, axis=0).max(), np.ptp(maps, axis=0).max()
+    return ToleranceEntry(
+        score=float(TOLERANCE_FACTOR * score),
+        score_map=float(TOLERANCE_FACTOR * score_map),
+        relative=TOLERANCE_RELATIVE,
+        measured=float(max(score, score_map)),
+    )
+
+
+def cost_card(
+    scorer: Scorer, frames: NDArray[np.uint8], threads: int, seconds: Mapping[str, float]
+) -> CostCard:
+    """Medians over nine frames. seconds: of the stages `features`, `fit` and `threshold`, where they took place."""
+    runs = [scorer.score(frames[k % len(frames)]) for k in range(9)]
+    entries = scorer.bundle.manifest.bank.values()
+    return CostCard(
+        trunk_ms=float(np.median([run.trunk_ms for run in runs])),
+        head_ms=float(np.median([run.head_ms for run in runs])),
+        threads=threads,
+        features_s=seconds.get("features", 0.0),
+        fit_s=seconds.get("fit", 0.0),
+        threshold_s=seconds.get("threshold", 0.0),
+        bank_bytes_stored=sum(entry.bytes_stored for entry in entries),
+        bank_bytes_unpacked=sum(entry.bytes_unpacked for entry in entries),
+    )
+
+
+# Methods that have nothing to hold on to where the part lies anywhere.
+PLACE_BY_PLACE = ("padim", "spade", "fapm")
+# Measured: up to 1.8 mm on simulated parts placed by hand, where their contacts are wide and shallow; 4.2 mm and more
+# on balls pressed anywhere, where these methods find a fifth of what inreach does.
+SCATTERED_MM = 3.0
+
+
+def contact_range(presses: NominalPresses) -> ContactRange | None:
+    """The spans of centroid and area with a margin, None where no touch is known."""
+    if not presses.touches:
+        return None
+
+    def around(values: list[float]) -> tuple[float, float]:
+        low, high = min(values), max(values)
+        margin = max(CONTACT_MARGIN, (high - low) / 2)
+        return max(0.0, low - margin), min(1.0, high + margin)
+
+    touches = presses.touches
+    return ContactRange(
+        x=around([t.x for t in touches]),
+        y=around([t.y for t in touches]),
+        area=around([t.area for t in touches]),
+    )
+
+
+def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | None) -> list[str]:
+    """What the user should know of these presses. alpha: None where no rate is promised.
+
+    Errors: FitError for no presses, or for frames that are not (h, w).
+    """
+    n = len(presses)
+    if n == 0:
+        raise FitError("no nominal press was given; give at least 2")
+    if presses.frames.shape[1:3] != frame:
+        raise FitError(
+            f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them anew"
+        )
+    found = []
+    distinct = len({rgb.tobytes() for rgb in presses.frames})
+    if distinct < n:
+        found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
+    if alpha is not None and alpha < 1 / (n + 1):
+        needed = int(np.ceil(1 / alpha)) - 1
+        found.append(
+            f"{n} presses promise a false-alarm rate of 1/{n + 1} at best; {needed} are needed for {alpha:g}"
+        )
+    return found
+
+
+def scatter_warnings(
+    presses: NominalPresses, profile: SensorProfile, detector: str, is_scattered: bool = False
+) -> list[str]:
+    """Whether a method that compares place with place is fitted to contacts that lie anywhere.
+
+    Errors: FitError where it is; a warning instead where `is_scattered` says that it is meant.
+    """
+    if detector not in PLACE_BY_PLACE or not presses.touches:
+        return []
+    middles = (
+        np.array([(touch.x, touch.y) for touch in presses.touches]) * profile.size / profile.pixels_per_mm
+    )
+    scatter = float(np.median(np.linalg.norm(middles - np.median(middles, axis=0), axis=1)))
+    if scatter <= SCATTERED_MM:
+        return []
+    found = (
+        f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector} compares place with "
+        "place and will pass damage; hold the part at one place, or fit inreach"
+    )
+    if not is_scattered:
+        raise FitError(f"{found}; --scattered fits {detector} all the same")
+    return [found]
+
+
+def given_threshold(value: float, alpha: float) -> ThresholdEntry:
+    """A threshold that someone stated; it promises no rate."""
+    return ThresholdEntry(
+        value=value, method="given by hand", alpha=alpha, alpha_floor=1.0, nominal_scores=()
+    )
+
+
+def placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:
+    """Stand-ins for the bundle that is measured, before the one that is written."""
+    return given_threshold(0.0, 0.5), ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0)
+
+
+def provenance(created: str, presses: NominalPresses, seed: int | None, said: Sequence[str]) -> Provenance:
+    """Where the bundle comes from. said: the warnings."""
+    return Provenance(
+        created=created,
+        presses=presses.names,
+        seed=seed,
+        versions={
+            "gelgate": importlib.metadata.version("gelgate"),
+            "numpy": np.__version__,
+            "onnxruntime": ort.__version__,
+            "python": platform.python_version(),
+        },
+        warnings=tuple(said),
+    )

@@ -1,0 +1,71 @@
+"""The coarse colours of nominal presses, by which the gateway refuses frames of another kind of sensor."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.imaging.quality import QualitySettings
+from edge.core.imaging.sensor_check import colour_cells, colour_distance
+from edge.model.manifest import ColourEntry
+
+__all__ = ["colour_warnings", "nominal_colours"]
+
+CELLS: Final = (8, 8)
+"""Cells of the region, rows and columns. 4 x 4 brings foreign frames nearer (19.0 % instead of 19.8 %), 14 x 14 shows
+the dots of marker gels and gains nothing (20.6 %)."""
+
+LEAST_LIMIT: Final = 0.14
+"""Measured on the central 224 x 224 of 320 x 240, in percent of the light, largest distance first learnt then seen:
+
+- real presses of a ball on one unit, two thirds learnt, one third held out: 1.7 to 2.4 on four sets; between two sets
+  of one unit 2.3. Four other imprints of one unit and its free gel on another day: 3.3 to 6.0. A fingertip that shears
+  a marker gel: 9.1.
+- simulated parts with drifting lamps, sound and damaged: 3.4 with a plain, marker or remembering gel, also where the
+  gel is new when learnt and worn by 1500 presses when seen; 6.3 with tilted presses that touch in part.
+- frames of other sensors: 19.8 for the nearest, one lamp of a bench sensor in grey; 24.6 to 75 for all others (grey
+  bench sensors, 9DTact, DM-Tac, DIGIT, Tac3D, two home-built sensors, one held by a finger, screws under a camera).
+
+So the least limit is one and a half times the worst that one unit showed and two thirds of the nearest other sensor.
+Another unit of the same model lies at 3 to 21, one with a marker gel at 9 to 37: some pass and some are refused.
+"""
+
+LIMIT_FACTOR: Final = 2.0
+"""The limit is at least this many times the largest distance of a nominal press from the others: where an imprint
+fills the region the presses themselves differ. Scored presses reached 1.5 times it where it is beyond the least limit
+(simulated parts, regions of 64 to 224)."""
+
+NEAREST_OTHER: Final = 0.198
+"""The nearest frame of another sensor, as above: a limit beyond it may let one pass."""
+
+
+def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
+    """What the presses look like from afar, and how far one may lie from it. frames: uint8 (n, h, w, 3), n at least 1.
+
+    None where they are black: then there is no colour to compare with.
+    """
+    cells = np.stack([colour_cells(np.ascontiguousarray(rgb), CELLS) for rgb in frames])
+    mean = cells.mean(axis=0)
+    if mean.mean() < QualitySettings().black_level:
+        return None
+    spread = max(colour_distance(one, _mean_of_others(mean, one, len(cells))) for one in cells)
+    rounded = np.round(mean, 2).tolist()
+    return ColourEntry(
+        cells=tuple(tuple((r, g, b) for r, g, b in row) for row in rounded),
+        spread=round(spread, 4),
+        limit=round(max(LEAST_LIMIT, LIMIT_FACTOR * spread), 4),
+    )
+
+
+def _mean_of_others(mean: NDArray[np.float64], one: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    return (mean * n - one) / (n - 1) if n > 1 else mean
+
+
+def colour_warnings(colours: ColourEntry | None) -> list[str]:
+    """What the user should know: presses so unlike each other that another sensor may look like one of them."""
+    if colours is None or colours.limit <= NEAREST_OTHER:
+        return []
+    return [
+        f"the colours of these presses differ by {colours.spread:.1%} of the light, so frames of another sensor up to "
+        f"{colours.limit:.1%} are not refused; give presses of one sensor, or a region that the part does not fill"
+    ]

@@ -1,0 +1,116 @@
+"""Feature maps of many frames, from the trunk alone."""
+
+import tempfile
+from collections.abc import Sequence
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from edge.core.detector import Features, Grid, Progress
+from edge.core.errors import FitError
+from edge.core.imaging.tiles import TILES_KEY, Tiles
+from edge.model.session import RUNTIME_ERRORS
+from edge.model.tile_runner import TiledMaps, TileRunner
+
+__all__ = ["extract", "trunk_grid"]
+
+# A batch costs as much per frame as a single one on two cores; four keeps the progress bar moving and memory small.
+BATCH = 4
+
+# Above this the maps of all presses lie in a temporary file: 100 presses of 1280x720 on Wide-ResNet-50-2 are 10 GB.
+MEMORY_BYTES = 1 << 30
+
+
+def trunk_grid(
+    session: ort.InferenceSession, taps: Sequence[str], frame: tuple[int, int], pixels_per_mm: float
+) -> Grid:
+    """The geometry of the taps for frames of (h, w), found by running the trunk once.
+
+    Errors: FitError for a tap that the trunk lacks, or a frame that it cannot take.
+    """
+    tiles = _tiles(session, frame)
+    given = [output.name for output in session.get_outputs()]
+    missing = [tap for tap in taps if tap not in given]
+    if missing:
+        raise FitError(
+            f"the detector reads {', '.join(taps)}, the trunk gives {', '.join(given)}; export a trunk with "
+            f"{', '.join(missing)}"
+        )
+    down, across, seen = (1, 1, frame)
+    if tiles is not None:
+        down, across, seen = len(tiles.rows), len(tiles.columns), (tiles.size, tiles.size)
+    maps = _run(session, list(taps), np.full((1, *seen, 3), 128, np.uint8))
+    shapes = {
+        tap: (m.shape[1], m.shape[2] * down, m.shape[3] * across) for tap, m in zip(taps, maps, strict=True)
+    }
+    return Grid(frame, shapes, pixels_per_mm, tiles)
+
+
+def _tiles(session: ort.InferenceSession, frame: tuple[int, int]) -> Tiles | None:
+    """The layout of a trunk that sees its frame in tiles; None for one that sees it whole. Errors: FitError."""
+    written = session.get_modelmeta().custom_metadata_map.get(TILES_KEY)
+    if written is None:
+        return None
+    tiles = Tiles.read(written)
+    if tiles.frame != frame:
+        raise FitError(
+            f"the trunk is tiled for frames of {tiles.frame} (h, w), the region is {frame}; give the region that size, "
+            "or tile the trunk again with `gelgate export tiles`"
+        )
+    return tiles
+
+
+def extract(
+    session: ort.InferenceSession,
+    frames: NDArray[np.uint8],
+    grid: Grid,
+    progress: Progress,
+    memory_bytes: int = MEMORY_BYTES,
+) -> Features:
+    """Tap name to float32 (n, c, h, w) for all frames, uint8 (n, h, w, 3).
+
+    A tap of more than memory_bytes lies in a temporary file. Errors: FitError, non-finite features.
+    """
+    taps = list(grid.taps)
+    features = {tap: _room((len(frames), *grid.taps[tap]), memory_bytes) for tap in taps}
+    size = BATCH if grid.tiles is None else 1
+    runner = None if grid.tiles is None else TileRunner(session, grid.tiles, grid.taps)
+    for start in range(0, len(frames), size):
+        batch = frames[start : start + size]
+        found = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0], grid)
+        for tap, maps in zip(taps, found, strict=True):
+            if not np.isfinite(maps).all():
+                raise FitError(f"the trunk gives features that are not finite at {tap}; use another backbone")
+            features[tap][start : start + size] = maps
+        progress(min(1.0, (start + size) / len(frames)))
+    return features
+
+
+def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8], grid: Grid) -> list[NDArray[np.float32]]:
+    """The mosaics (1, c, h, w) of one frame, every tile run."""
+    mosaics = TiledMaps(runner, grid.taps, 1, None)
+    try:
+        mosaics.show(frame[None])
+    except RUNTIME_ERRORS as error:
+        raise FitError(f"the trunk does not run on its tiles: {error!s:.200}") from error
+    return list(mosaics.arrays.values())
+
+
+def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:
+    """An empty array, in a file that vanishes with it where it is large."""
+    if 4 * int(np.prod(shape)) <= memory_bytes:
+        return np.empty(shape, np.float32)
+    with tempfile.TemporaryFile(prefix="gelgate-features-") as file:
+        return np.memmap(file, np.float32, "w+", shape=shape)
+
+
+def _run(
+    session: ort.InferenceSession, taps: list[str], frames: NDArray[np.uint8]
+) -> list[NDArray[np.float32]]:
+    try:
+        return list(session.run(taps, {"frames": frames}))
+    except RUNTIME_ERRORS as error:
+        raise FitError(
+            f"the trunk does not run on frames of {frames.shape[1:3]} (h, w): {error!s:.200}"
+        ) from error

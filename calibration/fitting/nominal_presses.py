@@ -1,0 +1,264 @@
+"""Nominal presses from what the user has: recordings, folders of pictures, single pictures.
+
+From a recording the contact tracker takes the settled frame of every press, exactly as the gateway would, and frames
+of the free gel. Pictures are presses already; with a picture of the free gel their touched area is known too.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
+from edge.core.contact.mask import Touch, touched, touched_mask
+from edge.core.contact.reference import Reference, View
+from edge.core.contact.table import State
+from edge.core.contact.tracker import ContactTracker
+from edge.core.errors import DatasetError, FitError, FrameCorrupt
+from edge.core.imaging.decode import VIEW_SIZE, decode
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import picture_size
+from edge.core.imaging.region import Region, touched_in
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.press_detector import PressDetector
+from edge.recording.format import Recording
+
+__all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
+
+PICTURES = frozenset({".png", ".jpg", ".jpeg"})
+
+# Frames of the free gel that are kept: the detectors want its mean and its noise, not a film of it.
+MAX_NO_CONTACT = 16
+
+# `<part>_<position>_s<specimen>_p<press>`, as `gelgate simulate` names its pictures.
+SPECIMEN = re.compile(r"_s(?P<specimen>\d{3,})_p\d{2,}$")
+
+# A new press lies a little beside the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
+TOUCHED_MARGIN_MM = 1.0
+
+
+@dataclass(frozen=True)
+class NominalPresses:
+    """Nominal presses of one position, cut to the inspected region.
+
+    frames: uint8 (n, h, w, 3) RGB. names, specimens: one each per press, specimen None when unknown. touches: area and
+    centroid in the picture, empty when there is no free gel to compare with. touched: bool (h, w), the union of what
+    the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel.
+    """
+
+    frames: NDArray[np.uint8]
+    names: tuple[str, ...]
+    specimens: tuple[str | None, ...] = ()
+    touches: tuple[Touch, ...] = ()
+    touched: NDArray[np.bool_] | None = None
+    no_contact: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
+            raise ValueError(f"frames are uint8 (n, h, w, 3), found {self.frames.dtype} {self.frames.shape}")
+        for what in (self.names, self.specimens, self.touches):
+            if what and len(what) != len(self.frames):
+                raise ValueError(f"{len(self.frames)} frames with {len(what)} names, specimens or touches")
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass
+class _Gathered:
+    """What is found while sources are read, one entry per press."""
+
+    profile: SensorProfile
+    region: Region
+    frames: list[NDArray[np.uint8]] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    specimens: list[str | None] = field(default_factory=list)
+    masks: list[NDArray[np.bool_] | None] = field(default_factory=list)
+    free: list[NDArray[np.uint8]] = field(default_factory=list)
+
+    def add(
+        self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: NDArray[np.bool_] | None
+    ) -> None:
+        self.frames.append(self.region.crop(picture).copy())
+        self.names.append(name)
+        self.specimens.append(specimen)
+        self.masks.append(mask)
+
+    def presses(self) -> NominalPresses:
+        masks = [mask for mask in self.masks if mask is not None]
+        is_known = len(masks) == len(self.frames)
+        return NominalPresses(
+            frames=np.stack(self.frames),
+            names=tuple(self.names),
+            specimens=tuple(self.specimens),
+            touches=tuple(touched(mask) for mask in masks) if is_known else (),
+            touched=_union(masks, self.profile, self.region) if is_known else None,
+            no_contact=np.stack(self.free[:MAX_NO_CONTACT]) if self.free else None,
+        )
+
+
+def is_recording(source: Path) -> bool:
+    """Whether a folder is a recording rather than a folder of pictures."""
+    return (source / "recording.toml").is_file()
+
+
+def read_presses(
+    sources: Sequence[Path],
+    profile: SensorProfile,
+    region: Region,
+    *,
+    no_contact: Sequence[Path] = (),
+    resize: bool = False,
+) -> NominalPresses:
+    """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
+
+    A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
+    other. no_contact: pictures, or folders of them, of the free gel. Errors: RecordingError, DatasetError listing
+    every picture at fault, FitError when there is no press.
+    """
+    gathered = _Gathered(profile, region)
+    free = _pictures(_listed(no_contact), profile, resize)
+    gathered.free += [region.crop(picture) for _, picture in free]
+    reference = _reference([picture for _, picture in free])
+    for source in sources:
+        if is_recording(source):
+            _read_recording(source, gathered)
+    files = _listed([source for source in sources if not is_recording(source)])
+    for path, picture in _pictures(files, profile, resize):
+        _add_picture(picture, _name(path), reference, gathered)
+    if not gathered.frames:
+        raise FitError(
+            f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
+            "folder of pictures"
+        )
+    return gathered.presses()
+
+
+def named_presses(
+    pictures: Mapping[str, NDArray[np.uint8]],
+    profile: SensorProfile,
+    region: Region,
+    *,
+    no_contact: Sequence[NDArray[np.uint8]] = (),
+) -> NominalPresses:
+    """The same from at least one picture in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
+    gathered = _Gathered(profile, region, free=[region.crop(picture) for picture in no_contact])
+    reference = _reference(no_contact)
+    for name, picture in pictures.items():
+        _add_picture(picture, name, reference, gathered)
+    return gathered.presses()
+
+
+def _add_picture(
+    picture: NDArray[np.uint8], name: str, reference: Reference | None, gathered: _Gathered
+) -> None:
+    match = SPECIMEN.search(Path(name).stem)
+    mask = None if reference is None else touched_mask(reference.difference(_view(picture)))
+    gathered.add(picture, name, match["specimen"] if match else None, mask)
+
+
+def _read_recording(folder: Path, gathered: _Gathered) -> None:
+    """Every press that settles, and the free gel before each."""
+    recording, detector = Recording.open(folder), PressDetector(gathered.profile)
+    specimens: dict[int, object] = {}
+    last_free: CameraFrame | None = None
+    for recorded in recording:
+        specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
+        for event in detector.feed(recorded.frame):
+            if isinstance(event, PressSettled) and (chosen := detector.chosen(event)) is not None:
+                _add_settled(folder, chosen, specimens[chosen.sequence], detector.tracker, gathered)
+            elif isinstance(event, PressBegan | ReferenceReady) and last_free is not None:
+                gathered.free.append(gathered.region.crop(decode(last_free, gathered.profile).rgb))
+        if detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
+            last_free = detector.newest
+
+
+def _add_settled(
+    folder: Path, frame: CameraFrame, specimen: object, tracker: ContactTracker, gathered: _Gathered
+) -> None:
+    picture = decode(frame, gathered.profile).rgb
+    mask = None if tracker.mask is None else tracker.mask.copy()
+    gathered.add(
+        picture, f"{folder.name}#{frame.sequence}", None if specimen is None else str(specimen), mask
+    )
+
+
+def _listed(sources: Sequence[Path]) -> list[Path]:
+    """Picture files, and those directly inside folders, in the order of their names."""
+    files: list[Path] = []
+    for source in sources:
+        if source.is_dir():
+            found = sorted(p for p in source.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
+            if not found:
+                raise FitError(
+                    f"{source} is neither a recording nor a folder with pictures ({', '.join(sorted(PICTURES))}) "
+                    "directly inside; name the folder that holds them"
+                )
+            files += found
+        elif source.is_file():
+            files.append(source)
+        else:
+            raise FitError(f"there is nothing at {source}; check the path")
+    return files
+
+
+def _pictures(
+    files: Sequence[Path], profile: SensorProfile, resize: bool
+) -> list[tuple[Path, NDArray[np.uint8]]]:
+    faults: list[str] = []
+    found: list[tuple[Path, NDArray[np.uint8]]] = []
+    for path in files:
+        try:
+            found.append((path, _picture(path.read_bytes(), profile, resize)))
+        except (FrameCorrupt, ValueError, OSError) as error:
+            faults.append(f"{path}: {error}")
+    if faults:
+        raise DatasetError(
+            f"{len(faults)} of {len(files)} pictures cannot be used; repair or remove:\n  "
+            + "\n  ".join(faults)
+        )
+    return found
+
+
+def _picture(payload: bytes, profile: SensorProfile, resize: bool) -> NDArray[np.uint8]:
+    """uint8 (h, w, 3) RGB in the profile's size. Errors: FrameCorrupt, ValueError saying what is wrong."""
+    size = picture_size(payload)
+    if size is None:
+        raise ValueError("is neither a JPEG nor a PNG")
+    if size == profile.native:
+        return decode(CameraFrame(payload, 0, 0), profile).rgb
+    if size != profile.size and not resize:
+        raise ValueError(
+            f"is {size[0]}x{size[1]}, profile '{profile.name}' takes {profile.native[0]}x{profile.native[1]} (camera) "
+            f"or {profile.size[0]}x{profile.size[1]}; choose another profile, or allow resizing"
+        )
+    # The same checks as for a camera's frame (whole, decodable), with the picture's own size as the native one.
+    own = SensorProfile(profile.name, size, (0.0, 0.0), profile.size, 1, profile.pixels_per_mm)
+    return decode(CameraFrame(payload, 0, 0), own).rgb
+
+
+def _view(picture: NDArray[np.uint8]) -> View:
+    return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _reference(pictures: Sequence[NDArray[np.uint8]]) -> Reference | None:
+    if not pictures:
+        return None
+    mean = np.stack([_view(picture) for picture in pictures]).mean(axis=0, dtype=np.float64)
+    return Reference(np.asarray(mean, np.float32), len(pictures), 0)
+
+
+def _union(masks: Sequence[NDArray[np.bool_]], profile: SensorProfile, region: Region) -> NDArray[np.bool_]:
+    union = np.logical_or.reduce(masks)
+    seen = touched_in(union, profile.size, region).astype(np.uint8)
+    side = 2 * round(TOUCHED_MARGIN_MM * profile.pixels_per_mm) + 1
+    margin = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.dilate(seen, margin), np.bool_)
+
+
+def _name(path: Path) -> str:
+    return f"{path.parent.name}/{path.name}"

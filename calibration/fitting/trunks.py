@@ -1,0 +1,74 @@
+"""Where a trunk comes from at fit: an installed backbone by its name, or an ONNX file."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from edge import registry
+from edge.core.errors import ConfigError, FitError
+from edge.model.onnx_prune import cut_trunk
+from edge.model.onnx_validation import GraphRefused, output_names
+
+__all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
+
+DEFAULT_BACKBONE = "tactile_resnet18"
+
+
+@dataclass(frozen=True)
+class Trunk:
+    """A trunk to fit on. id: the backbone's name, or the file's. facts: what the manifest records of its weights."""
+
+    id: str
+    graph: bytes
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.graph).hexdigest()
+
+
+def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
+    """The trunk of an installed backbone, or of a path ending in `.onnx`, no deeper than these taps.
+
+    taps: those that the detector reads; what lies behind the last of them is cut off. A backbone is asked for them
+    only if its usual trunk lacks one, so that parts which read equally deep share one file. Errors: ConfigError for an
+    unknown name, FitError for a file that is not there.
+    """
+    whole = _whole(name, taps)
+    try:
+        graph = cut_trunk(whole.graph, taps)
+    except GraphRefused as error:
+        raise FitError(f"the trunk '{name}' cannot be used: {error}") from error
+    return (
+        whole
+        if graph is whole.graph
+        else Trunk(whole.id, graph, {**whole.facts, "cut_after": output_names(graph)[-1]})
+    )
+
+
+def _whole(name: str, taps: Sequence[str]) -> Trunk:
+    if name.endswith(".onnx") or "/" in name:
+        try:
+            return Trunk(Path(name).stem, Path(name).read_bytes(), {"file": Path(name).name})
+        except OSError as error:
+            raise FitError(
+                f"the trunk {name} cannot be read: {error.strerror}; make it with `gelgate export backbone`, or name "
+                f"an installed backbone ({_known()})"
+            ) from error
+    if name not in registry.names("backbones"):
+        raise ConfigError(
+            f"no backbone is named '{name}'; known: {_known()}, or a path to a trunk .onnx file"
+        )
+    backbone = registry.load("backbones", name)
+    facts = dict(backbone.facts()) if hasattr(backbone, "facts") else {}
+    usual: bytes = backbone.trunk()
+    if set(taps) <= set(output_names(usual)):
+        return Trunk(name, usual, facts)
+    asked: bytes = backbone.trunk(tuple(taps))
+    return Trunk(name, asked, {**facts, "taps": list(taps)})
+
+
+def _known() -> str:
+    return ", ".join(registry.names("backbones")) or "none installed"

@@ -1,0 +1,126 @@
+"""`gelgate simulate`: scenes in, recordings or a dataset out."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.simulator.scene import Scene
+
+__all__ = ["simulate"]
+
+
+def _list(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo("\n".join(_known()))
+        raise typer.Exit
+
+
+def _known() -> Iterator[str]:
+    """The scenes that come with the product, and the names that a scene's file may use."""
+    from calibration.simulator.defects import DEFECTS
+    from calibration.simulator.effects import EFFECTS
+    from calibration.simulator.parts import PARTS
+    from calibration.simulator.scene import load_scene, scene_names
+    from calibration.simulator.sensor_appearance import LOOKS
+
+    for name in scene_names():
+        scene = load_scene(name)
+        kind = "dataset" if scene.nominal else "recordings: " + ", ".join(run.name for run in scene.runs)
+        yield f"{name:10}  {scene.part}  {kind}"
+    yield "paper       all of paper/, into one dataset"
+    yield "\nfor the file of a scene:"
+    parts = (f"{name} ({' '.join(part.positions)})" for name, part in PARTS.items())
+    yield f"  parts    {', '.join(parts)}"
+    for what, names in (("defects", DEFECTS), ("effects", EFFECTS), ("sensors", LOOKS)):
+        yield f"  {what}  {', '.join(names)}"
+
+
+def simulate(
+    scene: Annotated[
+        str,
+        typer.Argument(help="A scene's name or .toml file, or 'paper': the published dataset's counts."),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Where to: a new folder, or one to go on with.")
+    ],
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal bytes.")] = 0,
+    presses: Annotated[
+        int | None,
+        typer.Option(min=1, help="Presses of each sound piece, or of each run, in place of the scene's."),
+    ] = None,
+    run: Annotated[
+        str, typer.Option(help="Only this run, straight into the output folder; default: all, a folder each.")
+    ] = "",
+    preview: Annotated[
+        bool,
+        typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, effects one by one."),
+    ] = False,
+    workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
+    is_listed: Annotated[
+        bool,
+        typer.Option("--list", callback=_list, is_eager=True, help="Print what can be simulated, and end."),
+    ] = False,
+) -> None:
+    """Simulate presses: a dataset with exact masks, or recordings of whole press motions.
+
+    An interrupted command, given again, goes on where it stopped; what is complete is not made again.
+    """
+    from calibration.simulator.scene import load_scene
+    from calibration.simulator.simulate import paper_scenes
+
+    scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
+    workers = workers or os.cpu_count() or 1
+    if preview:
+        _preview(scenes, output, seed)
+    elif scenes[0].runs:
+        _recordings(scenes[0], output, seed, presses, run, workers)
+    else:
+        _dataset(scenes, output, seed, presses, run, workers)
+
+
+def _dataset(
+    scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
+) -> None:
+    from calibration.progress import progress
+    from calibration.simulator.simulate import simulate_dataset
+    from edge.core.errors import ConfigError
+
+    if run:
+        raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
+    with progress("simulate", 1000) as advance:
+        simulate_dataset(
+            scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(1000 * f))
+        )
+    typer.echo(f"dataset: {output}")
+
+
+def _recordings(
+    scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
+) -> None:
+    from calibration.progress import progress
+    from calibration.simulator.simulate import simulate_recording
+
+    for name in [only] if only else [run.name for run in scene.runs]:
+        folder = output if only else output / name
+        with progress(f"simulate {name}", 1000) as advance:
+            simulate_recording(
+                scene,
+                folder,
+                seed,
+                run=name,
+                presses=presses,
+                workers=workers,
+                progress=lambda f, advance=advance: advance(int(1000 * f)),  # type: ignore[misc]
+            )
+        typer.echo(f"recording: {folder}")
+
+
+def _preview(scenes: "list[Scene]", output: Path, seed: int) -> None:
+    from calibration.simulator.preview import write_preview
+
+    for scene in scenes:
+        typer.echo(f"preview: {write_preview(scene, output, seed)}")

@@ -1,0 +1,235 @@
+"""What is on the gel itself: dust, wear, the grain of the paint, and the dots of a marker gel.
+
+Everything here stays in its place from press to press, as it does on a real cartridge; dust and wear only grow.
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.simulator import reproducible_math as steady
+from calibration.simulator.constants import CROP_MM, GRAIN_FREE, GRAIN_SIGMA_MM
+from calibration.simulator.field_of_view import F32, Field, grids
+from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
+
+__all__ = [
+    "Dust",
+    "Wear",
+    "dust",
+    "dust_relief",
+    "grain",
+    "grain_texture",
+    "markers",
+    "marks_at",
+    "new_dust",
+    "new_wear",
+    "wear",
+    "wear_relief",
+    "wear_stains",
+]
+
+# Specks settle anywhere on the pad, inside the crop and a little beyond.
+_SPREAD_MM = (1.25 * CROP_MM[0] / 2, 1.25 * CROP_MM[1] / 2)
+
+# A new gel already carries 1 to 10 specks (counted on four units); a grain is caught about every 60 presses (assumed).
+_FIRST_SPECKS = 5.0
+_PRESSES_PER_SPECK = 60.0
+_MOST_SPECKS = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Dust:
+    """Grains on one gel: x, y, radius, height in mm and the press at which each came, float64 (n, 5), oldest first."""
+
+    grains: NDArray[np.float64]
+
+
+def new_dust(rng: np.random.Generator) -> Dust:
+    """The grains that one gel will ever catch: 0.03 to 0.1 mm across the radius, 0.01 to 0.05 mm high."""
+    n = _MOST_SPECKS
+    first = int(np.clip(rng.poisson(_FIRST_SPECKS), 1, 10))
+    came = np.concatenate([np.zeros(first), np.cumsum(rng.exponential(_PRESSES_PER_SPECK, n - first))])
+    grains = np.column_stack(
+        [
+            rng.uniform(-_SPREAD_MM[0], _SPREAD_MM[0], n),
+            rng.uniform(-_SPREAD_MM[1], _SPREAD_MM[1], n),
+            rng.uniform(0.03, 0.1, n),
+            rng.uniform(0.01, 0.05, n),
+            came,
+        ]
+    )
+    return Dust(grains)
+
+
+def marks_at(marks: NDArray[np.float64], presses: int) -> int:
+    """How many of the marks are there after so many presses; the last column says when each came."""
+    return int(np.searchsorted(marks[:, -1], presses, side="right"))
+
+
+def dust_relief(of: Dust, presses: int, field: Field) -> F32:
+    """The grains that are there after so many presses, as bumps in mm, float32 (h, w)."""
+    relief = np.zeros(field.shape, dtype=np.float32)
+    x, y = grids(field)
+    for gx, gy, radius, height, came in of.grains.tolist():
+        if came > presses:
+            break
+        window = _window(field, gx, gy, 3 * radius)
+        r2 = (x[window] - np.float32(gx)) ** 2 + (y[window] - np.float32(gy)) ** 2
+        relief[window] += np.float32(height) * steady.exp(-r2 / np.float32(2 * radius * radius))
+    return relief
+
+
+def dust(surface_mm: F32, relief_mm: F32) -> F32:
+    """The surface with grains between coat and part: small bumps, clearest on the free gel."""
+    return np.asarray(surface_mm + relief_mm, dtype=np.float32)
+
+
+def _window(field: Field, x_mm: float, y_mm: float, reach_mm: float) -> tuple[slice, slice]:
+    column, row = x_mm / field.mm_per_px[0] + field.size[0] / 2, y_mm / field.mm_per_px[1] + field.size[1] / 2
+    across, down = reach_mm / field.mm_per_px[0] + 1, reach_mm / field.mm_per_px[1] + 1
+    return (
+        slice(max(0, int(row - down)), max(0, math.ceil(row + down))),
+        slice(max(0, int(column - across)), max(0, math.ceil(column + across))),
+    )
+
+
+# A gel is rated for 1000 presses and two gels lasted 2678 images in the published work: by then it is covered.
+_PRESSES_PER_SCRATCH = 40.0
+_PRESSES_PER_STAIN = 150.0
+_MOST_MARKS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Wear:
+    """What presses do to one gel, oldest first.
+
+    scratches: float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press. stains: float64 (n, 5): x, y mm,
+    radius mm, share of light lost, press.
+    """
+
+    scratches: NDArray[np.float64]
+    stains: NDArray[np.float64]
+
+
+def new_wear(rng: np.random.Generator) -> Wear:
+    """The marks that one gel will ever get: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains."""
+    n = _MOST_MARKS
+    place = np.array(_SPREAD_MM) * 0.75
+    scratches = np.column_stack(
+        [
+            rng.normal(0, place[0] / 2, n),
+            rng.normal(0, place[1] / 2, n),
+            rng.uniform(0, math.pi, n),
+            rng.uniform(1.0, 5.0, n),
+            rng.uniform(0.002, 0.009, n),
+            np.cumsum(rng.exponential(_PRESSES_PER_SCRATCH, n)),
+        ]
+    )
+    stains = np.column_stack(
+        [
+            rng.normal(0, place[0] / 2, n),
+            rng.normal(0, place[1] / 2, n),
+            rng.uniform(0.4, 1.8, n),
+            rng.uniform(0.02, 0.09, n),
+            np.cumsum(rng.exponential(_PRESSES_PER_STAIN, n)),
+        ]
+    )
+    return Wear(scratches, stains)
+
+
+_SCRATCH_HALF_WIDTH_MM = 0.05
+
+
+def wear_relief(of: Wear, presses: int, field: Field) -> F32:
+    """The scratches that are there after so many presses, as shallow furrows in mm (negative), float32 (h, w)."""
+    relief = np.zeros(field.shape, dtype=np.float32)
+    x, y = grids(field)
+    for sx, sy, turn, length, depth, came in of.scratches.tolist():
+        if came > presses:
+            break
+        window = _window(field, sx, sy, length / 2 + 0.2)
+        dx, dy = x[window] - np.float32(sx), y[window] - np.float32(sy)
+        along = np.float32(math.cos(turn)) * dx + np.float32(math.sin(turn)) * dy
+        across = (
+            np.float32(math.cos(turn)) * dy
+            - np.float32(math.sin(turn)) * dx
+            + np.float32(0.03) * along * along
+        )
+        line = steady.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
+        ends = np.clip((np.float32(length / 2) - np.abs(along)) / np.float32(0.3), 0, 1)
+        relief[window] -= np.float32(depth) * line * ends
+    return relief
+
+
+def wear_stains(of: Wear, presses: int, field: Field) -> F32:
+    """The share of light that the coat still returns after so many presses, float32 (h, w), 1 where it is new."""
+    keeps = np.ones(field.shape, dtype=np.float32)
+    x, y = grids(field)
+    for sx, sy, radius, lost, came in of.stains.tolist():
+        if came > presses:
+            break
+        # A stain darkens for as long again as it took to appear.
+        share = min(1.0, (presses - came) / max(came, 1.0))
+        r2 = (x - np.float32(sx)) ** 2 + (y - np.float32(sy)) ** 2
+        keeps *= np.float32(1) - np.float32(lost * share) * steady.exp(-r2 / np.float32(2 * radius * radius))
+    return keeps
+
+
+def wear(surface_mm: F32, relief_mm: F32) -> F32:
+    """The surface with the furrows that presses have cut into the coat; stains come with the light."""
+    return np.asarray(surface_mm + relief_mm, dtype=np.float32)
+
+
+# Paint grain: high-pass sd outside and inside contact is B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
+# Its part beyond the camera's own noise is about 1.8 levels in contact and a third of that on the free gel.
+_GRAIN_LEVELS = 1.8
+
+
+def grain_texture(rng: np.random.Generator, field: Field) -> F32:
+    """The speckle of one coat, float32 (h, w), mean 0, sd 1, correlated over the size of a flake."""
+    texture = rng.standard_normal(field.shape, dtype=np.float32)
+    sx, sy = (GRAIN_SIGMA_MM / m for m in field.mm_per_px)
+    texture = np.asarray(cv2.GaussianBlur(texture, (0, 0), sx, sigmaY=sy), dtype=np.float32)
+    return texture / np.float32(texture.std(dtype=np.float64))
+
+
+def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
+    """The planes with the coat's speckle, which a stretched coat shows about three times as strongly."""
+    stretched = np.clip(surface_mm / np.float32(0.1), 0, 1)
+    speckle = texture * (
+        np.float32(_GRAIN_LEVELS * GRAIN_FREE) + np.float32(_GRAIN_LEVELS * (1 - GRAIN_FREE)) * stretched
+    )
+    for plane in planes:
+        plane += speckle
+    return planes
+
+
+# A tracking gel carries 7 x 9 dots in the crop: margin 24 px and radius about 6 px at 320x240.
+_DOT_PITCH_MM = ((320 - 48) / 8 * MINI_LR_MM_PER_PX, (240 - 48) / 6 * MINI_LR_MM_PER_PX)
+_DOT_RADIUS_MM = 6 * MINI_LR_MM_PER_PX
+_DOT_KEEPS = 0.22
+# Dots move out of the way of a bulge by about this share of its depth (judged from the maker's marker video).
+_DOT_SPREAD_MM = 0.5
+
+
+def markers(planes: F32, surface_mm: F32, field: Field) -> F32:
+    """The planes under a grid of dark dots that spread away from where the gel bulges.
+
+    Source: dot sizes as the maker's tracking gel shows them; the spread follows the slope of the smoothed bulge.
+    """
+    x, y = grids(field)
+    sx, sy = (0.6 / m for m in field.mm_per_px)
+    shrunk = cv2.resize(surface_mm, (field.size[0] // 4, field.size[1] // 4), interpolation=cv2.INTER_AREA)
+    smooth = cv2.resize(cv2.GaussianBlur(shrunk, (0, 0), sx / 4, sigmaY=sy / 4), field.size)
+    push_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=_DOT_SPREAD_MM / (8 * field.mm_per_px[0]))
+    push_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=_DOT_SPREAD_MM / (8 * field.mm_per_px[1]))
+    u, v = x + push_x, y + push_y
+    u -= np.float32(_DOT_PITCH_MM[0]) * np.round(u / np.float32(_DOT_PITCH_MM[0]))
+    v -= np.float32(_DOT_PITCH_MM[1]) * np.round(v / np.float32(_DOT_PITCH_MM[1]))
+    edge = np.float32(max(field.mm_per_px))
+    covered = np.clip((np.float32(_DOT_RADIUS_MM) - cv2.sqrt(u * u + v * v)) / edge + np.float32(0.5), 0, 1)
+    planes *= np.float32(1) - np.float32(1 - _DOT_KEEPS) * covered
+    return planes

@@ -1,0 +1,134 @@
+"""What the backbone is taught, at each of its three stages.
+
+geometry: a 1x1 head must read slopes, depth and gradient energy from the features of a cell.
+pair: features of two presses of one part lie together where the imprint is the same, and at least a margin apart where
+damage changed it; looked for within a window, as a detector does, so that a shift needs no blur to be forgiven.
+rank: a changed cell must lie farther apart than the hundredth most distant unchanged one: what a detector at one per
+cent false alarms needs.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from calibration.training.recipe import STAGES, Distance, Recipe
+from calibration.training.render import Spacing, slopes
+from calibration.training.training_pairs import Pairs
+
+__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation", "window_cells"]
+
+# Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
+_SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
+# Softness of the rank loss, in feature distance.
+_RANK_SOFTNESS = 0.1
+_FALSE_ALARMS = 0.01
+# Cells to either side that a match is looked for in at most: fine pictures would ask for hundreds of places.
+_MOST_REACH = 3
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Each is a scalar, the mean over stages."""
+
+    geometry: Tensor
+    pull: Tensor
+    push: Tensor
+    rank: Tensor
+
+    def total(self, recipe: Recipe) -> Tensor:
+        return (
+            recipe.geometry_weight * self.geometry
+            + recipe.pair_weight * (self.pull + self.push)
+            + recipe.rank_weight * self.rank
+        )
+
+
+def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Recipe) -> Losses:
+    """The losses of one batch. maps: the trunk's output for `batch.frames`."""
+    geometry = _geometry(batch)
+    parts: list[Tensor] = []
+    for stage, features in zip(STAGES, maps, strict=True):
+        stride = batch.change_mm.shape[-1] // features.shape[-1]
+        target = F.avg_pool2d(geometry, stride)
+        wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
+        reach = window_cells(recipe.window_mm, stride, batch.spacing)
+        distance = cell_distances(features, reach, recipe.distance)
+        changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
+        pair = _pair(distance, changed, unchanged, recipe.margin)
+        parts.append(torch.stack([wrong, *pair, _rank(distance, changed, unchanged)]))
+    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0], device=parts[0].device)
+    return Losses(*(weight @ torch.stack(parts) / weight.sum()))
+
+
+def _geometry(batch: Pairs) -> Tensor:
+    """Targets (2n, 4, h, w) of order 1."""
+    sx, sy = slopes(batch.surface_mm, batch.spacing)
+    energy = sx * sx + sy * sy
+    return torch.stack([sx / _SLOPE, sy / _SLOPE, batch.surface_mm / _DEPTH, energy / _ENERGY], dim=1)
+
+
+def window_cells(window_mm: float, stride: int, spacing: Spacing) -> tuple[int, int]:
+    """Cells up and down, and left and right, that a window of this half width holds."""
+    x, y = (min(_MOST_REACH, round(window_mm / (stride * mm))) for mm in spacing)
+    return y, x
+
+
+def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Distance = "euclidean") -> Tensor:
+    """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
+
+    kind: `euclidean` compares features as they are, in units of their root mean square length over the batch, which is
+    what detectors do; `cosine` compares unit vectors, 0 to 2. reach: rows and columns to either side of its own place
+    where the nearest may lie, as a detector looks for it; outside the map there is nothing.
+    """
+    features = features.float()
+    if kind == "cosine":
+        features = F.normalize(features, dim=1)
+    else:
+        features = features / (features.square().sum(dim=1).mean() + 1e-12).sqrt()
+    first, second = features.permute(0, 2, 3, 1).chunk(2)
+    down, across = reach
+    rows, columns = second.shape[1:3]
+    margins = (across, across, down, down)
+    wide = F.pad(first, (0, 0, *margins))
+    length = F.pad(first.square().sum(dim=-1), margins, value=1e6)
+    window = torch.arange(columns)[:, None] + torch.arange(2 * across + 1)
+    window = window.to(features.device).expand(*second.shape[:2], -1, -1)
+    nearest = torch.full_like(second[..., 0], 1e6)
+    # Every column of a row against every column of the row beside it: far quicker than one shift at a time.
+    for top in range(2 * down + 1):
+        beside = slice(top, top + rows)
+        apart = length[:, beside, None] - 2 * (second @ wide[:, beside].mT)
+        nearest = torch.minimum(nearest, apart.gather(-1, window).amin(dim=-1))
+    return torch.sqrt((second.square().sum(dim=-1) + nearest).clamp(min=0) + 1e-6)
+
+
+def changed_cells(change_mm: Tensor, stride: int, recipe: Recipe) -> tuple[Tensor, Tensor]:
+    """Float masks (n, rows, columns): cells that damage changed, and cells that it left alone, neighbours included."""
+    most = F.max_pool2d(change_mm[:, None], stride)
+    around = F.max_pool2d(most, 3, stride=1, padding=1)
+    return (most[:, 0] > recipe.changed_mm).float(), (around[:, 0] < recipe.unchanged_mm).float()
+
+
+def _pair(distance: Tensor, changed: Tensor, unchanged: Tensor, margin: float) -> tuple[Tensor, Tensor]:
+    pull = (distance**2 * unchanged).sum() / unchanged.sum().clamp(min=1)
+    push = ((margin - distance).clamp(min=0) ** 2 * changed).sum() / changed.sum().clamp(min=1)
+    return pull, push
+
+
+def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:
+    """Softly, by how much changed cells fall below the mean of the most distant hundredth of unchanged ones."""
+    count = max(1, int(_FALSE_ALARMS * distance.numel()))
+    bar = (distance * unchanged).flatten().topk(count).values.mean()
+    short = F.softplus((bar + _RANK_SOFTNESS - distance) / _RANK_SOFTNESS) * _RANK_SOFTNESS
+    return (short * changed).sum() / changed.sum().clamp(min=1)
+
+
+def separation(distance: Tensor, changed: Tensor, unchanged: Tensor) -> float:
+    """The share of changed cells above all but one per cent of the unchanged ones."""
+    sound, broken = distance[unchanged > 0], distance[changed > 0]
+    if not len(sound) or not len(broken):
+        return float("nan")
+    bar = sound.kthvalue(max(1, int((1 - _FALSE_ALARMS) * len(sound)))).values
+    return float((broken > bar).float().mean())

@@ -1,0 +1,164 @@
+"""From a trained checkpoint to what the product ships: the trunk stored as float16, the trunk in int8, and their facts.
+
+The int8 trunk is quantised per output channel (QDQ), its ranges taken from simulated frames that neither training nor
+evaluation draws. How far its features lie from the float trunk's is measured on other such frames and stored.
+"""
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.training import checkpoint as checkpoints
+from calibration.training.recipe import STAGES, Recipe
+from edge.core.errors import GelgateError
+from edge.model.session import open_session
+from plugins.backbones.resnet import build_trunk
+from plugins.backbones.topology import State
+
+__all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package", "quantised"]
+
+NAME = "tactile_resnet18"
+# What one shipped variant may weigh.
+MOST_BYTES = 6 * 1024 * 1024
+_CALIBRATION_BATCHES = 8
+_CALIBRATION_PAIRS = 8
+_FORMAT = 1
+
+
+def package(run: Path, out: Path) -> dict[str, Any]:
+    """Write `<name>.onnx` (float16 weights), `<name>_int8.onnx` and `<name>.json` into `out`; returns the facts.
+
+    Errors: ConfigError for a run without a whole checkpoint, GelgateError for a variant that is too large or a disk
+    that refuses.
+    """
+    saved = checkpoints.load(run)
+    state = trunk_state(saved.weights)
+    plain = build_trunk(state, "resnet18", STAGES)
+    variants = {
+        NAME: build_trunk(state, "resnet18", STAGES, weights="float16"),
+        f"{NAME}_int8": quantised(plain),
+    }
+    for name, graph in variants.items():
+        if len(graph) > MOST_BYTES:
+            raise GelgateError(f"{name}.onnx has {len(graph)} bytes, expected at most {MOST_BYTES}")
+    facts = {
+        "format": _FORMAT,
+        "name": NAME,
+        "topology": "resnet18",
+        "taps": list(STAGES),
+        "trained_steps": sum(run["steps"] for run in saved.history),
+        "recipe": json.loads(saved.recipe.to_json()),
+        "before": list(saved.before),
+        "pairs_seen": sum(run["steps"] * run["recipe"]["pairs"] for run in saved.history),
+        "last_entry": _last_entry(run),
+        "variants": {name: _facts(name, graph, plain) for name, graph in variants.items()},
+    }
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, graph in variants.items():
+            (out / f"{name}.onnx").write_bytes(graph)
+        (out / f"{NAME}.json").write_text(json.dumps(facts, indent=2) + "\n")
+    except OSError as error:
+        raise GelgateError(f"the backbone cannot be written to '{out}': {error.strerror}") from error
+    return facts
+
+
+def trunk_state(weights: checkpoints.Tensors) -> State:
+    """The trunk's arrays under torchvision's names, out of a checkpoint's weights."""
+    return {
+        name.removeprefix("trunk."): value.float().numpy()
+        for name, value in weights.items()
+        if name.startswith("trunk.") and not name.endswith("num_batches_tracked")
+    }
+
+
+def _last_entry(run: Path) -> dict[str, Any]:
+    log = run / "log.jsonl"
+    lines = log.read_text().splitlines() if log.is_file() else []
+    entry: dict[str, Any] = json.loads(lines[-1]) if lines else {}
+    return entry
+
+
+def _facts(name: str, graph: bytes, plain: bytes) -> dict[str, Any]:
+    return {
+        "sha256": hashlib.sha256(graph).hexdigest(),
+        "bytes": len(graph),
+        "relative_error": {tap: round(error, 5) for tap, error in feature_errors(graph, plain).items()},
+    }
+
+
+def calibration_frames(
+    purpose: str, batches: int, pairs: int = _CALIBRATION_PAIRS
+) -> Iterator[NDArray[np.uint8]]:
+    """Batches of frames uint8 (n, 224, 224, 3) from streams of their own, every fourth at high resolution."""
+    import torch
+
+    from calibration.training.training_pairs import draw_pairs
+
+    for number in range(batches):
+        fine = 1.0 if number % 4 == 3 else 0.0
+        drawn = draw_pairs(
+            0,
+            purpose,
+            number,
+            pairs=pairs,
+            side=Recipe.side,
+            device=torch.device("cpu"),
+            high_resolution=fine,
+        )
+        yield drawn.frames.permute(0, 2, 3, 1).contiguous().byte().numpy()
+
+
+def quantised(plain: bytes, batches: int = _CALIBRATION_BATCHES) -> bytes:
+    """The float32 trunk in int8: weights per output channel, activations per tensor, the same inputs and outputs."""
+    import onnx
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    class Frames(CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self._batches = calibration_frames("calibrate", batches)
+
+        def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
+            frames = next(self._batches, None)
+            return None if frames is None else {"frames": frames}
+
+    model = onnx.load_from_string(plain)
+    for number, node in enumerate(model.graph.node):
+        node.name = node.name or f"{node.op_type}_{number}"
+    first = next(n for n, node in enumerate(model.graph.node) if node.op_type == "Conv")
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "plain.onnx", Path(folder) / "int8.onnx"
+        onnx.save(model, source)
+        quantize_static(
+            source,
+            target,
+            Frames(),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            op_types_to_quantize=["Conv", "Add", "Relu", "MaxPool"],
+            # The normalisation of the pixels stays as it is.
+            nodes_to_exclude=[node.name for node in model.graph.node[:first]],
+        )
+        return target.read_bytes()
+
+
+def feature_errors(graph: bytes, plain: bytes) -> dict[str, float]:
+    """Per tap, the norm of the difference over the norm of the float trunk's features, on frames of their own."""
+    sessions = [open_session(g, 0, "trunk") for g in (graph, plain)]
+    squares = {tap: np.zeros(2) for tap in STAGES}
+    for frames in calibration_frames("compare", 2):
+        found, expected = (s.run(list(STAGES), {"frames": frames}) for s in sessions)
+        for tap, a, b in zip(STAGES, found, expected, strict=True):
+            squares[tap] += [
+                float(((a - b).astype(np.float64) ** 2).sum()),
+                float((b.astype(np.float64) ** 2).sum()),
+            ]
+    return {tap: float(np.sqrt(s[0] / max(s[1], 1e-30))) for tap, s in squares.items()}

@@ -1,0 +1,103 @@
+"""Batches drawn ahead, in a process of their own, while the network learns from the one before.
+
+A batch is a function of the recipe and the step, so it is the same bytes wherever it is drawn. Each process keeps to
+one thread: on a CPU that others use as well, two threads of one process wait for each other by spinning, and a step
+costs four times as much (measured on two shared cores).
+"""
+
+import multiprocessing
+import queue
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.queues import Queue
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from calibration.training.recipe import Recipe
+from calibration.training.render import Spacing
+from calibration.training.training_pairs import Pairs, draw_pairs
+from edge.core.errors import GelgateError
+
+__all__ = ["draw_step", "drawn_ahead"]
+
+_DEPTH = 4
+_PATIENCE_S = 5.0
+
+Packed = tuple[int, NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], Spacing]
+
+
+def draw_step(recipe: Recipe, step: int, device: torch.device) -> Pairs:
+    """The training batch of one step."""
+    return draw_pairs(
+        recipe.seed,
+        "train",
+        step,
+        pairs=recipe.pairs,
+        side=recipe.side,
+        device=device,
+        high_resolution=recipe.high_resolution,
+    )
+
+
+@contextmanager
+def drawn_ahead(recipe: Recipe, first: int) -> Iterator[Callable[[int], Pairs]]:
+    """Gives the batches of the steps from `first` on, in order, on the CPU.
+
+    Errors: GelgateError when the drawing process has died.
+    """
+    # A forked copy of torch's thread pool would hang.
+    context = multiprocessing.get_context("spawn")
+    batches: Queue[Packed] = context.Queue(_DEPTH)
+    drawer = context.Process(target=_draw, args=(recipe, first, batches), daemon=True)
+    drawer.start()
+
+    def take(step: int) -> Pairs:
+        while True:
+            try:
+                found, frames, surface, change, spacing = batches.get(timeout=_PATIENCE_S)
+                break
+            except queue.Empty:
+                if not drawer.is_alive():
+                    raise GelgateError(
+                        f"the drawing process ended with {drawer.exitcode} before step {step}; resume, or draw in place"
+                    ) from None
+        if found != step:
+            raise GelgateError(f"drawn ahead was step {found}, wanted step {step}; resume the run")
+        return Pairs(
+            torch.from_numpy(frames).float(), torch.from_numpy(surface), torch.from_numpy(change), spacing
+        )
+
+    try:
+        yield take
+    finally:
+        drawer.terminate()
+        drawer.join()
+        batches.close()
+
+
+def _draw(recipe: Recipe, first: int, batches: "Queue[Packed]") -> None:
+    """The drawing process: until the recipe's last step, or until nobody is there to take a batch."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+    parent = multiprocessing.parent_process()
+    for step in range(first, recipe.steps):
+        drawn = draw_step(recipe, step, torch.device("cpu"))
+        # Frames are whole grey levels: nothing is lost in a byte.
+        packed = (
+            step,
+            drawn.frames.byte().numpy(),
+            drawn.surface_mm.numpy(),
+            drawn.change_mm.numpy(),
+            drawn.spacing,
+        )
+        while True:
+            try:
+                batches.put(packed, timeout=_PATIENCE_S)
+                break
+            except queue.Full:
+                if parent is None or not parent.is_alive():
+                    return
+    # What is still in the pipe is taken before the process ends: the queue's own thread sees to it.

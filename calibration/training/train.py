@@ -1,0 +1,353 @@
+"""The training loop: `gelgate train-backbone`, or `python3 -m calibration.training.train` where nothing is installed.
+
+A step is a function of the recipe and its number, so a run that is cut and resumed equals one that was not: bit for bit
+on a CPU, and within the runtime's own differences on a GPU.
+"""
+
+import argparse
+import json
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from calibration.training import checkpoint as checkpoints
+from calibration.training.checkpoint import Checkpoint
+from calibration.training.loss_plot import draw_losses
+from calibration.training.losses import (
+    Losses,
+    cell_distances,
+    changed_cells,
+    losses,
+    separation,
+    window_cells,
+)
+from calibration.training.network import Trunk, heads
+from calibration.training.prefetch import draw_step, drawn_ahead
+from calibration.training.quantisation import rounded_maps
+from calibration.training.recipe import STAGES, Recipe
+from calibration.training.training_pairs import Pairs, draw_pairs
+from edge.core.errors import ConfigError, GelgateError
+
+__all__ = ["Run", "learning_rate", "main", "train"]
+
+_VALIDATION_BATCHES = 4
+_VALIDATION_PAIRS = 32
+_LOG = "log.jsonl"
+_LOSS_NAMES = tuple(f.name for f in fields(Losses))
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a run is carried out, which does not change what is learnt.
+
+    folder: where checkpoints, log and figure go. resume: a run to carry on, None to start. minutes: stop and save after
+    so long, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice;
+    where others use the cores as well, 1 is several times faster than 2. is_drawn_ahead: draw in a second process.
+    start: another run whose weights the recipe begins with.
+    """
+
+    folder: Path
+    resume: Path | None = None
+    minutes: float = 0.0
+    save_every: int = 500
+    log_every: int = 20
+    validate_every: int = 500
+    device: str = "auto"
+    threads: int = 0
+    is_drawn_ahead: bool = False
+    start: Path | None = None
+
+
+def learning_rate(recipe: Recipe, step: int) -> float:
+    """One cycle: a cosine rise from a 25th of the peak over the warm-up, then a cosine fall to almost nothing."""
+    done = step / max(recipe.steps, 1)
+    if done < recipe.warm_up:
+        return recipe.max_rate * (0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * done / recipe.warm_up)))
+    left = (done - recipe.warm_up) / (1 - recipe.warm_up)
+    return recipe.max_rate * (1e-4 + (1 - 1e-4) * 0.5 * (1 + math.cos(math.pi * left)))
+
+
+class _Learner:
+    """Network, heads and optimiser, in step with each other."""
+
+    def __init__(self, recipe: Recipe, device: torch.device) -> None:
+        self.recipe, self.device = recipe, device
+        torch.manual_seed(recipe.seed)
+        self.trunk = Trunk().to(device)
+        self.heads = heads().to(device)
+        self.trunk = self.trunk.to(memory_format=torch.channels_last)
+        if device.type == "cuda":
+            torch.backends.cudnn.benchmark = True
+        self.model = nn.ModuleDict({"trunk": self.trunk, "heads": self.heads})
+        decayed = [p for p in self.model.parameters() if p.ndim > 1]
+        plain = [p for p in self.model.parameters() if p.ndim <= 1]
+        groups = [{"params": decayed}, {"params": plain, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=recipe.max_rate, weight_decay=recipe.weight_decay)
+        self.step = 0
+        self.before: tuple[dict[str, Any], ...] = ()
+
+    def draw(self, step: int) -> Pairs:
+        return draw_step(self.recipe, step, self.device)
+
+    def learn(self, draw: Callable[[int], Pairs] | None = None) -> Losses:
+        """One step on the batch that belongs to its number. draw: step to batch, here and now by default."""
+        recipe = self.recipe
+        batch = (draw or self.draw)(self.step)
+        self.model.train()
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate(recipe, self.step)
+        found = losses(self._maps(batch), self.heads, batch, recipe)
+        self.optimiser.zero_grad(set_to_none=True)
+        found.total(recipe).backward()
+        nn.utils.clip_grad_norm_(self.model.parameters(), 5.0)
+        self.optimiser.step()
+        self.step += 1
+        return found
+
+    def _maps(self, batch: Pairs) -> list[Tensor]:
+        frames = batch.frames.contiguous(memory_format=torch.channels_last)
+        if self.recipe.precision == "int8":
+            return rounded_maps(self.trunk, frames)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.precision == "bfloat16"):
+            maps: list[Tensor] = self.trunk(frames)
+        return maps
+
+    def validate(self) -> dict[str, float]:
+        """Per stage, the share of changed cells above 99 % of unchanged ones, on pairs that training never draws."""
+        self.model.eval()
+        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
+        with torch.no_grad():
+            for number in range(_VALIDATION_BATCHES):
+                pairs = min(_VALIDATION_PAIRS, self.recipe.pairs)
+                batch = draw_pairs(
+                    0,
+                    "validate",
+                    number,
+                    pairs=pairs,
+                    side=self.recipe.side,
+                    device=self.device,
+                    high_resolution=0.0,
+                )
+                for stage, features in zip(STAGES, self._maps(batch), strict=True):
+                    stride = self.recipe.side // features.shape[-1]
+                    cells = changed_cells(batch.change_mm, stride, self.recipe)
+                    reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
+                    distance = cell_distances(features, reach, self.recipe.distance)
+                    found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
+        joined = {s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in found.items()}
+        return {f"recall_fpr01_{stage}": separation(*columns) for stage, columns in joined.items()}
+
+    def checkpoint(self) -> Checkpoint:
+        names = {parameter: name for name, parameter in self.model.named_parameters()}
+        moments = self.optimiser.state
+        return Checkpoint(
+            self.recipe,
+            self.step,
+            dict(self.model.state_dict()),
+            {names[p]: moments[p]["exp_avg"] for p in names if p in moments},
+            {names[p]: moments[p]["exp_avg_sq"] for p in names if p in moments},
+            self.before,
+        )
+
+    def begin_with(self, saved: Checkpoint) -> None:
+        """The weights alone of another run. Errors: ConfigError for weights of another network."""
+        try:
+            self.model.load_state_dict(saved.weights)
+        except RuntimeError as error:
+            raise ConfigError(f"the checkpoint holds another network: {error!s:.200}") from error
+        self.before = saved.history
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Errors: ConfigError for weights of another network."""
+        try:
+            self.model.load_state_dict(saved.weights)
+            for name, parameter in self.model.named_parameters():
+                self.optimiser.state[parameter] = {
+                    "step": torch.tensor(float(saved.step)),
+                    "exp_avg": saved.first_moment[name].to(parameter),
+                    "exp_avg_sq": saved.second_moment[name].to(parameter),
+                }
+        except (RuntimeError, KeyError) as error:
+            raise ConfigError(f"the checkpoint holds another network: {error!s:.200}") from error
+        self.step, self.before = saved.step, saved.before
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _nothing(_: int) -> None:
+    """Shows nothing."""
+
+
+def train(
+    recipe: Recipe, run: Run, say: Callable[[str], None] = _say, advance: Callable[[int], None] = _nothing
+) -> Path:
+    """Train to the recipe's last step or to the run's time limit; the folder of the last checkpoint.
+
+    say: takes a line for people. advance: takes the number of steps done, after each.
+    Errors: ConfigError for a resume with other settings or a folder in use, GelgateError for a full disk.
+    """
+    device = _device(run.device)
+    if run.threads:
+        torch.set_num_threads(run.threads)
+    learner = _Learner(recipe, device)
+    log = _start(learner, run)
+    started, since, since_step = time.monotonic(), time.monotonic(), learner.step
+    say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
+    at = checkpoints.latest(run.folder) or run.folder
+    is_ahead = run.is_drawn_ahead and device.type == "cpu"
+    source = drawn_ahead(recipe, learner.step) if is_ahead else nullcontext(learner.draw)
+    with _stop_asked() as is_stopped, source as draw:
+        while learner.step < recipe.steps:
+            found = learner.learn(draw)
+            advance(learner.step)
+            is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
+            is_last = learner.step == recipe.steps or is_late
+            if learner.step % run.log_every == 0 or is_last:
+                entry = _entry(learner, found, (learner.step - since_step) / (time.monotonic() - since))
+                if learner.step % run.validate_every == 0 or is_last:
+                    entry |= learner.validate()
+                log.append(entry)
+                say(_line(entry, recipe))
+                since, since_step = time.monotonic(), learner.step
+            if learner.step % run.save_every == 0 or is_last:
+                at = _save(learner, run, log)
+            if is_last:
+                break
+        if is_stopped():
+            say(f"stopped at step {learner.step}; carry on with --resume {run.folder}")
+            raise KeyboardInterrupt
+    say(f"step {learner.step} of {recipe.steps}, checkpoint {at}")
+    return at
+
+
+@contextmanager
+def _stop_asked() -> Iterator[Callable[[], bool]]:
+    """Lets a step finish when the run is interrupted: half a step is no state that could be resumed."""
+    asked: list[int] = []
+    before = {
+        kind: signal.signal(kind, lambda *_: asked.append(1)) for kind in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+
+def _device(name: str) -> torch.device:
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("--device cuda: torch sees no GPU here; use cpu or auto")
+    return torch.device(name)
+
+
+def _start(learner: _Learner, run: Run) -> list[dict[str, Any]]:
+    """Restore when asked to, and give the log so far."""
+    if run.resume is None:
+        if checkpoints.latest(run.folder) is not None:
+            raise ConfigError(
+                f"'{run.folder}' already holds a run; add --resume {run.folder} or choose another folder"
+            )
+        if bool(learner.recipe.start) != bool(run.start):
+            raise ConfigError(
+                "a recipe that begins with other weights needs their run, and no other recipe does"
+            )
+        if run.start is not None:
+            _begin(learner, run.start)
+        return []
+    saved = checkpoints.load(run.resume, learner.recipe)
+    learner.restore(saved)
+    lines = run.resume / _LOG
+    log = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
+    return [entry for entry in log if entry["step"] <= saved.step]
+
+
+def _begin(learner: _Learner, start: Path) -> None:
+    found = checkpoints.weights_sha256(start)
+    if found != learner.recipe.start:
+        raise ConfigError(
+            f"the weights in '{start}' are {found[:12]}, the recipe begins with {learner.recipe.start[:12]}"
+        )
+    learner.begin_with(checkpoints.load(start))
+
+
+def _save(learner: _Learner, run: Run, log: list[dict[str, Any]]) -> Path:
+    at = checkpoints.save(run.folder, learner.checkpoint())
+    try:
+        (run.folder / _LOG).write_text("".join(json.dumps(entry) + "\n" for entry in log))
+        (run.folder / "losses.png").write_bytes(draw_losses(log, _LOSS_NAMES))
+    except OSError as error:
+        raise GelgateError(
+            f"the log in '{run.folder}' cannot be written: {error.strerror}; '{at}' is whole"
+        ) from error
+    return at
+
+
+def _entry(learner: _Learner, found: Losses, steps_per_second: float) -> dict[str, Any]:
+    entry: dict[str, Any] = {"step": learner.step, "rate": learning_rate(learner.recipe, learner.step - 1)}
+    entry |= {name: getattr(found, name).item() for name in _LOSS_NAMES}
+    entry["frames_per_second"] = round(2 * learner.recipe.pairs * steps_per_second, 1)
+    if not math.isfinite(found.total(learner.recipe).item()):
+        raise GelgateError(
+            f"the loss is not finite at step {learner.step}; start again with a lower --max-rate"
+        )
+    return entry
+
+
+def _line(entry: dict[str, Any], recipe: Recipe) -> str:
+    words = [f"{name} {value:.4g}" for name, value in entry.items() if name not in ("step", "rate")]
+    left = (recipe.steps - entry["step"]) * 2 * recipe.pairs / max(entry["frames_per_second"], 1e-9) / 60
+    return f"step {entry['step']}/{recipe.steps}  {'  '.join(words)}  {left:.0f} min left"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """The command line without the rest of the product; 0 when done, else the sentence and its exit code."""
+    parser = argparse.ArgumentParser(prog="calibration.training.train", description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the run")
+    parser.add_argument("--resume", type=Path, help="folder of a run to carry on")
+    parser.add_argument("--minutes", type=float, default=0.0, help="stop and save after so long")
+    parser.add_argument("--save-every", type=int, default=500)
+    parser.add_argument("--log-every", type=int, default=20)
+    parser.add_argument("--validate-every", type=int, default=500)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument(
+        "--ahead", action="store_true", dest="is_drawn_ahead", help="draw in a second process"
+    )
+    parser.add_argument("--start", type=Path, dest="start_run", help="folder of a run to begin with")
+    for name, kind in Recipe.kinds().items():
+        if name == "start":
+            continue
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=argparse.SUPPRESS)
+    given = vars(parser.parse_args(words))
+    settings = {name: given.pop(name) for name in Recipe.kinds() if name in given}
+    start = given.pop("start_run")
+    try:
+        if start is not None:
+            settings["start"] = checkpoints.weights_sha256(start)
+        train(Recipe(**settings), Run(folder=given.pop("out"), start=start, **given))
+    except ConfigError as error:
+        _say(f"{error}")
+        return 3
+    except GelgateError as error:
+        _say(f"{error}")
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

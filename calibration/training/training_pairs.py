@@ -1,0 +1,258 @@
+"""Pairs of simulated presses of one random part: a nominal one, and one whose part may be damaged.
+
+The two differ as two presses on a line do: pose, pressure, tool marks, lamp level, noise. What belongs to the gel
+stays: its colours, dust, wear and grain. `change` says where the imprint differs because of the damage alone.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from calibration.simulator.sensor_appearance import LOOKS
+from calibration.training import render
+from calibration.training.jpeg import compressed
+from calibration.training.random_defects import damaged
+from calibration.training.random_parts import Parts, draw_parts, draw_waves, turned, waves
+from calibration.training.random_sampling import Draws, draws_for
+from calibration.training.render import Look, Spacing
+from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
+
+__all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
+
+# Training mixes and varies these two measured sensors; `unit_c` is kept for evaluation.
+TRAINING_UNITS = ("unit_a", "unit_b")
+# 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
+_FINE_MM = (0.0145, 0.045)
+_MARKER_SHARE = 0.2
+# Cameras compress; what is recorded without loss does not.
+_JPEG_SHARE = 0.7
+_JPEG_QUALITY = (75.0, 96.0)
+_DOT_PITCH_MM = (2.16, 2.03)
+_DOT_RADIUS_MM = 0.38
+_DOT_KEEPS = 0.22
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """n pairs. The first n samples are nominal, the last n their partners.
+
+    frames: (2n, 3, h, w), whole grey levels 0 to 255, RGB. surface_mm: (2n, h, w), the imprint without dust. change_mm:
+    (n, h, w), by how much the damage alone moves the partner's imprint. spacing: mm per pixel (x, y).
+    """
+
+    frames: Tensor
+    surface_mm: Tensor
+    change_mm: Tensor
+    spacing: Spacing
+
+
+@dataclass(frozen=True)
+class _Views:
+    """Poses of 2n presses; x, y: their part coordinates (2n, h, w); tilt_mm: height added (2n, h, w)."""
+
+    x: Tensor
+    y: Tensor
+    tilt_mm: Tensor
+    depth_mm: Tensor
+
+
+def draw_pairs(
+    seed: int,
+    purpose: str,
+    step: int,
+    *,
+    pairs: int,
+    side: int,
+    device: torch.device,
+    high_resolution: float = 0.25,
+) -> Pairs:
+    """The batch of one step: a function of seed, purpose and step alone."""
+    with torch.no_grad():
+        return _drawn(seed, purpose, step, pairs, side, device, high_resolution)
+
+
+def _drawn(
+    seed: int, purpose: str, step: int, pairs: int, side: int, device: torch.device, high_resolution: float
+) -> Pairs:
+    host = draws_for(seed, f"{purpose}/host", step, torch.device("cpu"))
+    spacing = _draw_spacing(host, high_resolution)
+    centre = _draw_centre(host, side, spacing)
+    draws = draws_for(seed, purpose, step, device)
+    view_mm = side * max(spacing)
+    scale = math.sqrt(view_mm / (side * MINI_LR_MM_PER_PX))
+    at_x = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[0]
+    at_y = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[1]
+    x, y = at_x[None, :].expand(side, side), at_y[:, None].expand(side, side)
+
+    views = _draw_views(draws, pairs, x, y, scale)
+    height = _heights(draws, draw_parts(draws, pairs, view_mm), views)
+    broken = damaged(draws, height[pairs:], views.depth_mm[pairs:], x, y, spacing, scale)
+    obstacles = (
+        torch.cat([height, broken]) + torch.cat([views.depth_mm, views.depth_mm[pairs:]])[:, None, None]
+    )
+    surfaces = render.deform(obstacles.clamp(min=0), spacing, float(host.uniform(0.8, 1.25)))
+    change = (surfaces[2 * pairs :] - surfaces[pairs : 2 * pairs]).abs()
+    surface = torch.cat([surfaces[:pairs], surfaces[2 * pairs :]])
+    lens_mm = float(host.uniform(0.02, 0.05))
+    u, v = render.unit_grid(side, spacing, centre, device)
+    frames = _photograph(draws, surface, _draw_look(draws, pairs, u, v), x, y, spacing, lens_mm)
+    return Pairs(frames, surface, change, spacing)
+
+
+def _draw_spacing(host: Draws, high_resolution: float) -> Spacing:
+    if float(host.uniform(0, 1)) >= high_resolution:
+        return (MINI_LR_MM_PER_PX, MINI_LR_MM_PER_PX)
+    fine = float(host.log_uniform(*_FINE_MM))
+    # Half of the fine batches have the 16:9 squeeze of the published pictures.
+    squeeze = 4 / 3 if float(host.uniform(0, 1)) < 0.5 else 1.0
+    return (fine, fine * squeeze)
+
+
+def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float]:
+    """Where the region lies in the crop: at its centre every second time, else anywhere inside."""
+    if float(host.uniform(0, 1)) < 0.5:
+        return (0.0, 0.0)
+    free = [max(0.0, 1 - side * s / extent) for s, extent in zip(spacing, (20.288, 15.216), strict=True)]
+    return (float(host.uniform(-1, 1)) * free[0], float(host.uniform(-1, 1)) * free[1])
+
+
+def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float) -> _Views:
+    """A command per part and a jitter per press; how well a part is held differs from part to part."""
+    shift_sd = draws.log_uniform(0.02, 0.2, n) * scale
+    turn_sd = draws.log_uniform(0.15, 2.0, n) * (math.pi / 180)
+    tilt_sd = draws.log_uniform(0.1, 0.6, n) * (math.pi / 180)
+    lean = draws.chance(0.3, n) * draws.uniform(0, 2.0, n) * (math.pi / 180)
+    side = draws.uniform(0, 2 * math.pi, n)
+    depth = draws.uniform(0.15, 0.7, n)
+    depth_sd = draws.log_uniform(0.02, 0.08, n)
+
+    def twice(values: Tensor) -> Tensor:
+        return torch.cat([values, values])
+
+    jitter = draws.normal(1.0, 6, 2 * n).clamp(-2.5, 2.5)
+    dx, dy = jitter[0] * twice(shift_sd), jitter[1] * twice(shift_sd)
+    part_x, part_y = turned(x - dx[:, None, None], y - dy[:, None, None], jitter[2] * twice(turn_sd))
+    tilt_x = twice(lean * torch.cos(side)) + jitter[3] * twice(tilt_sd)
+    tilt_y = twice(lean * torch.sin(side)) + jitter[4] * twice(tilt_sd)
+    tilt = tilt_x[:, None, None] * x + tilt_y[:, None, None] * y
+    return _Views(part_x, part_y, tilt, twice(depth) * (1 + jitter[5] * twice(depth_sd)))
+
+
+def _heights(draws: Draws, parts: Parts, views: _Views) -> Tensor:
+    """Heights of the sound parts in all 2n views, 0 at the highest point that the nominal view sees."""
+    n = len(views.x) // 2
+    marks = draw_waves(draws, 2 * n, 2, (0.25, 0.9), (0.0005, 0.004))
+    nominal = parts.height(views.x[:n], views.y[:n])
+    partner = parts.height(views.x[n:], views.y[n:])
+    top = nominal.amax(dim=(1, 2), keepdim=True)
+    sound = torch.cat([nominal - top, partner - top])
+    return sound + waves(marks, views.x, views.y) + views.tilt_mm
+
+
+def _draw_look(draws: Draws, n: int, u: Tensor, v: Tensor) -> Look:
+    """Sensors about the two training units: exposure, white balance, falloff, colour mixing and response all vary."""
+    free = torch.stack([torch.tensor(LOOKS[name].free_gel.tolist()) for name in TRAINING_UNITS])
+    answer = torch.stack([torch.tensor(LOOKS[name].slope_response.tolist()) for name in TRAINING_UNITS])
+    free, answer = free.to(draws.device), answer.to(draws.device)
+    share = draws.uniform(0, 1, n)[:, None, None]
+    level = draws.normal(0.15, n, 1) + draws.normal(0.07, n, 3)
+    table = share * free[0] + (1 - share) * free[1] + draws.normal(0.05, n, 3, 15)
+    table[:, :, 0] = table[:, :, 0] + level
+    gain = torch.exp(level + draws.normal(0.12, n, 1) + draws.normal(0.08, n, 3))[:, :, None]
+    answers = (share * answer[0] + (1 - share) * answer[1]) * (1 + draws.normal(0.1, n, 3, 15))
+    answers = (answers + draws.normal(4.0, n, 3, 15)) * gain
+    # Filters leak: up to a quarter of each channel comes from the others.
+    leak = draws.uniform(0, 0.25, n)[:, None, None]
+    mixing = (1 - leak) * torch.eye(3, device=draws.device) + leak * draws.uniform(0, 0.6, n, 3, 3)
+    return Look(
+        free=torch.einsum("ncd,ndhw->nchw", mixing, render.free_gel(table, u, v)),
+        per_normal=torch.einsum("ncd,ndkhw->nckhw", mixing, render.per_normal(answers, u, v)),
+        curvature=torch.einsum("ncd,ndk->nck", mixing, answers[:, :, 12:]),
+    )
+
+
+def _photograph(
+    draws: Draws, surface: Tensor, look: Look, x: Tensor, y: Tensor, spacing: Spacing, lens_mm: float
+) -> Tensor:
+    """Frames of 2n imprints through n gels and cameras."""
+    n = len(surface) // 2
+
+    def both(values: Tensor) -> Tensor:
+        return torch.cat([values, values])
+
+    relief, light = _draw_coat(draws, n, x, y, spacing)
+    # What is left of another press shows through one gel in four.
+    left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
+    seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
+    nx, ny = render.normals(*render.slopes(seen, spacing))
+    planes = render.shade(nx, ny, Look(both(look.free), both(look.per_normal), both(look.curvature)))
+    planes = render.shadows(planes, seen, 1 - 0.4 * both(draws.uniform(0, 1, n)), spacing)
+    planes = render.gloss(planes, nx, ny, both(draws.uniform(0, 26, n)))
+    planes = planes * light[:, None]
+    count = round(_MARKER_SHARE * n)
+    if count:
+        dots = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
+        planes[dots] = _under_dots(planes[dots], surface[dots], x, y, spacing)
+    white = both(draws.normal(1.0, n, *surface.shape[1:]))
+    planes = render.grain(planes, surface, white, both(draws.uniform(0, 3, n)), spacing)
+    planes = render.lens(planes, lens_mm, spacing)
+    large = 1 + 2.5 * draws.chance(0.15, 2 * n)[:, None]
+    gain = torch.exp(large * (draws.normal(0.015, 2 * n, 1) + draws.normal(0.008, 2 * n, 3)))
+    planes = planes.clamp(min=0) * gain[:, :, None, None]
+    noise = draws.normal(1.0, *planes.shape)
+    frames = render.quantise(render.sensor_noise(planes, noise, both(draws.log_uniform(0.5, 1.6, n))))
+    sent = both(draws.chance(_JPEG_SHARE, n))[:, None, None, None]
+    return torch.where(sent > 0, compressed(frames, both(draws.uniform(*_JPEG_QUALITY, n))), frames)
+
+
+# Per region: grains that stay, grains that the partner alone has, scratches and stains.
+_GRAINS, _NEW_GRAINS, _SCRATCHES, _STAINS = 8, 2, 2, 2
+
+
+def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing) -> tuple[Tensor, Tensor]:
+    """Relief in mm and share of light, both (2n, h, w), of dust and wear; alike in both presses but for new grains."""
+    half_x, half_y = spacing[0] * x.shape[1] / 2, spacing[1] * x.shape[0] / 2
+
+    def place(count: int) -> tuple[Tensor, Tensor]:
+        return draws.uniform(-half_x, half_x, n, count), draws.uniform(-half_y, half_y, n, count)
+
+    def bumps(count: int, share: float) -> Tensor:
+        px, py = place(count)
+        radius, high = draws.log_uniform(0.025, 0.11, n, count), draws.uniform(0.005, 0.05, n, count)
+        high = high * draws.chance(share, n, count)
+        return _bells(px, py, radius, high, x, y)
+
+    dust = bumps(_GRAINS, 0.5)
+    relief = torch.cat([dust, dust + bumps(_NEW_GRAINS, 0.15)])
+    px, py = place(_SCRATCHES)
+    deep = draws.chance(0.35, n, _SCRATCHES) * draws.uniform(0.002, 0.009, n, _SCRATCHES)
+    length, turn = draws.log_uniform(1.0, 5.0, n, _SCRATCHES), draws.uniform(0, math.pi, n, _SCRATCHES)
+    furrows = torch.zeros_like(dust)
+    for k in range(_SCRATCHES):
+        u, v = turned(x - px[:, k, None, None], y - py[:, k, None, None], turn[:, k])
+        ends = ((length[:, k, None, None] / 2 - u.abs()) / 0.3).clamp(0, 1)
+        furrows = furrows + deep[:, k, None, None] * ends * torch.exp(-(((v + 0.03 * u * u) / 0.05) ** 2))
+    sx, sy = place(_STAINS)
+    lost = draws.chance(0.3, n, _STAINS) * draws.uniform(0.01, 0.12, n, _STAINS)
+    stains = _bells(sx, sy, draws.uniform(0.4, 1.8, n, _STAINS), lost, x, y)
+    return relief - torch.cat([furrows, furrows]), 1 - torch.cat([stains, stains])
+
+
+def _bells(px: Tensor, py: Tensor, radius: Tensor, high: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Sums of Gaussian bells, separable: (n, h, w) from (n, count) centres, radii and heights."""
+    along_x = torch.exp(-0.5 * ((x[0] - px[:, :, None]) / radius[:, :, None]) ** 2)
+    along_y = torch.exp(-0.5 * ((y[:, 0] - py[:, :, None]) / radius[:, :, None]) ** 2)
+    return torch.einsum("nky,nkx->nyx", along_y * high[:, :, None], along_x)
+
+
+def _under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
+    """The planes under a tracking gel's dots, which spread away from where the gel bulges."""
+    sx, sy = render.slopes(render.blur(surface, (0.6 / spacing[0], 0.6 / spacing[1])), spacing)
+    # The simulator pushes by +0.5 mm per unit of dz/dx; our slopes have the other sign.
+    u, v = x - 0.5 * sx, y - 0.5 * sy
+    u = u - _DOT_PITCH_MM[0] * (u / _DOT_PITCH_MM[0]).round()
+    v = v - _DOT_PITCH_MM[1] * (v / _DOT_PITCH_MM[1]).round()
+    covered = ((_DOT_RADIUS_MM - torch.sqrt(u * u + v * v)) / max(spacing) + 0.5).clamp(0, 1)
+    return planes * (1 - (1 - _DOT_KEEPS) * covered[:, None])

@@ -1,0 +1,123 @@
+"""What contact detection tells: a reference is ready, a press began, settled or did not, and ended."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from edge.core.contact.mask import Touch
+from edge.core.contact.table import State
+
+__all__ = [
+    "Event",
+    "NotSettledReason",
+    "PressBegan",
+    "PressEnded",
+    "PressNotSettled",
+    "PressSettled",
+    "ReferenceReady",
+    "ReferenceRefreshed",
+    "StartedTouched",
+    "TriggerRepeated",
+    "TriggerWithoutContact",
+]
+
+
+class NotSettledReason(StrEnum):
+    """Why a press gave no frame to score."""
+
+    RELEASED = "released before it was still"
+    TIMED_OUT = "not still in time"
+    NOT_TRIGGERED = "released before a trigger asked for it"
+    RELEARNT = "a new reference was asked for during the press"
+
+
+@dataclass(frozen=True)
+class ReferenceReady:
+    """A reference was learnt; presses are seen from now on."""
+
+    timestamp_ns: int
+
+
+@dataclass(frozen=True)
+class ReferenceRefreshed:
+    """The reference followed the free gel. change: mean absolute difference, levels."""
+
+    timestamp_ns: int
+    change: float
+
+
+@dataclass(frozen=True)
+class StartedTouched:
+    """At the start the view differs from the stored reference as if pressed; nothing counts until it is free.
+
+    If nothing presses, the gel was changed without a record: record the change and learn a new reference.
+    """
+
+    timestamp_ns: int
+    area: float
+
+
+@dataclass(frozen=True)
+class PressBegan:
+    """A contact was confirmed. sequence: the frame that confirmed it."""
+
+    timestamp_ns: int
+    sequence: int
+
+
+@dataclass(frozen=True)
+class PressSettled:
+    """The press is still: score frame `sequence`, the one that moved least. Once per press.
+
+    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch: of the frame that decided.
+    """
+
+    timestamp_ns: int
+    sequence: int
+    began_ns: int
+    touch: Touch
+
+
+@dataclass(frozen=True)
+class PressNotSettled:
+    """The press gives no frame to score; it counts for the gel and is rejected. Once per press."""
+
+    timestamp_ns: int
+    sequence: int
+    began_ns: int
+    reason: NotSettledReason
+
+
+@dataclass(frozen=True)
+class PressEnded:
+    """The gel is free again, after a press that gave one of the two verdict events."""
+
+    timestamp_ns: int
+    sequence: int
+    began_ns: int
+
+
+@dataclass(frozen=True)
+class TriggerWithoutContact:
+    """A trigger came while nothing pressed."""
+
+    state: State
+
+
+@dataclass(frozen=True)
+class TriggerRepeated:
+    """A trigger came for a press that already has its verdict."""
+
+    state: State
+
+
+Event = (
+    ReferenceReady
+    | ReferenceRefreshed
+    | StartedTouched
+    | PressBegan
+    | PressSettled
+    | PressNotSettled
+    | PressEnded
+    | TriggerWithoutContact
+    | TriggerRepeated
+)

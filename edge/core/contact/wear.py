@@ -1,0 +1,113 @@
+"""The gel's wear as a camera sees it: the free gel now against the free gel when it was new.
+
+New gels are not clean either, so wear is always a difference to the gel's own first reference. Exposure is taken out
+first, as for contact; what is left is split into marks (specks, scratches), shading and level.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.reference import View, fit_levels
+
+__all__ = ["Wear", "wear"]
+
+# Lengths below are in pixels of a 320x240 picture and scale with the width.
+_PIXELS_ACROSS = 320
+# Marks are narrower than this many pixels (sigma); what is wider is shading.
+_MARK_SIGMA = 6.0
+# One pixel of averaging: single-frame noise of sd 2 falls below 0.6.
+_NOISE_SIGMA = 1.0
+# Levels. Two pictures of one unworn gel weeks apart stay below 3.5; the scratches of a used one reach 4 to 6.
+_MARK_LEVELS = 3.5
+# A lone pixel is noise.
+_MIN_MARK_PX = 4
+# Longer than this and at least this many times longer than wide is a scratch, anything else a speck.
+_SCRATCH_PX = 8.0
+_SCRATCH_ASPECT = 3.0
+# The image's rim moves by a pixel with the housing and is left out.
+_RIM_PX = 4
+
+# What counts as worn out, each alone. Four good units have 1 to 10 specks, a grainy one has over 40.
+_WORN_SPECKS = 40
+# Scratches as long together as the picture is wide.
+_WORN_SCRATCH_LENGTH = 1.0
+# Levels of shading after the exposure is taken out: two pictures of one gel differ by 0.4, two gels by 5.
+_WORN_SHADING_LEVELS = 10.0
+# Automatic exposure alone moves the level by 0.2.
+_WORN_LEVEL_CHANGE = 0.5
+
+
+@dataclass(frozen=True)
+class Wear:
+    """How much a gel has changed since it was new. index: 0 (as new) to 1 (worn out), that of its worst part.
+
+    specks: new compact marks. scratch_length: total length of new long marks, in picture widths. shading_levels: mean
+    absolute broad change that no exposure explains (coat loss, a light gone weak on one side). level_change: largest
+    relative change of a channel's mean; exposure moves it too, so judge it with the exposure locked.
+    """
+
+    index: float
+    specks: int
+    scratch_length: float
+    shading_levels: float
+    level_change: float
+
+
+def wear(first: View, now: View) -> Wear:
+    """Compare the free gel with its first reference, both float32 (h, w, 3), RGB, 0 to 255, of one size.
+
+    Meant for references, means of some ten still frames, at 320x240; at 160x120 the finest specks are lost. Errors:
+    ValueError for two shapes.
+    """
+    if first.shape != now.shape or first.ndim != 3 or first.shape[2] != 3:
+        raise ValueError(
+            f"two free-gel pictures have one shape (h, w, 3), found {first.shape} and {now.shape}"
+        )
+    residual = fit_levels(now, first).applied(now) - first
+    scale = first.shape[1] / _PIXELS_ACROSS
+    shading = _blurred(residual, _MARK_SIGMA * scale)
+    specks, length = _marks(_blurred(residual - shading, _NOISE_SIGMA * scale), scale)
+    shading_levels = float(np.abs(shading).mean())
+    level_change = _level_change(first, now)
+    worst = max(
+        specks / _WORN_SPECKS,
+        length / _WORN_SCRATCH_LENGTH,
+        shading_levels / _WORN_SHADING_LEVELS,
+        level_change / _WORN_LEVEL_CHANGE,
+    )
+    return Wear(min(1.0, worst), specks, length, shading_levels, level_change)
+
+
+def _marks(detail: View, scale: float) -> tuple[int, float]:
+    """The number of specks, and the scratches' length in picture widths. detail: signed, levels."""
+    far = (np.abs(detail).max(axis=2) > _MARK_LEVELS).astype(np.uint8)
+    rim = max(1, round(_RIM_PX * scale))
+    far[:rim], far[-rim:], far[:, :rim], far[:, -rim:] = 0, 0, 0, 0
+    far = np.asarray(cv2.morphologyEx(far, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+    contours, _ = cv2.findContours(far, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    labels = cv2.connectedComponentsWithStats(far, connectivity=8)[2][1:]
+    is_mark = labels[:, cv2.CC_STAT_AREA] >= max(1, round(_MIN_MARK_PX * scale * scale))
+    lengths = [_scratch_px(np.asarray(c, dtype=np.int32), scale) for c in contours]
+    total_px = sum(length for length in lengths if length > 0)
+    specks = int(is_mark.sum()) - sum(length > 0 for length in lengths)
+    return max(0, specks), total_px / detail.shape[1]
+
+
+def _scratch_px(contour: NDArray[np.int32], scale: float) -> float:
+    """The length of a long thin mark, 0 for any other."""
+    (_, sides, _) = cv2.minAreaRect(contour)
+    long, short = max(sides) + 1, min(sides) + 1
+    return float(long) if long >= _SCRATCH_PX * scale and long >= _SCRATCH_ASPECT * short else 0.0
+
+
+def _level_change(first: View, now: View) -> float:
+    """The largest relative change of a channel's mean."""
+    before, after = (view.mean(axis=(0, 1), dtype=np.float64) for view in (first, now))
+    return float(np.max(np.abs(after - before) / np.maximum(before, 1.0)))
+
+
+def _blurred(view: View, sigma: float) -> View:
+    return np.asarray(cv2.GaussianBlur(view, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)

@@ -1,0 +1,147 @@
+"""Is a settled press fit to be scored? Each reason against it is a value, not an exception."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.mask import Touch
+from edge.core.imaging.frames import Picture
+
+__all__ = [
+    "NominalContact",
+    "QualitySettings",
+    "Reason",
+    "Rejection",
+    "check_contact",
+    "check_freshness",
+    "check_light",
+    "saturated_fraction",
+]
+
+
+class Reason(StrEnum):
+    """Why a press has no verdict. The words are part of the published payload."""
+
+    BLACK = "black"
+    SATURATED = "saturated"
+    STALE = "stale"
+    OTHER_SENSOR = "other_sensor"
+    NO_CONTACT = "no_contact"
+    OFF_POSITION = "off_position"
+    NOT_SETTLED = "not_settled"
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A press that cannot be judged. text: one sentence for the operator."""
+
+    reason: Reason
+    text: str
+
+
+@dataclass(frozen=True)
+class NominalContact:
+    """Where nominal presses touch, each (low, high): centroid in picture pixels, area as a fraction of the view.
+
+    A range is taken as it stands; whoever measures it from nominal presses adds the slack.
+    """
+
+    x_px: tuple[float, float]
+    y_px: tuple[float, float]
+    area: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("x_px", "y_px", "area"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise ValueError(f"{name} runs from low to high, found {low} to {high}")
+
+
+@dataclass(frozen=True)
+class QualitySettings:
+    """Limits on the light and the age of a scored frame."""
+
+    # Real no-contact pictures have mean levels of 78 to 168; below 8 the LEDs or the camera are off.
+    black_level: float = 8.0
+    # A value of 250 of 255 has lost its slope. Steep flanks of real imprints clip in blue and red on well under 5 %.
+    saturated_level: int = 250
+    saturated_fraction: float = 0.10
+    max_age_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.black_level < self.saturated_level <= 255 and 0 < self.saturated_fraction <= 1):
+            raise ValueError(
+                f"0 <= black_level < saturated_level <= 255 and a fraction in (0, 1], found {self}"
+            )
+        if self.max_age_s <= 0:
+            raise ValueError(f"max_age_s is positive, found {self.max_age_s}")
+
+
+def check_light(
+    picture: Picture, settings: QualitySettings | None = None, free_saturated: float = 0.0
+) -> Rejection | None:
+    """Black or saturated, or None. free_saturated: the fraction that the untouched gel saturates already."""
+    limits = settings or QualitySettings()
+    mean = float(picture.rgb.mean(dtype=np.float64))
+    if mean < limits.black_level:
+        return Rejection(
+            Reason.BLACK,
+            f"the frame's mean level is {mean:.1f}, at least {limits.black_level:g} is expected; "
+            "check the sensor's light and cable",
+        )
+    excess = saturated_fraction(picture.rgb, limits) - free_saturated
+    if excess > limits.saturated_fraction:
+        return Rejection(
+            Reason.SATURATED,
+            f"{excess:.0%} of the frame is saturated beyond the free gel, at most {limits.saturated_fraction:.0%} "
+            "is accepted; lower the exposure or the press depth",
+        )
+    return None
+
+
+def saturated_fraction(rgb: NDArray[np.uint8], settings: QualitySettings | None = None) -> float:
+    """The fraction of pixels with a channel at the top of its range. rgb: uint8 (h, w, 3)."""
+    limits = settings or QualitySettings()
+    return float((rgb.max(axis=2) >= limits.saturated_level).mean())
+
+
+def check_freshness(
+    timestamp_ns: int, now_ns: int, settings: QualitySettings | None = None
+) -> Rejection | None:
+    """Stale, or None. Both times are monotonic; a frame from the future is as wrong as an old one."""
+    limits = settings or QualitySettings()
+    age_s = (now_ns - timestamp_ns) / 1e9
+    if 0 <= age_s <= limits.max_age_s:
+        return None
+    return Rejection(
+        Reason.STALE,
+        f"the frame is {age_s:.2f} s old, at most {limits.max_age_s:g} s is accepted; check the machine's load",
+    )
+
+
+def check_contact(touch: Touch | None, nominal: NominalContact, size: tuple[int, int]) -> Rejection | None:
+    """No contact, off position, or None. size: (width, height) of the picture that the nominal pixels belong to."""
+    if touch is None or touch.area == 0:
+        return Rejection(
+            Reason.NO_CONTACT, "nothing touches the gel where the part should be; check the part and grip"
+        )
+    found = {"x_px": touch.x * size[0], "y_px": touch.y * size[1], "area": touch.area}
+    for name, value in found.items():
+        low, high = getattr(nominal, name)
+        if not low <= value <= high:
+            what, unit = _WORDS[name]
+            return Rejection(
+                Reason.OFF_POSITION,
+                f"the contact's {what} is {value:.3g}{unit}, nominal presses have {low:.3g} to {high:.3g}{unit}; "
+                "check how the part meets the sensor",
+            )
+    return None
+
+
+_WORDS = {
+    "x_px": ("centre column", " px"),
+    "y_px": ("centre row", " px"),
+    "area": ("area", " of the view"),
+}

@@ -1,0 +1,278 @@
+"""From a sensor that comes and goes to a steady supply of frames: one reader thread, one bounded queue.
+
+The thread always drains the sensor, so that a slow consumer gets recent frames and not old ones; what does not fit
+is dropped oldest first and counted. It opens the sensor again, with growing pauses, whatever made it go.
+"""
+
+import random
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+from edge.core.backoff import Backoff
+from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
+from edge.core.imaging.frames import CameraFrame
+from edge.core.ports import Clock, Device, DeviceIdentity
+
+__all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus", "OnDemand"]
+
+# Frames over which the delivered rate is taken: two seconds at 18.75 fps.
+_RATE_FRAMES = 38
+# This many bad frames on end are a sick stream, not bad luck: two seconds' worth.
+_CORRUPT_IN_A_ROW = 38
+_LONGEST_WAIT_NS = 250_000_000
+# Pauses between two attempts to open the sensor.
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
+
+
+@runtime_checkable
+class OnDemand(Protocol):
+    """A device may say that it makes frames as fast as they are read: then the reader waits instead of dropping.
+
+    It may also count, in `stale`, the frames that came twice.
+    """
+
+    on_demand: bool
+
+    @property
+    def stale(self) -> int: ...
+
+
+class AcquisitionState(Enum):
+    CONNECTING = "connecting"
+    STREAMING = "streaming"
+    FAULT = "fault"
+    ENDED = "ended"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True)
+class AcquisitionStatus:
+    """What the reader thread has seen so far.
+
+    frames: delivered by the sensor. corrupt, stale: frames refused. dropped: delivered, but not taken in time.
+    reconnects: successful openings after the first. fps: delivered rate of the last two seconds, 0.0 until known.
+    fault: why there are no frames now, or None.
+    """
+
+    state: AcquisitionState = AcquisitionState.CONNECTING
+    identity: DeviceIdentity | None = None
+    fault: str | None = None
+    frames: int = 0
+    corrupt: int = 0
+    stale: int = 0
+    dropped: int = 0
+    reconnects: int = 0
+    fps: float = 0.0
+
+
+class Acquisition:
+    """Owns the sensor from `start` to `close`. A context manager, which starts and closes it.
+
+    open_device: makes one attempt. on_change: called from the reader thread with the status, once per change of state
+    or fault; it must return soon. depth: frames kept for a consumer that lags. stall_after_s: no new frame for so
+    long, and the sensor is opened again. backoff: the pauses between attempts; by default the first is at most 0.5 s
+    and none is longer than 10 s.
+
+    A reconnection is to the same sensor: one with another serial is refused as a fault.
+    `CameraFrame.sequence` rises over reconnections; a gap means that frames were lost, refused or dropped there.
+    """
+
+    def __init__(
+        self,
+        open_device: Callable[[], Device],
+        clock: Clock,
+        on_change: Callable[[AcquisitionStatus], None] | None = None,
+        *,
+        depth: int = 32,
+        stall_after_s: float = 2.0,
+        backoff: Backoff | None = None,
+    ) -> None:
+        if depth < 1 or stall_after_s <= 0:
+            raise ValueError(f"depth and stall time are positive, found {depth} and {stall_after_s}")
+        self._open_device, self._clock, self._on_change = open_device, clock, on_change
+        self._depth, self._stall_ns = depth, round(stall_after_s * 1e9)
+        self._backoff = backoff or Backoff(random.Random(), _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
+        self._frames: deque[CameraFrame] = deque()
+        self._times_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
+        self._changed = threading.Condition()
+        self._closing = threading.Event()
+        self._status = AcquisitionStatus()
+        self._ending: BaseException | None = None
+        self._sequence = -1
+        self._stale_before = 0
+        self._counting: OnDemand | None = None
+        self._openings = 0
+        self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
+
+    def start(self) -> None:
+        """Begin to connect and read, in the background."""
+        self._thread.start()
+
+    @property
+    def status(self) -> AcquisitionStatus:
+        with self._changed:
+            return self._status
+
+    def next(self, timeout_s: float) -> CameraFrame | None:
+        """The oldest frame not yet taken, or None when none came in time.
+
+        Errors: RecordingEnded when a recording is over and all its frames were taken; whatever was not a device's
+        fault in the reader thread.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._frames or self._ending, timeout_s)
+            if self._frames:
+                frame = self._frames.popleft()
+                self._changed.notify_all()
+                return frame
+            if self._ending is not None:
+                raise self._ending
+            return None
+
+    def close(self) -> None:
+        """Stop reading and give the sensor back; harmless when repeated."""
+        self._closing.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._set(state=AcquisitionState.CLOSED, fault=None)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    # The reader thread
+
+    def _run(self) -> None:
+        try:
+            self._supply()
+        except RecordingEnded as error:
+            self._finish(error, AcquisitionState.ENDED, None)
+        except BaseException as error:  # noqa: BLE001 - the loop's edge: it is raised again in `next`
+            self._finish(error, AcquisitionState.FAULT, str(error))
+
+    def _finish(self, error: BaseException, state: AcquisitionState, fault: str | None) -> None:
+        with self._changed:
+            self._ending = error
+            self._changed.notify_all()
+        self._set(state=state, fault=fault)
+
+    def _supply(self) -> None:
+        """Open, read until it fails, pause, and again."""
+        while not self._closing.is_set():
+            frames_before = self.status.frames
+            try:
+                self._read_one_opening()
+            except RecordingEnded:
+                raise
+            except DeviceError as error:
+                self._set(state=AcquisitionState.FAULT, fault=str(error), fps=0.0)
+            if self.status.frames > frames_before:
+                self._backoff.succeeded()
+            self._closing.wait(self._backoff.failed())
+
+    def _read_one_opening(self) -> None:
+        device = self._open_device()
+        try:
+            self._welcome(device)
+            self._read_frames(device)
+        finally:
+            self._count_stale()
+            self._stale_before, self._counting = self._status.stale, None
+            device.close()
+
+    def _read_frames(self, device: Device) -> None:
+        """Read until a fault or `close`. Waits are short, so that `close` need not sit out a stall."""
+        corrupt_in_a_row = 0
+        last_ns = self._clock.monotonic_ns()
+        while not self._closing.is_set():
+            deadline_ns = last_ns + self._stall_ns
+            try:
+                frame = device.read(min(deadline_ns, self._clock.monotonic_ns() + _LONGEST_WAIT_NS))
+            except FrameCorrupt:
+                corrupt_in_a_row += 1
+                self._count_corrupt()
+                if corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
+                    raise
+                continue
+            except DeviceStalled:
+                if self._clock.monotonic_ns() >= deadline_ns:
+                    raise
+                continue
+            corrupt_in_a_row = 0
+            self._deliver(frame)
+            last_ns = self._clock.monotonic_ns()
+
+    def _welcome(self, device: Device) -> None:
+        known = self._status.identity
+        if known is not None and device.identity.serial != known.serial:
+            raise DeviceNotFound(
+                f"sensor {known.serial} is gone and {device.identity.serial} is plugged in instead; put the first one "
+                "back, or restart to go on with the other: wear is counted for each sensor's own gel"
+            )
+        self._openings += 1
+        self._counting = device if isinstance(device, OnDemand) else None
+        self._times_ns.clear()
+        self._sequence += 1  # whatever passed while it was away leaves a gap
+        self._set(
+            state=AcquisitionState.STREAMING,
+            identity=device.identity,
+            fault=None,
+            reconnects=self._openings - 1,
+        )
+
+    def _deliver(self, frame: CameraFrame) -> None:
+        self._times_ns.append(frame.timestamp_ns)
+        with self._changed:
+            if self._counting is not None and self._counting.on_demand:
+                self._changed.wait_for(lambda: len(self._frames) < self._depth or self._closing.is_set())
+            self._sequence += 1
+            self._frames.append(replace(frame, sequence=self._sequence))
+            dropped = len(self._frames) > self._depth
+            if dropped:
+                self._frames.popleft()
+            self._status = replace(
+                self._status,
+                frames=self._status.frames + 1,
+                dropped=self._status.dropped + dropped,
+                fps=self._rate(),
+            )
+            self._changed.notify_all()
+        self._count_stale()
+
+    def _rate(self) -> float:
+        if len(self._times_ns) < 2 or self._times_ns[-1] == self._times_ns[0]:
+            return 0.0
+        return (len(self._times_ns) - 1) * 1e9 / (self._times_ns[-1] - self._times_ns[0])
+
+    def _count_corrupt(self) -> None:
+        self._sequence += 1
+        with self._changed:
+            self._status = replace(self._status, corrupt=self._status.corrupt + 1)
+        self._count_stale()
+
+    def _count_stale(self) -> None:
+        stale = self._stale_before + (self._counting.stale if self._counting is not None else 0)
+        if stale != self._status.stale:
+            with self._changed:
+                self._status = replace(self._status, stale=stale)
+
+    def _set(self, **changes: object) -> None:
+        """Change the status, and say so when the state or the fault is another one than before."""
+        with self._changed:
+            before = self._status
+            self._status = replace(before, **changes)  # type: ignore[arg-type]  # field names, checked by replace
+            now = self._status
+        if self._on_change is not None and (now.state, now.fault) != (before.state, before.fault):
+            self._on_change(now)

@@ -1,0 +1,93 @@
+"""One settled frame to one verdict: decode, crop, look at its light, sensor and contact, score, decide."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.mask import Touch
+from edge.core.errors import FrameCorrupt, NotScorable
+from edge.core.imaging.decode import decode
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import (
+    NominalContact,
+    QualitySettings,
+    check_contact,
+    check_freshness,
+    check_light,
+)
+from edge.core.imaging.sensor_check import check_sensor
+from edge.core.ports import Clock
+from edge.core.verdict import Verdict
+from edge.model.manifest import ContactRange
+from edge.model.scorer import Scorer
+
+__all__ = ["Inspection", "Inspector"]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What became of one frame: a verdict, or an error and then no verdict.
+
+    rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both None where it did not come to
+    that. latency_ms: stage to milliseconds.
+    """
+
+    verdict: Verdict | None
+    error: str | None = None
+    rgb: NDArray[np.uint8] | None = None
+    score_map: NDArray[np.float32] | None = None
+    latency_ms: dict[str, float] = field(default_factory=dict)
+
+
+class Inspector:
+    """Judges settled frames with one bundle."""
+
+    def __init__(self, scorer: Scorer, clock: Clock, quality: QualitySettings | None = None) -> None:
+        self.scorer = scorer
+        self.bundle = scorer.bundle
+        self._clock = clock
+        self._quality = quality or QualitySettings()
+        colours = self.bundle.manifest.colours
+        self._colours = colours.nominal() if colours else None
+        self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
+
+    def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
+        """Judge one frame; `touch` is where the gel is touched in it. Never raises for what a frame can hold."""
+        stale = check_freshness(frame.timestamp_ns, self._clock.monotonic_ns(), self._quality)
+        if stale:
+            return Inspection(Verdict.rejected(stale))
+        started_ns = self._clock.monotonic_ns()
+        try:
+            picture = decode(frame, self.bundle.profile)
+        except FrameCorrupt as error:
+            return Inspection(None, error=str(error))
+        latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
+        rgb = np.ascontiguousarray(self.bundle.region.crop(picture.rgb))
+        rejection = check_light(picture, self._quality)
+        if rejection is None and self._colours is not None:
+            rejection = check_sensor(rgb, self._colours)
+        if rejection is None and self._nominal is not None:
+            rejection = check_contact(touch, self._nominal, self.bundle.profile.size)
+        if rejection is not None:
+            return Inspection(Verdict.rejected(rejection), rgb=rgb, latency_ms=latency)
+        return self._scored(rgb, latency)
+
+    def _scored(self, rgb: NDArray[np.uint8], latency: dict[str, float]) -> Inspection:
+        try:
+            scored = self.scorer.score(rgb)
+            verdict = self.bundle.manifest.decide(scored.anomaly_score)
+        except NotScorable as error:
+            return Inspection(None, error=str(error), rgb=rgb, latency_ms=latency)
+        latency |= {"trunk": scored.trunk_ms, "head": scored.head_ms}
+        return Inspection(verdict, rgb=rgb, score_map=scored.score_map, latency_ms=latency)
+
+
+def _nominal_contact(found: ContactRange | None, size: tuple[int, int]) -> NominalContact | None:
+    """The manifest's fractions of the picture, in its pixels."""
+    if found is None:
+        return None
+    x_px, y_px = (
+        (low * side, high * side) for (low, high), side in zip((found.x, found.y), size, strict=True)
+    )
+    return NominalContact(x_px, y_px, found.area)

@@ -1,0 +1,187 @@
+"""What a station says of itself: state, info, gel, alarms and stats, each as the message it becomes."""
+
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from statistics import median
+from typing import Final, Literal
+
+from edge.core.gel import GelState
+from edge.core.ports import Clock, DeviceIdentity, Message
+from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.press_pipeline import PressReport
+from edge.messaging.payloads import (
+    AlarmPayload,
+    GelPayload,
+    InfoPayload,
+    StatePayload,
+    StatsPayload,
+    alarm_cleared,
+    alarm_message,
+    gel_message,
+    info_message,
+    state_message,
+    stats_message,
+)
+from edge.model.bundle import Bundle
+from edge.store.gel_ledger import GelRecord
+from edge.store.outbox import OutboxStatus
+
+__all__ = ["Reporter", "Summary"]
+
+LATENCIES_KEPT: Final = 1000
+
+
+@dataclass
+class Summary:
+    """What a run did. verdicts: word to number, `error` for a press without a verdict."""
+
+    presses: int = 0
+    verdicts: Counter[str] = field(default_factory=Counter)
+    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+
+    def add(self, report: PressReport) -> None:
+        self.presses += 1
+        self.verdicts[report.result.verdict or "error"] += 1
+        if "total" in report.result.latency_ms:
+            self.latencies_ms.append(report.result.latency_ms["total"])
+
+
+class Reporter:
+    """Puts what is true now into words and hands it to `announce`, which leaves out what is no news."""
+
+    def __init__(self, announce: Callable[[Message], object], clock: Clock) -> None:
+        self._announce = announce
+        self._clock = clock
+        self._started_ns = clock.monotonic_ns()
+        self._lock = threading.Lock()  # the reader thread tells of the sensor, the loop of everything else
+        self._faults: dict[str, str] = {}
+        self._awaited: str | None = None
+        self._is_stopped = False
+        self._said: tuple[str, str | None] | None = None
+        self._drops_before: Mapping[str, int] | None = None
+
+    def awaits(self, what: str | None) -> None:
+        """What must come before anything can be inspected, None when it has come."""
+        with self._lock:
+            self._awaited = what
+            self._say_state()
+
+    def fault(self, alarm: str, text: str) -> bool:
+        """Nothing can be inspected until this is `mended`: an alarm, and the state. Gives whether that is news."""
+        with self._lock:
+            is_new = alarm not in self._faults
+            if self._faults.get(alarm) != text:
+                self._faults[alarm] = text
+                self.alarm(alarm, text)
+                self._say_state()
+            return is_new
+
+    def mended(self, alarm: str) -> None:
+        """It is over; other faults may last."""
+        with self._lock:
+            if self._faults.pop(alarm, None) is not None:
+                self.clear(alarm)
+            self._say_state()
+
+    def stopped(self) -> None:
+        """The end, on purpose."""
+        with self._lock:
+            self._is_stopped = True
+            self._say_state()
+
+    def _say_state(self) -> None:
+        state = self._state()
+        if state != self._said:
+            self._said = state
+            word, reason = state
+            self._announce(
+                state_message(StatePayload(time_ns=self._clock.time_ns(), state=word, reason=reason))
+            )
+
+    def _state(self) -> tuple[Literal["starting", "ready", "halted", "stopped"], str | None]:
+        if self._is_stopped:
+            return "stopped", None
+        if self._faults:
+            return "halted", " ".join(self._faults.values())
+        return ("ready", None) if self._awaited is None else ("starting", f"waiting for {self._awaited}")
+
+    def alarm(self, alarm: str, text: str, severity: Literal["warning", "error"] = "error") -> None:
+        """Something that a person should look at."""
+        payload = AlarmPayload(time_ns=self._clock.time_ns(), alarm=alarm, text=text, severity=severity)
+        self._announce(alarm_message(payload))
+
+    def clear(self, alarm: str) -> None:
+        """It is over."""
+        self._announce(alarm_cleared(alarm))
+
+    def gel(self, gel: GelRecord) -> None:
+        """The mounted gel, where no press says it."""
+        self._announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
+        self.gel_wear(gel)
+
+    def gel_wear(self, gel: GelRecord) -> None:
+        """An alarm while the gel is due or must be replaced."""
+        if gel.state is GelState.GOOD:
+            self.clear("gel")
+            return
+        word = "must be replaced" if gel.state is GelState.REPLACE else "is due"
+        text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
+        self.alarm("gel", text, "warning" if gel.state is GelState.DUE else "error")
+
+    def info(self, bundle: Bundle, identity: DeviceIdentity) -> None:
+        """What is installed and plugged in."""
+        manifest = bundle.manifest
+        payload = InfoPayload(
+            time_ns=self._clock.time_ns(),
+            gelgate_version=version("gelgate"),
+            sensor_product=identity.product,
+            sensor_serial=identity.serial,
+            sensor_profile=manifest.profile.name,
+            part=manifest.part,
+            position=manifest.position,
+            method=manifest.method,
+            backbone=manifest.backbone.id if manifest.backbone else None,
+            bundle_id=bundle.digest,
+            threshold=manifest.threshold.value,
+        )
+        self._announce(info_message(payload))
+
+    def stats(self, summary: Summary, sensor: AcquisitionStatus, outbox: OutboxStatus, corrupt: int) -> None:
+        """Counters since the start. corrupt: frames that arrived whole and could not be decoded."""
+        self._dropped(outbox.dropped)
+        latencies = summary.latencies_ms
+        payload = StatsPayload(
+            time_ns=self._clock.time_ns(),
+            uptime_s=(self._clock.monotonic_ns() - self._started_ns) / 1e9,
+            frames=sensor.frames,
+            frames_corrupt=sensor.corrupt + corrupt,
+            delivered_fps=sensor.fps,
+            presses=summary.presses,
+            verdicts=dict(summary.verdicts),
+            reconnects=sensor.reconnects,
+            latency_ms_p50=median(latencies) if latencies else None,
+            latency_ms_max=max(latencies, default=None),
+            outbox_rows=outbox.rows,
+            outbox_bytes=outbox.bytes,
+            dropped=dict(outbox.dropped),
+        )
+        self._announce(stats_message(payload))
+
+    def refused(self, count: int, errors: list[str]) -> None:
+        """An alarm while messages are kept that a receiver would not have."""
+        if count:
+            self.alarm("refused", f"{count} messages were refused and are kept: {'; '.join(errors)}")
+        else:
+            self.clear("refused")
+
+    def _dropped(self, dropped: Mapping[str, int]) -> None:
+        """Drops since this process started are an alarm; older ones were told before."""
+        if self._drops_before is None:
+            self._drops_before = dict(dropped)
+        new = {kind: n - self._drops_before.get(kind, 0) for kind, n in dropped.items()}
+        if any(new.values()):
+            words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
+            self.alarm("outbox_full", f"unsent messages were dropped for want of room: {words}")

@@ -1,0 +1,327 @@
+"""What is published: one pydantic model per payload, and the topic, delivery and retention of each.
+
+Every payload carries `version`, and its moment twice: `time` for people (ISO 8601, UTC) and `time_ns` for programs.
+Units are in the names. Within version 1 fields may be added; a subscriber ignores those it does not know.
+docs/mqtt.md is printed from this file.
+"""
+
+import datetime
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+
+from edge.core.gel import MOST_PRESSES, GelState
+from edge.core.imaging.quality import Reason
+from edge.core.ports import Message
+from edge.core.verdict import Kind
+from edge.store.gel_ledger import GelRecord
+
+__all__ = [
+    "ALARMS",
+    "AlarmPayload",
+    "CommandRequest",
+    "CommandResponse",
+    "GelPayload",
+    "InfoPayload",
+    "NoArguments",
+    "Payload",
+    "ReplaceGelArguments",
+    "ResultPayload",
+    "StatePayload",
+    "StatsPayload",
+    "alarm_cleared",
+    "alarm_message",
+    "as_replayed",
+    "gel_message",
+    "heatmap_message",
+    "info_message",
+    "iso_time",
+    "press_messages",
+    "state_message",
+    "stats_message",
+]
+
+PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
+
+ALARMS: Final[Mapping[str, str]] = {
+    "device": "the sensor is missing, stalled or sends broken frames",
+    "store": "the database or its disk refuses writes; inspection halts",
+    "outbox_full": "unsent messages were dropped for want of room: heatmaps first, passes next, fails last",
+    "refused": "a receiver refused a message; it is kept and offered again at the next start",
+    "gel": "the gel is due or must be replaced",
+    "bundle": "a bundle was refused; the one before it stays in use",
+}
+"""Alarm id to meaning. All are cleared at start, so that none outlives the process that raised it."""
+
+
+def iso_time(time_ns: int) -> str:
+    """Wall-clock nanoseconds as ISO 8601 in UTC with microseconds, such as `2026-01-31T12:00:00.000250Z`."""
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest // 1000:06d}Z"
+
+
+class Payload(BaseModel):
+    """What every JSON payload has. `time` is filled in from `time_ns` and must agree with it."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    version: Literal[1] = 1
+    time_ns: int = Field(ge=0, description="wall clock, nanoseconds since 1970 UTC")
+    time: str = Field(default="", description="the same moment, ISO 8601 UTC, microseconds")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_time(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("time_ns"), int) and not data.get("time"):
+            return {**data, "time": iso_time(data["time_ns"])}
+        return data
+
+    @model_validator(mode="after")
+    def _times_agree(self) -> Self:
+        if self.time != iso_time(self.time_ns):
+            raise ValueError(f"time is {self.time!r}, but time_ns says {iso_time(self.time_ns)!r}")
+        return self
+
+    def encode(self) -> bytes:
+        """The payload as UTF-8 JSON."""
+        return self.model_dump_json().encode()
+
+
+class StatePayload(Payload):
+    """Whether the station inspects. The broker itself publishes `lost` (the last will) when the gateway vanishes."""
+
+    state: Literal["starting", "ready", "halted", "stopped", "lost"] = Field(
+        description="starting: not yet inspecting; ready: inspecting; halted: running but unable to inspect, see "
+        "`reason`; stopped: ended on purpose; lost: gone without a word (`time` is then that of its start)"
+    )
+    reason: str | None = Field(default=None, description="one sentence, for people")
+
+
+class InfoPayload(Payload):
+    """What is installed here."""
+
+    gelgate_version: str
+    sensor_product: str | None = None
+    sensor_serial: str | None = None
+    sensor_profile: str | None = None
+    part: str | None = None
+    position: str | None = None
+    method: str | None = Field(default=None, description="detector of the bundle in use")
+    backbone: str | None = None
+    bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
+    threshold: float | None = None
+
+
+_REASONS = " · ".join(f"`{reason}`" for reason in Reason)
+
+
+class ResultPayload(Payload):
+    """One press, one result. `press_id` is the key: the same result may arrive twice, never with two contents.
+
+    Exactly one of `verdict` and `error` is set: a press that could not be scored has no verdict, and is never a pass.
+    """
+
+    press_id: PressId
+    is_replayed: bool = Field(
+        default=False, description="sent late, from the outbox; `time` is that of the press"
+    )
+    part: str
+    position: str | None = None
+    verdict: Kind | None = None
+    reason: str | None = Field(
+        default=None, description=f"why it is rejected: {_REASONS}; a colon; a sentence"
+    )
+    error: str | None = Field(default=None, description="why there is no verdict")
+    score: float | None = Field(default=None, description="raw anomaly score, higher is more anomalous")
+    threshold: float | None = Field(default=None, description="scores above it fail")
+    tolerance: float | None = Field(
+        default=None, ge=0, description="scores this near the threshold are unsure"
+    )
+    method: str | None = None
+    bundle_id: str | None = None
+    sensor_serial: str
+    gel_id: str
+    gel_presses: int = Field(ge=0, description="presses of this gel, this one included")
+    gel_limit_presses: int = Field(ge=1)
+    latency_ms: dict[str, float] = Field(
+        default_factory=dict, description="stage to milliseconds; `total` is frame to verdict"
+    )
+    heatmap_topic: str | None = Field(
+        default=None, description="where this press's picture is sent, below the root"
+    )
+
+    @model_validator(mode="after")
+    def _verdict_or_error(self) -> Self:
+        if (self.verdict is None) == (self.error is None):
+            raise ValueError("a result has a verdict or an error, exactly one of them")
+        if self.verdict in (Kind.PASS, Kind.FAIL, Kind.UNSURE) and (
+            self.score is None or self.threshold is None
+        ):
+            raise ValueError(f"the verdict '{self.verdict}' needs a score and a threshold")
+        return self
+
+
+class GelPayload(Payload):
+    """The wear of the mounted gel."""
+
+    is_replayed: bool = False
+    sensor_serial: str
+    gel_id: str
+    presses: int = Field(ge=0)
+    limit_presses: int = Field(ge=1)
+    state: GelState = Field(description="good, due (order one), replace (at the limit, or optically worn)")
+    wear_index: float | None = Field(default=None, description="optical wear: 0 as new, 1 to be replaced")
+    first_use_ns: int | None = None
+    last_use_ns: int | None = None
+
+    @classmethod
+    def of(cls, gel: GelRecord, time_ns: int) -> Self:
+        return cls(
+            time_ns=time_ns,
+            sensor_serial=gel.serial,
+            gel_id=gel.gel_id,
+            presses=gel.presses,
+            limit_presses=gel.limit_presses,
+            state=gel.state,
+            wear_index=gel.wear_index,
+            first_use_ns=gel.first_use_ns,
+            last_use_ns=gel.last_use_ns,
+        )
+
+
+class AlarmPayload(Payload):
+    """Something that a person should look at. The topic is emptied when it is over."""
+
+    alarm: str
+    severity: Literal["warning", "error"] = "error"
+    text: str = Field(description="one sentence: the thing, what was found, what to do")
+    count: int = Field(default=1, ge=1, description="how often since it was last clear")
+
+
+class StatsPayload(Payload):
+    """Counters since the start of the process, for dashboards."""
+
+    uptime_s: float = Field(ge=0)
+    frames: int = Field(ge=0)
+    frames_corrupt: int = Field(ge=0)
+    delivered_fps: float = Field(ge=0)
+    presses: int = Field(ge=0)
+    verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
+    reconnects: int = Field(default=0, ge=0, description="of the sensor")
+    latency_ms_p50: float | None = None
+    latency_ms_max: float | None = None
+    outbox_rows: int = Field(default=0, ge=0)
+    outbox_bytes: int = Field(default=0, ge=0)
+    dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
+
+
+class CommandRequest(BaseModel):
+    """What arrives on `cmd/<verb>`. Retained requests are ignored: they would run again on every connection."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+    transaction: str = Field(
+        min_length=1, max_length=128, description="chosen by the asker, returned in the response"
+    )
+    arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
+
+
+class _Arguments(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> Self:
+        """Read the arguments of a request. Errors: ValueError, one sentence."""
+        try:
+            return cls.model_validate(dict(arguments))
+        except ValidationError as error:
+            known = ", ".join(cls.model_fields) or "none"
+            faults = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            raise ValueError(f"{faults} (known arguments: {known})") from error
+
+
+class NoArguments(_Arguments):
+    """Of `cmd/trigger` and `cmd/relearn`."""
+
+
+class ReplaceGelArguments(_Arguments):
+    """Of `cmd/replace_gel`."""
+
+    gel_id: str | None = Field(default=None, min_length=1, max_length=64)
+    limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
+    note: str = Field(default="", max_length=1000)
+
+
+class CommandResponse(Payload):
+    """What leaves on `cmd/<verb>/response`, or on the request's MQTT 5 response topic."""
+
+    transaction: str | None = Field(description="that of the request; null if it could not be read")
+    verb: str
+    status: Literal["ok", "error"]
+    error: str | None = None
+    data: dict[str, Any] = Field(default_factory=dict)
+
+
+def state_message(payload: StatePayload) -> Message:
+    return Message("state", payload.encode(), qos=1, retain=True)
+
+
+def info_message(payload: InfoPayload) -> Message:
+    return Message("info", payload.encode(), qos=1, retain=True)
+
+
+def gel_message(payload: GelPayload) -> Message:
+    return Message("gel", payload.encode(), qos=1, retain=True)
+
+
+def heatmap_message(press_id: str, png: bytes) -> Message:
+    """The picture of one press. The press id is in the topic, which both protocol levels can carry."""
+    return Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
+
+
+def press_messages(
+    result: ResultPayload, gel: GelRecord, heatmap_png: bytes | None = None
+) -> Sequence[Message]:
+    """All that one press publishes, in order: result, its picture, then the retained `last` and `gel`."""
+    heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
+    return [
+        Message("result", result.encode(), qos=1),
+        *heatmap,
+        Message("last", result.encode(), qos=1, retain=True),
+        gel_message(GelPayload.of(gel, result.time_ns)),
+    ]
+
+
+def alarm_message(payload: AlarmPayload) -> Message:
+    """A raised alarm, retained until it is cleared. Errors: ValueError for an id that is not in ALARMS."""
+    return Message(f"alarm/{_known_alarm(payload.alarm)}", payload.encode(), qos=1, retain=True)
+
+
+def alarm_cleared(alarm: str) -> Message:
+    """Removes the retained alarm from the broker. Errors: ValueError for an id that is not in ALARMS."""
+    return Message(f"alarm/{_known_alarm(alarm)}", b"", qos=1, retain=True)
+
+
+def stats_message(payload: StatsPayload) -> Message:
+    return Message("stats", payload.encode(), qos=0)
+
+
+def as_replayed(message: Message) -> Message:
+    """The same message marked as sent late, where its payload has the mark; pictures stay as they are."""
+    if message.content_type != "application/json" or not message.payload:
+        return message
+    content = json.loads(message.payload)
+    if not isinstance(content, dict) or "is_replayed" not in content:
+        return message
+    content["is_replayed"] = True
+    return replace(message, payload=json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode())
+
+
+def _known_alarm(alarm: str) -> str:
+    if alarm not in ALARMS:
+        raise ValueError(f"alarm {alarm!r} is not known; known: {', '.join(ALARMS)}")
+    return alarm

@@ -1,0 +1,349 @@
+"""The publisher: one thread per sink that takes the outbox out in order, and never gives up on it.
+
+A `Lane` is the whole behaviour for one sink, one step at a time and without a thread; `Publisher` gives each lane its
+thread. A sink that is away does not hold up the others: a row leaves the outbox when every sink acknowledged it.
+"""
+
+import fcntl
+import logging
+import os
+import random
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from edge.core.backoff import Backoff
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
+from edge.core.ports import Clock, Message, Sink
+from edge.messaging.payloads import as_replayed
+from edge.messaging.retained_state import Announcements
+from edge.store.outbox import Outbox, OutboxRow, OutboxStatus
+
+__all__ = ["Lane", "LaneCounters", "OnChange", "Publisher", "PublisherLock"]
+
+log = logging.getLogger(__name__)
+
+# Rows in memory at a time: enough to keep a broker busy, few enough that sixteen heatmaps fit in any gateway.
+BATCH_ROWS: Final = 16
+
+# An idle lane looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
+IDLE_S: Final = 5.0
+
+# An attempt on a sink that is away costs nothing, it does its own connecting: so the pauses stay short.
+BACKOFF_FIRST_S: Final = 0.1
+BACKOFF_CEILING_S: Final = 5.0
+
+# What a sink refused is offered again this often: permissions get repaired, size limits raised.
+OFFER_REFUSED_S: Final = 3600.0
+
+# A sink's last send and its `close` come back within this time; shipped sinks need less than a second.
+CLOSE_S: Final = 5.0
+
+OnChange = Callable[[str, bool, str], None]
+"""(sink name, whether it takes messages now, one sentence). Called on changes only, from the lane's thread."""
+
+
+@dataclass(frozen=True)
+class LaneCounters:
+    """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
+    refused: rows that the sink will not have. is_up: the last attempt was taken. last_error: its sentence, or empty."""
+
+    sent: int = 0
+    replayed: int = 0
+    failed: int = 0
+    refused: int = 0
+    is_up: bool = False
+    last_error: str = ""
+    last_sent_ns: int | None = None
+
+
+class Lane:
+    """One sink's way through the outbox. `step` does one batch and says how long to wait before the next."""
+
+    def __init__(
+        self,
+        name: str,
+        sink: Sink,
+        outbox: Outbox,
+        announcements: Announcements,
+        clock: Clock,
+        backoff: Backoff,
+        on_change: OnChange,
+    ) -> None:
+        self.name = name
+        self.counters = LaneCounters()
+        self._sink = sink
+        self._outbox = outbox
+        self._announcements = announcements
+        self._clock = clock
+        self._backoff = backoff
+        self._on_change = on_change
+        self._has_changed = False  # whether `on_change` was ever called
+        self._said = 0  # version of the announcements that this sink has
+        self._passed = 0  # every row up to this one is settled with this sink
+        self._taken: int | None = None  # the row that the sink took last; the store may not know it yet
+        self._is_store_failing = False
+        # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
+        self._late_up_to = outbox.newest()
+        self._offered_ns: int | None = None
+
+    def step(self) -> float:
+        """Send what has changed and at most one batch of rows; gives seconds until the next step, 0 for at once.
+
+        Never raises a SinkError or a StoreError: both are counted and retried. A sink's is told through `on_change`;
+        while the store refuses, a row that the sink has taken is not sent again, only noted again.
+        """
+        has_failed = self._backoff.failures > 0
+        try:
+            self._say()  # first: what is true now needs no store
+            if has_failed:
+                self._late_up_to = self._outbox.newest()
+            self._offer_refused()
+            rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
+            for row in rows:
+                self._send(row)
+                self._passed = row.row_id
+        except SinkError as error:
+            return self._failed(error)
+        except StoreError as error:
+            return self._unrecorded(error)
+        return 0.0 if len(rows) == BATCH_ROWS else IDLE_S
+
+    def broken(self) -> float:
+        """Note that `step` raised what it must not; gives the seconds to wait, as for any failure."""
+        return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
+
+    def _offer_refused(self) -> None:
+        now_ns = self._clock.monotonic_ns()
+        if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
+            if self._outbox.offer_refused(self.name):
+                self._passed = 0
+            self._offered_ns = now_ns
+
+    def _say(self) -> None:
+        for version, message in self._announcements.since(self._said):
+            try:
+                self._deliver(message)
+            except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
+                self._refused(message.topic, error)
+            self._said = version
+
+    def _send(self, row: OutboxRow) -> None:
+        is_late = row.row_id <= self._late_up_to
+        message = as_replayed(row.message) if is_late else row.message
+        # A row that was taken before waits for its acknowledgement alone: a full disk is no reason to send it again.
+        if row.row_id != self._taken:
+            try:
+                self._deliver(message)
+            except SinkRejected as error:
+                self._outbox.refuse(row.row_id, self.name, str(error))
+                self._refused(row.message.topic, error)
+                return
+            self._taken = row.row_id
+        if message.retain:
+            self._announcements.remember(message, row.row_id)
+        self._outbox.acknowledge(row.row_id, self.name)
+        self._recorded()
+        self.counters = replace(
+            self.counters,
+            sent=self.counters.sent + 1,
+            replayed=self.counters.replayed + int(is_late),
+            last_sent_ns=self._clock.time_ns(),
+        )
+
+    def _deliver(self, message: Message) -> None:
+        self._sink.send(message)
+        self._backoff.succeeded()
+        if not self.counters.is_up:
+            self.counters = replace(self.counters, is_up=True, last_error="")
+            self._change(True, f"sink {self.name} takes messages")
+
+    def _recorded(self) -> None:
+        self._backoff.succeeded()
+        if self._is_store_failing:
+            self._is_store_failing = False
+            log.info("what sink %s takes is noted again", self.name)
+
+    def _unrecorded(self, error: StoreError) -> float:
+        """The database refused: the sink is not to blame, so announcements go on. Said once."""
+        self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
+        if not self._is_store_failing:
+            self._is_store_failing = True
+            log.error("what sink %s takes cannot be noted: %s", self.name, error)
+        return self._backoff.failed()
+
+    def _failed(self, error: SinkError) -> float:
+        is_news = self.counters.is_up or not self._has_changed
+        self.counters = replace(
+            self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)
+        )
+        if is_news:
+            self._change(False, str(error))
+        return self._backoff.failed()
+
+    def _refused(self, topic: str, error: SinkRejected) -> None:
+        self.counters = replace(self.counters, refused=self.counters.refused + 1, last_error=str(error))
+        log.warning("sink %s refused a message for %s: %s", self.name, topic, error)
+
+    def _change(self, is_up: bool, sentence: str) -> None:
+        self._has_changed = True
+        log.log(logging.INFO if is_up else logging.WARNING, "%s", sentence)
+        self._on_change(self.name, is_up, sentence)
+
+
+class Publisher:
+    """All lanes over one database, each in its own thread.
+
+    database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
+    lock: that of the database, by whoever took it before opening the sinks; the publisher gives it back.
+    Errors: StoreError if another process publishes from this database: two would overtake each other.
+    """
+
+    def __init__(
+        self,
+        database: Path,
+        sinks: Mapping[str, Sink],
+        announcements: Announcements,
+        clock: Clock,
+        rng: random.Random,
+        on_change: OnChange = lambda name, is_up, sentence: None,
+        lock: "PublisherLock | None" = None,
+    ) -> None:
+        self._lock = lock or PublisherLock(database)
+        self._sinks = dict(sinks)
+        self._announcements = announcements
+        self._outbox = Outbox(database)
+        self._outbox.register(self._sinks)
+        self._stopping = threading.Event()
+        self._wakes = {name: threading.Event() for name in self._sinks}
+        self._lanes = {
+            name: Lane(
+                name,
+                sink,
+                self._outbox,
+                announcements,
+                clock,
+                Backoff(rng, BACKOFF_FIRST_S, BACKOFF_CEILING_S),
+                on_change,
+            )
+            for name, sink in self._sinks.items()
+        }
+        self._threads = [
+            threading.Thread(target=self._run, args=(lane,), name=f"publish-{name}", daemon=True)
+            for name, lane in self._lanes.items()
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def wake(self) -> None:
+        """There is something new in the outbox. A lane that waits after a failure goes on waiting."""
+        for wake in self._wakes.values():
+            wake.set()
+
+    def announce(self, message: Message) -> None:
+        """Say what is true now: state, info, alarm, stats. It is said again on every connection until it changes."""
+        if self._announcements.announce(message):
+            self.wake()
+
+    def counters(self) -> Mapping[str, LaneCounters]:
+        return {name: lane.counters for name, lane in self._lanes.items()}
+
+    def outbox_status(self) -> OutboxStatus:
+        return self._outbox.status()
+
+    def stop(self, drain_s: float = 2.0) -> None:
+        """Send what can be sent in that time, then close the sinks; what is left stays in the outbox.
+
+        Harmless when repeated.
+        """
+        self._stopping.set()
+        self.wake()
+        _join(self._started(), drain_s)
+        # A send that still waits ends with SinkUnavailable when its sink is closed. Each is closed in a thread of its
+        # own: one that never comes back must not keep the others open.
+        closers = [
+            threading.Thread(target=self._close, args=(name,), name=f"close-{name}", daemon=True)
+            for name in self._sinks
+        ]
+        for closer in closers:
+            closer.start()
+        _join([*closers, *self._started()], CLOSE_S)
+        stuck = [thread.name for thread in (*closers, *self._started()) if thread.is_alive()]
+        if stuck:
+            # What they hold stays theirs until the process ends: another publisher would overtake them.
+            log.error(
+                "%s did not come back within %g s, a fault in the plugin; what it has not taken stays in the outbox",
+                ", ".join(stuck),
+                CLOSE_S,
+            )
+            return
+        self._outbox.close()
+        self._lock.close()
+
+    def _close(self, name: str) -> None:
+        try:
+            self._sinks[name].close()
+        except Exception:
+            log.exception("sink %s: a fault in its plugin while it was closed", name)
+
+    def _started(self) -> list[threading.Thread]:
+        return [thread for thread in self._threads if thread.ident is not None]
+
+    def _run(self, lane: Lane) -> None:
+        while True:
+            self._wakes[lane.name].clear()
+            is_last = (
+                self._stopping.is_set()
+            )  # only a step that begins after `stop` has seen all there is to say
+            try:
+                pause_s = lane.step()
+            except Exception:
+                log.exception("sink %s: a fault in its plugin", lane.name)
+                pause_s = lane.broken()
+            if is_last and pause_s > 0:
+                return
+            if lane.counters.is_up:
+                self._wakes[lane.name].wait(pause_s)
+            else:
+                self._stopping.wait(pause_s)
+
+
+def _join(threads: Sequence[threading.Thread], seconds: float) -> None:
+    """Wait for all of them, together at most so long."""
+    deadline = time.monotonic() + seconds
+    for thread in threads:
+        thread.join(max(0.0, deadline - time.monotonic()))
+
+
+class PublisherLock:
+    """The right to publish from a database, held by one process at a time and lost with it.
+
+    Errors: StoreError if another process has it.
+    """
+
+    def __init__(self, database: Path) -> None:
+        path = database.with_name(database.name + ".publisher")
+        try:
+            self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise StoreError(
+                f"the lock {path} cannot be made: {error.strerror}; give the gateway's user the right"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self.close()
+            raise StoreError(
+                f"another gelgate process publishes from database {database}; end it, or name another database"
+            ) from error
+
+    def close(self) -> None:
+        """Give it back; harmless when repeated."""
+        file, self._file = self._file, None
+        if file is not None:
+            os.close(file)

@@ -1,0 +1,184 @@
+"""Listening to stations: results as they arrive, each press once, and their heatmaps into a folder."""
+
+import json
+import queue
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from edge.core.errors import SinkUnavailable
+from edge.core.sink_context import TOPIC_VERSION
+from edge.messaging.mqtt_connection import Broker, Connection, Received
+from edge.store.ulid import is_ulid
+
+__all__ = ["Seen", "describe", "station_filter", "watch"]
+
+# Press ids remembered in order to leave out repetitions: more than any outbox replays in one go.
+REMEMBERED: Final = 100_000
+
+# How long the picture of the last wanted press is waited for; it follows its result at once.
+LAST_PICTURE_S: Final = 2.0
+
+# Pauses between attempts to return to a broker that went away while we listened.
+RETURN_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One thing heard. kind: `result`, `heatmap`, `state` or `alarm`. station: the levels before `/gel/`.
+
+    content: the JSON payload; for a heatmap its `press_id` and the `path` it was saved to, for an alarm its id too.
+    """
+
+    kind: str
+    station: str
+    content: Mapping[str, Any]
+
+
+def station_filter(prefix: str, site: str = "+", line: str = "+", station: str = "+") -> str:
+    """The topic filter for these stations; `+` stands for any."""
+    return f"{prefix}/{site}/{line}/{station}/gel/{TOPIC_VERSION}/#"
+
+
+def watch(
+    broker: Broker,
+    topic_filter: str,
+    save: Path | None = None,
+    count: int | None = None,
+    timeout_s: float | None = None,
+    tell: Callable[[str], None] = lambda sentence: None,
+) -> Iterator[Seen]:
+    """What is heard, until `count` results or `timeout_s` seconds, else for ever. A press id is given once.
+
+    save: heatmaps become `<press id>.png` there. tell: hears of trouble that does not end the watch.
+    Errors: SinkUnavailable if there is no broker at the start, or the subscription is refused.
+    """
+    end = _End(None if timeout_s is None else time.monotonic() + timeout_s)
+    known: OrderedDict[str, None] = OrderedDict()
+    wanted, awaited = count, None
+    for message in _received(broker, topic_filter, end, tell):
+        seen = _interpret(message, save, tell)
+        if seen is None or (seen.kind == "result" and not _is_news(known, seen.content["press_id"])):
+            continue
+        if seen.kind == "result" and awaited is not None:
+            continue  # enough were seen; only the last one's picture is still to come
+        yield seen
+        if seen.kind == "heatmap" and seen.content["press_id"] == awaited:
+            return
+        if seen.kind == "result" and wanted is not None:
+            wanted -= 1
+            if wanted == 0 and (save is None or not seen.content.get("heatmap_topic")):
+                return
+            if wanted == 0:
+                awaited = seen.content["press_id"]
+                end.not_after(time.monotonic() + LAST_PICTURE_S)
+
+
+def describe(result: Mapping[str, Any], station: str) -> str:
+    """A result as one line: when, where, what, by how much, the gel, the time it took."""
+    verdict, score, threshold = result.get("verdict"), result.get("score"), result.get("threshold")
+    words = [str(result.get("time", "?")), station, str(result.get("part", "?"))]
+    if result.get("position"):
+        words.append(str(result["position"]))
+    words.append(str(verdict or "error").upper())
+    if score is not None and threshold is not None:
+        words.append(f"score {score:.4g} {'>' if score > threshold else '<='} {threshold:.4g}")
+    words += [str(result[key]) for key in ("reason", "error") if result.get(key)]
+    words.append(f"gel {result.get('gel_presses', '?')}/{result.get('gel_limit_presses', '?')}")
+    total = (result.get("latency_ms") or {}).get("total")
+    if total is not None:
+        words.append(f"{total:.1f} ms")
+    return "  ".join([*words, "(late)"] if result.get("is_replayed") else words)
+
+
+@dataclass
+class _End:
+    """When to stop listening, by the monotonic clock; None for never."""
+
+    at: float | None
+
+    def not_after(self, moment: float) -> None:
+        self.at = moment if self.at is None else min(self.at, moment)
+
+    def left_s(self) -> float | None:
+        return None if self.at is None else max(0.0, self.at - time.monotonic())
+
+
+def _is_news(known: "OrderedDict[str, None]", press_id: str) -> bool:
+    if press_id in known:
+        return False
+    known[press_id] = None
+    if len(known) > REMEMBERED:
+        known.popitem(last=False)
+    return True
+
+
+def _received(
+    broker: Broker, topic_filter: str, end: _End, tell: Callable[[str], None]
+) -> Iterator[Received]:
+    has_listened = False
+    while True:
+        try:
+            with _listening(broker, topic_filter) as inbox:
+                if has_listened:
+                    tell(f"listening to broker {broker} again")
+                has_listened = True
+                while (message := _next(inbox, end.left_s())) is not None:
+                    yield message
+            return
+        except SinkUnavailable as error:
+            if not has_listened:
+                raise
+            tell(f"{error}; trying again")
+            left_s = end.left_s()
+            if left_s is not None and left_s < RETURN_S:
+                return
+            time.sleep(RETURN_S)
+
+
+@contextmanager
+def _listening(broker: Broker, topic_filter: str) -> Iterator["queue.SimpleQueue[Received | None]"]:
+    inbox: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
+    connection = Connection.open(broker, on_received=inbox.put, on_lost=lambda: inbox.put(None))
+    try:
+        connection.subscribe(topic_filter)
+        yield inbox
+    finally:
+        connection.close()
+
+
+def _next(inbox: "queue.SimpleQueue[Received | None]", timeout_s: float | None) -> Received | None:
+    """The next message, None when the time is over. Errors: SinkUnavailable when the connection is lost."""
+    try:
+        message = inbox.get(timeout=timeout_s)
+    except queue.Empty:
+        return None
+    if message is None:
+        raise SinkUnavailable("the connection to the broker is lost")
+    return message
+
+
+def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]) -> Seen | None:
+    station, _, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
+    kind, _, name = topic.partition("/")
+    if (
+        kind == "heatmap" and save is not None and is_ulid(name)
+    ):  # the name becomes a file's: nothing else may pass
+        save.mkdir(parents=True, exist_ok=True)
+        path = save / f"{name}.png"
+        path.write_bytes(message.payload)
+        return Seen("heatmap", station, {"press_id": name, "path": str(path)})
+    if kind not in ("result", "state", "alarm") or (kind == "alarm" and not message.payload):
+        return None
+    try:
+        content = json.loads(message.payload)
+        if not isinstance(content, dict) or (kind == "result" and "press_id" not in content):
+            raise ValueError("not a payload of this topic")
+    except ValueError as error:
+        tell(f"a message on {message.topic} cannot be read ({error}); it is left out")
+        return None
+    return Seen(kind, station, content)

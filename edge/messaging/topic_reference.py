@@ -1,0 +1,131 @@
+"""docs/mqtt.md, printed from the payload models, so that it cannot disagree with them."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+from pydantic import BaseModel
+
+from edge.core.sink_context import TOPIC_VERSION
+from edge.messaging.payloads import (
+    ALARMS,
+    AlarmPayload,
+    CommandRequest,
+    CommandResponse,
+    GelPayload,
+    InfoPayload,
+    ResultPayload,
+    StatePayload,
+    StatsPayload,
+)
+
+__all__ = ["COMMANDS", "TOPICS", "reference"]
+
+# topic below the root, QoS, whether retained, payload, what it is for
+TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
+    ("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
+    ("info", 1, True, InfoPayload, "what is installed"),
+    ("result", 1, False, ResultPayload, "one message a press"),
+    (
+        "heatmap/<press id>",
+        1,
+        False,
+        "PNG",
+        "the press with its scores in colour; the id is that of the result",
+    ),
+    ("last", 1, True, ResultPayload, "the newest result, for whoever connects later"),
+    ("gel", 1, True, GelPayload, "wear of the mounted gel"),
+    ("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
+    ("stats", 0, False, StatsPayload, "counters, for dashboards"),
+    ("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
+    ("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
+)
+
+# verb, its arguments, what it does
+COMMANDS: Final[tuple[tuple[str, str, str], ...]] = (
+    ("trigger", "none", 'score the press that is held now; the way to inspect with `trigger = "command"`'),
+    ("relearn", "none", "learn the picture of the free gel anew; nothing may touch it"),
+    (
+        "replace_gel",
+        "`gel_id`, `limit_presses`, `note`; each may be left out",
+        "record that a new gel is mounted, count from 0 and learn its picture",
+    ),
+)
+
+_HEAD: Final = f"""\
+# MQTT topics and payloads
+
+This page is printed by `gelgate topics` from the payload models; a test compares the two.
+
+Every topic is below `<prefix>/<site>/<line>/<station>/gel/{TOPIC_VERSION}/`. The four levels come from the
+configuration: 1 to 64 characters each, without blanks and without `+ # / $`.
+
+Payloads are JSON in UTF-8, except the heatmap. Every field is always there; what may be null says so. Within
+{TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names; times are given twice, `time`
+for people and `time_ns` for programs.
+
+What a subscriber can rely on:
+
+- **A result arrives at least once**, and again only with the same `press_id` and content: drop the second by its id.
+- **Results keep their order** at one broker. What could not be sent at once is marked `is_replayed`; its `time` is that
+  of the press. A refused message is set aside and comes later.
+- **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
+- **A press without a score is never a pass**: its `verdict` is null and `error` says why.
+- `state`, `info`, `alarm` and `stats` say what is true now. They are not kept for later, and are said again on every
+  connection.
+- MQTT 5 and 3.1.1 carry the same topics and payloads. At level 5 messages also have a content type, a request may name
+  its response topic, and the correlation data comes back. At 3.1.1 a broker may discard silently what its access rules
+  forbid.
+- The client id of a station must be unique: two stations with one id push each other off the broker for ever.
+"""
+
+
+def reference() -> str:
+    """The whole page, Markdown."""
+    return "\n".join([_HEAD, *_overview(), *_commands(), *_alarms(), *_payloads()]) + "\n"
+
+
+def _overview() -> Iterator[str]:
+    yield "## Topics\n\n| topic | QoS | retained | payload | what it is |\n| --- | --- | --- | --- | --- |"
+    for topic, qos, retained, payload, meaning in TOPICS:
+        name = payload if isinstance(payload, str) else f"[{payload.__name__}](#{payload.__name__.lower()})"
+        yield f"| `{topic}` | {qos} | {'yes' if retained else 'no'} | {name} | {meaning} |"
+
+
+def _commands() -> Iterator[str]:
+    yield "\n## Commands\n\n| verb | arguments | what it does |\n| --- | --- | --- |"
+    yield from (f"| `{verb}` | {arguments} | {meaning} |" for verb, arguments, meaning in COMMANDS)
+    yield "\nFor example, published on `cmd/replace_gel`:\n"
+    yield '```json\n{"transaction": "17", "arguments": {"gel_id": "batch7-3", "note": "torn"}}\n```'
+
+
+def _alarms() -> Iterator[str]:
+    yield "\n## Alarms\n\n| alarm | meaning |\n| --- | --- |"
+    yield from (f"| `{alarm}` | {meaning} |" for alarm, meaning in ALARMS.items())
+
+
+def _payloads() -> Iterator[str]:
+    for model in dict.fromkeys(payload for *_, payload, _ in TOPICS if not isinstance(payload, str)):
+        schema = model.model_json_schema()
+        yield f"\n## {model.__name__}\n\n{schema.get('description', '')}\n"
+        yield "| field | type | meaning |\n| --- | --- | --- |"
+        for name, field in schema["properties"].items():
+            yield f"| `{name}` | {_kind(field, schema.get('$defs', {}))} | {_meaning(field)} |"
+
+
+def _kind(field: dict[str, Any], definitions: dict[str, Any]) -> str:
+    if "$ref" in field:
+        return _kind(definitions[field["$ref"].rpartition("/")[2]], definitions)
+    if "anyOf" in field:
+        return " or ".join(_kind(choice, definitions) for choice in field["anyOf"])
+    if "const" in field:
+        return f"`{field['const']}`"
+    if "enum" in field:
+        return " · ".join(f"`{value}`" for value in field["enum"])
+    if field.get("type") == "object":
+        inner = field.get("additionalProperties")
+        return f"object of {_kind(inner, definitions)}" if isinstance(inner, dict) and inner else "object"
+    return str(field.get("type", "any"))
+
+
+def _meaning(field: dict[str, Any]) -> str:
+    return str(field.get("description", "")).replace("|", "or").replace("\n", " ")

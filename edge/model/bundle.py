@@ -1,0 +1,388 @@
+"""A bundle: one detector for one position of one part, everything a gateway needs to score it, checked by hash.
+
+`Bundle.load` reads a folder or a zip, `bundle_files` and `write_bundle` make one. What is checked is what is used:
+every file is read once, its hash is taken of those bytes, and those bytes become arrays and sessions.
+"""
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from edge import registry
+from edge.core.detector import Bank, Grid
+from edge.core.errors import BundleCorrupt, BundleMismatch, FitError, GelgateError
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.archive import MANIFEST, Archive, open_archive, write_archive
+from edge.model.manifest import (
+    SCHEMA_VERSION,
+    ArrayEntry,
+    BackboneEntry,
+    Facts,
+    FileEntry,
+    GoldenEntry,
+    Manifest,
+)
+from edge.model.onnx_prune import cut_trunk
+from edge.model.onnx_validation import GraphRefused
+from edge.model.packing import Packed, pack, unpack
+
+__all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", "write_bundle"]
+
+MAX_MANIFEST_BYTES = 16 << 20
+TRUNK, HEAD, DETECTOR = "trunk.onnx", "head.onnx", "detector.onnx"
+FREE_GEL = "free_gel.png"
+
+
+@dataclass(frozen=True)
+class GoldenFrame:
+    """A frame whose score is known. rgb: uint8 (h, w, 3) of the inspected region. map_peaks: see GoldenEntry."""
+
+    rgb: NDArray[np.uint8]
+    what: str
+    score: float
+    map_peaks: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Graphs:
+    """The ONNX files of a bundle: trunk and head, or a single detector. Bytes, as loaded or to be written."""
+
+    trunk: bytes | None = None
+    head: bytes | None = None
+    detector: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A checked bundle in memory. bank: arrays unpacked, exactly as the head's inputs want them.
+
+    `graphs.trunk` is None where the caller said that this trunk is open already. free_gel: the region untouched, uint8
+    (h, w, 3), where tiles may be skipped. digest: SHA-256 of the manifest, the
+    bundle's identity in every published result. where: path, for messages.
+    """
+
+    manifest: Manifest
+    graphs: Graphs
+    bank: Mapping[str, NDArray[Any]]
+    golden: tuple[GoldenFrame, ...]
+    digest: str
+    where: str
+    free_gel: NDArray[np.uint8] | None = None
+
+    @classmethod
+    def load(cls, path: str | Path, trunks: Path | None = None, loaded: Container[str] = ()) -> "Bundle":
+        """Read and verify a bundle, a folder or a zip.
+
+        trunks: folder of `<sha256>.onnx`, for bundles sent without their trunk; `trunks/` beside the bundle and the
+        installed backbones are tried after it. loaded: SHA-256 of trunks that are open already and are not read.
+        Errors: BundleCorrupt (which file, found, expected), BundleMismatch (from a newer program).
+        """
+        archive = open_archive(Path(path))
+        raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
+        manifest = parse_manifest(raw, archive.where)
+        stores = [folder for folder in (trunks, Path(path).parent / "trunks") if folder is not None]
+        return cls._checked(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
+
+    @classmethod
+    def in_memory(
+        cls,
+        manifest: Manifest,
+        files: Mapping[str, bytes],
+        where: str = "unwritten",
+        loaded: Container[str] = (),
+    ) -> "Bundle":
+        """The bundle that `files` would be, through the same checks; what is scored at fit is what will be loaded."""
+        return cls._checked(
+            manifest, hashlib.sha256(files[MANIFEST]).hexdigest(), _Memory(files, where), (), loaded
+        )
+
+    @classmethod
+    def _checked(
+        cls, manifest: Manifest, digest: str, archive: Archive, stores: Sequence[Path], loaded: Container[str]
+    ) -> "Bundle":
+        graphs = Graphs(
+            trunk=_read_trunk(manifest, archive, stores, loaded),
+            head=_read(archive, manifest.head) if manifest.head else None,
+            detector=_read(archive, manifest.detector) if manifest.detector else None,
+        )
+        bank = {name: _read_array(archive, name, entry) for name, entry in manifest.bank.items()}
+        golden = tuple(_read_golden(archive, entry, manifest.frame) for entry in manifest.golden)
+        return cls(
+            manifest=manifest,
+            graphs=graphs,
+            bank=bank,
+            golden=golden,
+            digest=digest,
+            where=archive.where,
+            free_gel=_read_picture(archive, manifest.free_gel, manifest.frame) if manifest.free_gel else None,
+        )
+
+    @property
+    def profile(self) -> SensorProfile:
+        return self.manifest.profile.profile()
+
+    @property
+    def region(self) -> Region:
+        return self.manifest.region.region()
+
+    @property
+    def grid(self) -> Grid | None:
+        return self.manifest.grid.grid() if self.manifest.grid else None
+
+    @property
+    def trunk_sha256(self) -> str | None:
+        return self.manifest.backbone.trunk.sha256 if self.manifest.backbone else None
+
+    def check_profile(self, profile: SensorProfile) -> None:
+        """Errors: BundleMismatch naming every field in which the sensor is read otherwise than at fit."""
+        if profile == self.profile:
+            return
+        mine, theirs = vars(self.profile), vars(profile)
+        differences = ", ".join(f"{k} {theirs[k]} (bundle: {mine[k]})" for k in mine if mine[k] != theirs[k])
+        raise BundleMismatch(
+            f"bundle {self.where} was made for sensor profile '{self.profile.name}', the gateway reads with "
+            f"'{profile.name}': {differences}; use that profile or fit again"
+        )
+
+
+def bundle_files(
+    facts: Facts,
+    graphs: Graphs,
+    bank: Bank | None = None,
+    golden: Sequence[GoldenFrame] = (),
+    *,
+    backbone: str = "",
+    with_trunk: bool = True,
+    free_gel: NDArray[np.uint8] | None = None,
+) -> tuple[Manifest, dict[str, bytes]]:
+    """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
+
+    backbone: the trunk's id. with_trunk: False leaves the trunk to the gateway's store. Errors: FitError for an array
+    that cannot be stored as the bank asks.
+    """
+    files: dict[str, bytes] = {}
+
+    def keep(name: str, data: bytes) -> FileEntry:
+        files[name] = data
+        return FileEntry(file=name, sha256=hashlib.sha256(data).hexdigest(), size_bytes=len(data))
+
+    parts: dict[str, Any] = {}
+    if graphs.trunk is not None:
+        parts["backbone"] = BackboneEntry(id=backbone, trunk=keep(TRUNK, graphs.trunk), in_bundle=with_trunk)
+        if not with_trunk:
+            del files[TRUNK]
+    for key, name, graph in (("head", HEAD, graphs.head), ("detector", DETECTOR, graphs.detector)):
+        if graph is not None:
+            parts[key] = keep(name, graph)
+    if bank is not None:
+        parts["bank"] = {name: _array_entry(name, bank, keep) for name in sorted(bank.arrays)}
+    parts["golden"] = tuple(
+        GoldenEntry(
+            image=keep(f"golden/{number}.png", _png(frame.rgb)),
+            what=frame.what,
+            score=frame.score,
+            map_peaks=frame.map_peaks,
+        )
+        for number, frame in enumerate(golden)
+    )
+    if free_gel is not None:
+        parts["free_gel"] = keep(FREE_GEL, _png(free_gel))
+    manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
+    files[MANIFEST] = _manifest_bytes(manifest)
+    return manifest, files
+
+
+def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> Path:
+    """Write what `bundle_files` gave, as a folder or (name ending in .zip) a zip; whole or not at all.
+
+    Errors: FileExistsError, OSError.
+    """
+    write_archive(path, files, overwrite=overwrite)
+    return path
+
+
+def _manifest_bytes(manifest: Manifest) -> bytes:
+    return (json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:
+    array, packing = bank.arrays[name], bank.packing.get(name, "none")
+    if array.dtype not in (np.float32, np.int64, np.bool_):
+        raise FitError(f"bank array '{name}' is {array.dtype}; a head takes float32, int64 or bool")
+    try:
+        packed = pack(array, packing)
+    except ValueError as error:
+        raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
+    return ArrayEntry(
+        dtype=array.dtype.name,  # type: ignore[arg-type]  # one of the three just checked
+        shape=array.shape,
+        packing=packing,
+        data=keep(f"bank/{name}.npy", _npy(packed.data)),
+        scale=None if packed.scale is None else keep(f"bank/{name}.scale.npy", _npy(packed.scale)),
+        exponent=packed.exponent,
+    )
+
+
+def _npy(array: NDArray[Any]) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array(
+        stream, np.ascontiguousarray(array).reshape(array.shape), (1, 0), allow_pickle=False
+    )
+    return stream.getvalue()
+
+
+def _png(rgb: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1])
+
+
+def parse_manifest(raw: bytes, where: str) -> Manifest:
+    """The manifest from its bytes. Errors: BundleCorrupt, BundleMismatch for a newer schema."""
+    try:
+        content = json.loads(raw)
+        version = content["schema_version"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BundleCorrupt(
+            f"bundle {where}: {MANIFEST} is not a gelgate manifest ({error!r:.100})"
+        ) from error
+    if isinstance(version, int) and version > SCHEMA_VERSION:
+        raise BundleMismatch(
+            f"bundle {where} has manifest schema {version}, this program reads up to {SCHEMA_VERSION}; "
+            "update gelgate on this gateway"
+        )
+    try:
+        return Manifest.model_validate(content)
+    except ValidationError as error:
+        faults = "; ".join(
+            f"{'.'.join(map(str, e['loc'])) or 'whole'}: {e['msg']}" for e in error.errors()[:5]
+        )
+        raise BundleCorrupt(
+            f"bundle {where}: {MANIFEST} is wrong: {faults}; export the bundle again"
+        ) from error
+
+
+def _read(archive: Archive, entry: FileEntry) -> bytes:
+    return _verified(archive.read(entry.file, entry.size_bytes), entry, archive.where)
+
+
+def _verified(data: bytes, entry: FileEntry, where: str) -> bytes:
+    found = hashlib.sha256(data).hexdigest()
+    if found != entry.sha256:
+        raise BundleCorrupt(
+            f"bundle {where}: {entry.file} has SHA-256 {found[:12]} ({len(data)} bytes), the manifest expects "
+            f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the whole bundle again"
+        )
+    return data
+
+
+def _read_trunk(
+    manifest: Manifest, archive: Archive, stores: Sequence[Path], loaded: Container[str]
+) -> bytes | None:
+    if manifest.backbone is None or manifest.backbone.trunk.sha256 in loaded:
+        return None
+    entry = manifest.backbone.trunk
+    if manifest.backbone.in_bundle:
+        return _read(archive, entry)
+    for store in stores:
+        file = store / f"{entry.sha256}.onnx"
+        if file.is_file():
+            stored = entry.model_copy(update={"file": file.name})
+            return _verified(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
+    installed = _installed_trunk(manifest.backbone, tuple(manifest.grid.taps) if manifest.grid else ())
+    if installed is not None:
+        return installed
+    raise BundleCorrupt(
+        f"bundle {archive.where} was sent without its trunk '{manifest.backbone.id}' and {entry.sha256[:12]} is not "
+        f"in {' or '.join(map(str, stores)) or 'any trunk store'}; copy it there as {entry.sha256}.onnx"
+    )
+
+
+def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | None:
+    """The trunk of an installed backbone of that name, whole or cut behind these taps, if it is the very same one."""
+    if backbone.id not in registry.names("backbones"):
+        return None
+    try:
+        whole: bytes = registry.load("backbones", backbone.id).trunk()
+        candidates = (whole, cut_trunk(whole, taps))
+    except (GelgateError, GraphRefused, ImportError):
+        return None
+    wanted = backbone.trunk.sha256
+    return next((trunk for trunk in candidates if hashlib.sha256(trunk).hexdigest() == wanted), None)
+
+
+def _read_array(archive: Archive, name: str, entry: ArrayEntry) -> NDArray[Any]:
+    stored_dtype = {"none": entry.dtype, "float16": "float16", "int8": "int8"}[entry.packing]
+    data = _parse_npy(_read(archive, entry.data), entry.data.file, stored_dtype, entry.shape, archive.where)
+    scale = None
+    if entry.scale is not None:
+        raw = _read(archive, entry.scale)
+        scale = _parse_npy(raw, entry.scale.file, "float32", entry.shape[:-1], archive.where)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            array = unpack(Packed(data, scale, entry.exponent), entry.packing)
+    except ValueError as error:
+        raise BundleCorrupt(
+            f"bundle {archive.where}: bank array '{name}': {error}; export it again"
+        ) from error
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise BundleCorrupt(f"bundle {archive.where}: bank array '{name}' holds NaN or infinity; fit again")
+    return array
+
+
+def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where: str) -> NDArray[Any]:
+    """An array straight from npy bytes; the header must say what the manifest says, so nothing else is believed."""
+    stream = io.BytesIO(data)
+    try:
+        major, _ = np.lib.format.read_magic(stream)
+        reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+        found_shape, fortran, found_dtype = reader(stream)
+    except (ValueError, EOFError, OSError) as error:
+        raise BundleCorrupt(f"bundle {where}: {file} is not a npy file ({error}); export it again") from error
+    if found_dtype.hasobject or found_dtype != np.dtype(dtype) or found_shape != shape or fortran:
+        raise BundleCorrupt(
+            f"bundle {where}: {file} holds {found_dtype} {found_shape}, the manifest expects {dtype} {shape}; "
+            "export the bundle again"
+        )
+    found_bytes, expected_bytes = len(data) - stream.tell(), math.prod(shape) * np.dtype(dtype).itemsize
+    if found_bytes != expected_bytes:
+        raise BundleCorrupt(
+            f"bundle {where}: {file} holds {found_bytes} bytes of data, {expected_bytes} were expected; "
+            "copy the whole bundle again"
+        )
+    return np.frombuffer(data, found_dtype, offset=stream.tell()).reshape(shape)
+
+
+def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -> GoldenFrame:
+    rgb = _read_picture(archive, entry.image, frame)
+    return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
+
+
+def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture of the region, uint8 (h, w, 3) RGB."""
+    data = np.frombuffer(_read(archive, entry), np.uint8)
+    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
+        raise BundleCorrupt(
+            f"bundle {archive.where}: the picture {entry.file} is {None if bgr is None else bgr.shape}, "
+            f"expected {(*frame, 3)}; export the bundle again"
+        )
+    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class _Memory:
+    files: Mapping[str, bytes]
+    where: str
+
+    def read(self, name: str, limit: int = 0) -> bytes:
+        return self.files[name]

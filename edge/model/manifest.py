@@ -1,0 +1,375 @@
+"""The manifest of a bundle: what `manifest.json` holds, checked field by field when it is read.
+
+Units: bytes, milliseconds and seconds are in the names; pixel positions are those of the picture (origin top left).
+"""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+from edge.core.contact.mask import Touch
+from edge.core.detector import Grid, Mode, Packing
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_check import NominalColours
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.tiles import Tiles
+from edge.core.verdict import Verdict, decide
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "ArrayEntry",
+    "BackboneEntry",
+    "ColourEntry",
+    "ContactRange",
+    "CostCard",
+    "Facts",
+    "FileEntry",
+    "GoldenEntry",
+    "GridEntry",
+    "Manifest",
+    "ProfileEntry",
+    "Provenance",
+    "RegionEntry",
+    "ThresholdEntry",
+    "TilesEntry",
+    "ToleranceEntry",
+]
+
+SCHEMA_VERSION = 1
+"""Raised when a reader of the last version would misread the new one; a newer bundle is refused by name."""
+
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+
+RelativeFile = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)?$")
+]
+"""A file of the bundle: at most one folder deep, no leading dot, so neither absolute nor `..`."""
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FileEntry(_Entry):
+    """One file: its place in the bundle and what its bytes must be."""
+
+    file: RelativeFile
+    sha256: Sha256
+    size_bytes: int = Field(ge=0)
+
+
+class ArrayEntry(_Entry):
+    """One bank array. dtype and shape are those the head is given; `packing` tells how `data` holds it.
+
+    `scale` belongs to int8 (float32, one per row of the last axis), `exponent` to float16 (times 2**exponent).
+    """
+
+    dtype: Literal["float32", "int64", "bool"]
+    shape: tuple[Annotated[int, Field(ge=0)], ...]
+    packing: Packing = "none"
+    data: FileEntry
+    scale: FileEntry | None = None
+    exponent: int = Field(default=0, ge=-400, le=400)
+
+    @property
+    def bytes_stored(self) -> int:
+        return self.data.size_bytes + (self.scale.size_bytes if self.scale else 0)
+
+    @property
+    def bytes_unpacked(self) -> int:
+        return math.prod(self.shape) * {"float32": 4, "int64": 8, "bool": 1}[self.dtype]
+
+
+class BackboneEntry(_Entry):
+    """The trunk, known by the SHA-256 of its file. `in_bundle` is false where it is found in the gateway's store."""
+
+    id: Name
+    trunk: FileEntry
+    in_bundle: bool = True
+
+
+class ProfileEntry(_Entry):
+    """Every field of `SensorProfile`: how camera bytes became the pictures that were learnt."""
+
+    name: Name
+    native: tuple[int, int]
+    border: tuple[float, float]
+    size: tuple[int, int]
+    decode_scale: int
+    pixels_per_mm: float = Field(gt=0)
+    controls: dict[str, int] = Field(default_factory=dict)
+
+    @classmethod
+    def of(cls, profile: SensorProfile) -> "ProfileEntry":
+        return cls(
+            name=profile.name,
+            native=profile.native,
+            border=profile.border,
+            size=profile.size,
+            decode_scale=profile.decode_scale,
+            pixels_per_mm=profile.pixels_per_mm,
+            controls=dict(sorted(profile.controls.items())),
+        )
+
+    def profile(self) -> SensorProfile:
+        return SensorProfile(**self.model_dump())
+
+
+class RegionEntry(_Entry):
+    """`edge.core.imaging.region.Region`: the inspected rectangle in pixels of the picture."""
+
+    x: int = Field(ge=0)
+    y: int = Field(ge=0)
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+
+    @classmethod
+    def of(cls, region: Region) -> "RegionEntry":
+        return cls(x=region.x, y=region.y, width=region.width, height=region.height)
+
+    def region(self) -> Region:
+        return Region(self.x, self.y, self.width, self.height)
+
+
+class TilesEntry(_Entry):
+    """`edge.core.imaging.tiles.Tiles` over the region. untouched: tiles that no nominal press touches, row by row."""
+
+    size: int = Field(ge=1)
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    untouched: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, tiles: Tiles, untouched: tuple[int, ...] = ()) -> "TilesEntry":
+        return cls(size=tiles.size, rows=tiles.rows, columns=tiles.columns, untouched=untouched)
+
+    def tiles(self, frame: tuple[int, int]) -> Tiles:
+        return Tiles(frame, self.size, self.rows, self.columns)
+
+
+class GridEntry(_Entry):
+    """`edge.core.detector.Grid`: the geometry that the head was built for. Taps are (channels, h, w).
+
+    tiles: set where the trunk sees the region in overlapping tiles.
+    """
+
+    frame: tuple[int, int]
+    taps: dict[str, tuple[int, int, int]]
+    pixels_per_mm: float = Field(gt=0)
+    tiles: TilesEntry | None = None
+
+    @model_validator(mode="after")
+    def _laid_out(self) -> "GridEntry":
+        if self.tiles is None:
+            return self
+        count = len(self.tiles.tiles(self.frame))
+        if any(not 0 <= index < count for index in self.tiles.untouched):
+            raise ValueError(f"untouched tiles are numbered 0 to {count - 1}, found {self.tiles.untouched}")
+        for tap, (_, h, w) in self.taps.items():
+            if h % len(self.tiles.rows) or w % len(self.tiles.columns):
+                raise ValueError(f"the tap '{tap}' of {h}x{w} is no mosaic of whole tiles")
+        return self
+
+    @classmethod
+    def of(cls, grid: Grid, untouched: tuple[int, ...] = ()) -> "GridEntry":
+        return cls(
+            frame=grid.frame,
+            taps=dict(sorted(grid.taps.items())),
+            pixels_per_mm=grid.pixels_per_mm,
+            tiles=None if grid.tiles is None else TilesEntry.of(grid.tiles, untouched),
+        )
+
+    def grid(self) -> Grid:
+        tiles = None if self.tiles is None else self.tiles.tiles(self.frame)
+        return Grid(self.frame, self.taps, self.pixels_per_mm, tiles)
+
+
+class ThresholdEntry(_Entry):
+    """A press fails when its score is above `value`.
+
+    alpha: the false-alarm rate that was asked for. alpha_floor: 1 / (n + 1), the smallest that n nominal scores can
+    promise. method tells in words how the value was found.
+    """
+
+    value: float
+    method: str
+    alpha: float = Field(gt=0, lt=1)
+    alpha_floor: float = Field(gt=0, le=1)
+    nominal_scores: tuple[float, ...]
+
+    @property
+    def n(self) -> int:
+        return len(self.nominal_scores)
+
+    @property
+    def is_floored(self) -> bool:
+        """Whether fewer nominal presses were given than the rate asked for needs."""
+        return self.alpha < self.alpha_floor
+
+
+class ToleranceEntry(_Entry):
+    """How far a score may lie from the one computed at fit: `score` and `score_map` absolute, plus `relative` of the
+    expected value. `measured` is the largest difference seen at fit over runs, threads and batch sizes."""
+
+    score: float = Field(ge=0)
+    score_map: float = Field(ge=0)
+    relative: float = Field(ge=0)
+    measured: float = Field(ge=0)
+
+    def around(self, score: float) -> float:
+        """How far a score near this one may lie from it and still be the same."""
+        return self.score + self.relative * abs(score)
+
+
+class GoldenEntry(_Entry):
+    """A frame that is scored again at load.
+
+    score: the expected anomaly score. map_peaks: the expected score map as the maxima of 8 x 8 equal blocks, row by
+    row; a digest of the map's bytes would differ between processors within the tolerance.
+    """
+
+    image: FileEntry
+    what: str
+    score: float
+    map_peaks: tuple[tuple[float, ...], ...]
+
+
+class ContactRange(_Entry):
+    """Where nominal presses touch, (low, high) with a margin: fractions of the picture, as in `Touch`."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    area: tuple[float, float]
+
+    def holds(self, touch: Touch) -> bool:
+        """Whether a press lies where the nominal ones did."""
+        pairs = ((self.x, touch.x), (self.y, touch.y), (self.area, touch.area))
+        return all(low <= value <= high for (low, high), value in pairs)
+
+
+Level = Annotated[float, Field(ge=0, le=255)]
+
+
+class ColourEntry(_Entry):
+    """`NominalColours`: what nominal presses look like from afar, so that other sensors are refused.
+
+    cells: rows of columns of (r, g, b) over the region, levels. limit, spread: `colour_distance` at which a press is
+    refused, and the largest between a nominal press and the others; fractions of the light.
+    """
+
+    cells: tuple[tuple[tuple[Level, Level, Level], ...], ...]
+    limit: float = Field(gt=0)
+    spread: float = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _even(self) -> "ColourEntry":
+        if len({len(row) for row in self.cells}) != 1:
+            raise ValueError("the colours' rows have one length, and there is at least one row")
+        self.nominal()
+        return self
+
+    def nominal(self) -> NominalColours:
+        return NominalColours(np.array(self.cells, np.float64), self.limit)
+
+
+class CostCard(_Entry):
+    """What scoring and fitting cost on the machine that fitted. Milliseconds are medians of one frame.
+
+    features_s: trunk over all presses. fit_s: the bank from the features. threshold_s: the folds for the threshold.
+    """
+
+    trunk_ms: float
+    head_ms: float
+    threads: int
+    features_s: float
+    fit_s: float
+    threshold_s: float
+    bank_bytes_stored: int
+    bank_bytes_unpacked: int
+
+
+class Provenance(_Entry):
+    """Where the bundle comes from. `created` is a date given by the caller; `presses` names every nominal press."""
+
+    created: str
+    presses: tuple[str, ...] = ()
+    seed: int | None = None
+    versions: dict[str, str] = Field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+class Facts(_Entry):
+    """What a bundle says about itself besides its files."""
+
+    schema_version: Literal[1] = 1
+    part: Name
+    position: Name
+    method: Name
+    mode: Mode | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    repairs: tuple[str, ...] = ()
+    facts: dict[str, Any] = Field(default_factory=dict)
+    profile: ProfileEntry
+    region: RegionEntry
+    grid: GridEntry | None = None
+    threshold: ThresholdEntry
+    tolerance: ToleranceEntry
+    contact: ContactRange | None = None
+    colours: ColourEntry | None = None
+    cost: CostCard | None = None
+    accuracy: dict[str, float] | None = None
+    provenance: Provenance
+
+
+class Manifest(Facts):
+    """Everything that is known of a bundle.
+
+    Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or `detector` alone: a single graph from
+    frames to score map, such as a third party's. free_gel: the region untouched, where tiles may be skipped.
+    """
+
+    backbone: BackboneEntry | None = None
+    head: FileEntry | None = None
+    detector: FileEntry | None = None
+    bank: dict[str, ArrayEntry] = Field(default_factory=dict)
+    golden: tuple[GoldenEntry, ...] = ()
+    free_gel: FileEntry | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Manifest":
+        pair = self.backbone is not None and self.head is not None and self.grid is not None
+        single = self.detector is not None and not (self.backbone or self.head or self.bank)
+        if pair == single or (pair and self.detector is not None):
+            raise ValueError("a bundle has either backbone, head and grid, or a single detector graph")
+        if self.grid is not None and self.grid.frame != self.frame:
+            raise ValueError(f"the head is built for {self.grid.frame}, the region is {self.frame} (h, w)")
+        is_skipping = (
+            self.grid is not None and self.grid.tiles is not None and bool(self.grid.tiles.untouched)
+        )
+        if is_skipping and pair and self.free_gel is None:
+            raise ValueError("tiles that are skipped need the picture free_gel, whose features stand in")
+        if not self.region.region().is_within(self.profile.size):
+            raise ValueError(f"region {self.region.region()} lies outside the picture of {self.profile.size}")
+        return self
+
+    def decide(self, score: float) -> Verdict:
+        """The verdict on a score, by this bundle's threshold and tolerance. Errors: NotScorable."""
+        return decide(score, self.threshold.value, self.tolerance.around(score))
+
+    @property
+    def frame(self) -> tuple[int, int]:
+        """(h, w) of the inspected region."""
+        return self.region.height, self.region.width
+
+    @property
+    def files(self) -> tuple[FileEntry, ...]:
+        """Every file that the bundle must hold, in the order in which they are checked."""
+        trunk = [self.backbone.trunk] if self.backbone and self.backbone.in_bundle else []
+        graphs = [graph for graph in (self.head, self.detector) if graph]
+        arrays = [f for a in self.bank.values() for f in (a.data, a.scale) if f]
+        gel = [self.free_gel] if self.free_gel else []
+        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel)

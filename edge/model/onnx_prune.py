@@ -1,0 +1,130 @@
+"""A trunk without what lies behind its deepest tap in use: onnxruntime computes every output, wanted or not.
+
+The cut works on the protobuf fields themselves and keeps the bytes of every node and weight that stays, so it needs
+no onnx package and equal trunks give equal cuts.
+
+Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from edge.model.onnx_validation import fields, output_names
+
+__all__ = ["cut_trunk"]
+
+# onnx.proto3, ModelProto and GraphProto.
+_GRAPH = 7
+_NODE, _INITIALIZER, _OUTPUT, _VALUE_INFO, _QUANTIZATION = 1, 5, 12, 13, 14
+# NodeProto, TensorProto, and the ValueInfoProto and TensorAnnotation whose first field is a name.
+_NODE_INPUT, _NODE_OUTPUT, _NODE_ATTRIBUTE = 1, 2, 5
+_TENSOR_NAME, _FIRST_NAME = 8, 1
+# AttributeProto: a node that holds a graph of its own may read any value by name.
+_SUBGRAPHS = (6, 11)
+_BYTES = 2  # wire type of a length-delimited field
+
+Field = tuple[int, int | memoryview]
+
+
+def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
+    """The trunk up to the last of these taps in the order of its outputs; the outputs before it stay.
+
+    So one backbone has at most as many cuts as taps, and parts of a line that read equally deep share one file. The
+    same bytes come back where nothing lies behind, a tap is not among the outputs, or nodes hold graphs of their own.
+    Errors: GraphRefused for bytes that are no model.
+    """
+    given = output_names(graph)
+    if not taps or not set(taps) <= set(given):
+        return graph
+    kept = given[: max(given.index(tap) for tap in taps) + 1]
+    if kept == given:
+        return graph
+    parts = []
+    for number, value in fields(memoryview(graph)):
+        if number == _GRAPH and isinstance(value, memoryview):
+            short = _cut(value, kept)
+            if short is None:
+                return graph
+            value = memoryview(short)
+        parts.append(_written(number, value))
+    return b"".join(parts)
+
+
+def _cut(graph: memoryview, kept: Sequence[str]) -> bytes | None:
+    """The graph's bytes with these outputs alone, None where a node holds a graph."""
+    content = list(fields(graph))
+    nodes = [value for number, value in content if number == _NODE and isinstance(value, memoryview)]
+    if any(_has_subgraph(node) for node in nodes):
+        return None
+    used, needed = _needed(nodes, kept)
+    return b"".join(
+        _written(number, value)
+        for number, value in content
+        if not isinstance(value, memoryview) or _stays(number, value, used, needed, kept)
+    )
+
+
+def _stays(number: int, value: memoryview, used: set[int], needed: set[bytes], kept: Sequence[str]) -> bool:
+    if number == _NODE:
+        return id(value) in used
+    if number == _OUTPUT:
+        return _name(value, _FIRST_NAME).decode("utf-8", "replace") in kept
+    if number == _INITIALIZER:
+        return _name(value, _TENSOR_NAME) in needed
+    if number in (_VALUE_INFO, _QUANTIZATION):
+        return _name(value, _FIRST_NAME) in needed
+    return True
+
+
+def _needed(nodes: Sequence[memoryview], kept: Iterable[str]) -> tuple[set[int], set[bytes]]:
+    """The nodes (by identity) behind these outputs, and the names of every value that they read or give.
+
+    Nodes stand in the order in which they are computed, as ONNX demands.
+    """
+    needed = {name.encode() for name in kept}
+    used: set[int] = set()
+    for node in reversed(nodes):
+        given = _names(node, _NODE_OUTPUT)
+        if not needed.isdisjoint(given):
+            used.add(id(node))
+            needed.update(given)
+            needed.update(_names(node, _NODE_INPUT))
+    return used, needed
+
+
+def _has_subgraph(node: memoryview) -> bool:
+    attributes = (value for number, value in fields(node) if number == _NODE_ATTRIBUTE)
+    return any(
+        number in _SUBGRAPHS
+        for attribute in attributes
+        if isinstance(attribute, memoryview)
+        for number, _ in fields(attribute)
+    )
+
+
+def _names(message: memoryview, field: int) -> list[bytes]:
+    return [
+        bytes(value)
+        for number, value in fields(message)
+        if number == field and isinstance(value, memoryview) and len(value)
+    ]
+
+
+def _name(message: memoryview, field: int) -> bytes:
+    return next(iter(_names(message, field)), b"")
+
+
+def _written(number: int, value: int | memoryview) -> bytes:
+    if isinstance(value, int):
+        return _varint(number << 3) + _varint(value)
+    return _varint(number << 3 | _BYTES) + _varint(len(value)) + bytes(value)
+
+
+def _varint(value: int) -> bytes:
+    return b"".join(_groups(value))
+
+
+def _groups(value: int) -> Iterator[bytes]:
+    while value > 0x7F:
+        yield bytes([value & 0x7F | 0x80])
+        value >>= 7
+    yield bytes([value])

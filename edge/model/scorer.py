@@ -1,0 +1,328 @@
+"""Scoring: frames in, score map and score out, with the features staying inside onnxruntime between the two graphs.
+
+The trunk writes its taps into buffers that the head reads; the bank is bound once. Nothing here knows a method. A
+trunk that sees tiles is run by `edge.model.tile_runner`, which leaves out those that hold nothing but free gel.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from edge.core.errors import BundleCorrupt, NotScorable
+from edge.model.bundle import Bundle
+from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
+from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
+
+__all__ = ["MAP_BLOCKS", "Scored", "Scorer", "map_peaks"]
+
+FRAMES, SCORE_MAP, SCORE = "frames", "score_map", "score"
+
+MAP_BLOCKS = 8
+"""A golden score map is summed up by the maxima of this many blocks along each side."""
+
+# onnxruntime's names of the dtypes that a bank may hold.
+ORT_TYPES = {
+    "float32": "tensor(float)",
+    "int64": "tensor(int64)",
+    "bool": "tensor(bool)",
+    "uint8": "tensor(uint8)",
+}
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One press, scored. score_map: float32 (h, w) of the region, raw; anomaly_score: raw; higher is more anomalous.
+
+    trunk_ms and head_ms: time in the two graphs; a single graph counts as head. For a batch, each frame's share.
+    """
+
+    score_map: NDArray[np.float32]
+    anomaly_score: float
+    trunk_ms: float
+    head_ms: float
+
+
+class Scorer:
+    """A bundle made ready to score. Use one from one thread at a time.
+
+    trunks: pass the gateway's own so that bundles share a trunk. is_skipping: False runs every tile of a tiled trunk
+    on every press. Errors: BundleCorrupt where a graph cannot be opened, misses a tap, wants an array that the bank
+    lacks, or answers in another shape.
+    """
+
+    def __init__(
+        self,
+        bundle: Bundle,
+        threads: int = 2,
+        trunks: TrunkSessions | None = None,
+        *,
+        is_skipping: bool = True,
+    ) -> None:
+        self.bundle = bundle
+        self.frame = bundle.manifest.frame
+        self._where = bundle.where
+        self._trunk: ort.InferenceSession | None = None
+        sha256 = bundle.trunk_sha256
+        if sha256 is None:
+            graph = bundle.graphs.detector or b""
+        else:
+            self._trunk = (trunks or TrunkSessions(threads)).get(
+                sha256, bundle.graphs.trunk, f"bundle {self._where}: trunk.onnx"
+            )
+            graph = bundle.graphs.head or b""
+        self._head_name = "detector.onnx" if self._trunk is None else "head.onnx"
+        self._head = open_session(graph, threads, f"bundle {self._where}: {self._head_name}")
+        self._taps = self._checked_taps()
+        self._bank = {
+            name: ort.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(bundle.bank[name]).reshape(shape))
+            for name, shape in self._checked_bank().items()
+        }
+        self._tiled = self._opened_tiles(is_skipping)
+        self._pipe = self._opened_pipe()
+
+    @property
+    def tiles_run(self) -> int:
+        """How often the trunk was run on a tile so far; 0 where it sees the region in one piece."""
+        return 0 if self._tiled is None else self._tiled.runner.runs
+
+    def score(self, rgb: NDArray[np.uint8]) -> Scored:
+        """Score one frame of the inspected region. rgb: uint8 (h, w, 3).
+
+        Errors: NotScorable when the answer is not finite, ValueError for another shape or dtype.
+        """
+        return self.score_batch(rgb[None])[0]
+
+    def score_batch(self, frames: NDArray[np.uint8]) -> list[Scored]:
+        """Score n frames in one run of the graphs. frames: uint8 (n, h, w, 3). Errors as `score`."""
+        expected = (*self.frame, 3)
+        if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[1:] != expected or len(frames) == 0:
+            raise ValueError(
+                f"bundle {self._where} scores uint8 {expected} frames (h, w, 3), "
+                f"found {frames.dtype} {frames.shape[1:]}"
+            )
+        if len(frames) != self._pipe.size:
+            self._pipe = self._new_pipe(len(frames))
+        try:
+            score_maps, scores, trunk_ms, head_ms = self._pipe.run(frames)
+        except RUNTIME_ERRORS as error:
+            raise NotScorable(f"bundle {self._where} gave no score: {error!s:.300}") from error
+        if not (np.isfinite(score_maps).all() and np.isfinite(scores).all()):
+            raise NotScorable(
+                f"bundle {self._where} gave a score that is not finite; the press counts as an error"
+            )
+        share = 1 / len(frames)
+        return [
+            Scored(score_map, float(score), trunk_ms * share, head_ms * share)
+            for score_map, score in zip(score_maps, scores, strict=True)
+        ]
+
+    def check_golden(self) -> float:
+        """Score every golden frame again; returns the largest score difference found.
+
+        Errors: BundleCorrupt when a score or a map lies outside the manifest's tolerance.
+        """
+        tolerance, worst = self.bundle.manifest.tolerance, 0.0
+        for number, golden in enumerate(self.bundle.golden):
+            try:
+                scored = self.score(golden.rgb)
+            except NotScorable as error:
+                raise BundleCorrupt(
+                    f"bundle {self._where}: golden frame {number} has no score: {error}"
+                ) from error
+            difference = abs(scored.anomaly_score - golden.score)
+            worst = max(worst, difference)
+            allowed = tolerance.score + tolerance.relative * abs(golden.score)
+            if difference > allowed:
+                raise BundleCorrupt(
+                    f"bundle {self._where}: golden frame {number} ({golden.what}) scores {scored.anomaly_score:.6g}, "
+                    f"expected {golden.score:.6g} within {allowed:.2g}; this machine computes it differently, fit again"
+                )
+            self._check_golden_map(number, scored, np.asarray(golden.map_peaks))
+        return worst
+
+    def _check_golden_map(self, number: int, scored: Scored, expected: NDArray[np.float64]) -> None:
+        tolerance, found = self.bundle.manifest.tolerance, np.asarray(map_peaks(scored.score_map))
+        if found.shape != expected.shape:
+            raise BundleCorrupt(
+                f"bundle {self._where}: golden map {number} is {expected.shape}, found {found.shape}"
+            )
+        beyond = np.abs(found - expected) - (tolerance.score_map + tolerance.relative * np.abs(expected))
+        if beyond.max() > 0:
+            row, column = np.unravel_index(int(beyond.argmax()), beyond.shape)
+            raise BundleCorrupt(
+                f"bundle {self._where}: the score map of golden frame {number} differs in block ({row}, {column}): "
+                f"{found[row, column]:.6g}, expected {expected[row, column]:.6g}; fit again on this kind of machine"
+            )
+
+    def _checked_taps(self) -> dict[str, tuple[int, int, int]]:
+        """The taps that the head reads, with their shapes; empty for a single graph."""
+        if self._trunk is None or self.bundle.grid is None:
+            self._check_frames_input(self._head, self._head_name)
+            return {}
+        self._check_frames_input(self._trunk, "trunk.onnx")
+        given = {output.name for output in self._trunk.get_outputs()}
+        taps = {
+            i.name: self.bundle.grid.taps[i.name]
+            for i in self._head.get_inputs()
+            if i.name in self.bundle.grid.taps
+        }
+        missing = sorted(set(taps) - given)
+        if missing or not taps:
+            raise BundleCorrupt(
+                f"bundle {self._where}: head.onnx reads the taps {sorted(taps)}, trunk.onnx gives {sorted(given)}; "
+                "export with a trunk that has them"
+            )
+        return taps
+
+    def _check_frames_input(self, session: ort.InferenceSession, name: str) -> None:
+        inputs = {i.name: i for i in session.get_inputs()}
+        if list(inputs) != [FRAMES] or inputs[FRAMES].type != ORT_TYPES["uint8"]:
+            found = ", ".join(f"{i.name} {i.type}" for i in inputs.values())
+            raise BundleCorrupt(
+                f"bundle {self._where}: {name} has inputs {found}, expected one, '{FRAMES}' uint8 (n, h, w, 3)"
+            )
+
+    def _checked_bank(self) -> dict[str, tuple[int, ...]]:
+        """The bank arrays that the head reads, with their shapes."""
+        outputs = {output.name for output in self._head.get_outputs()}
+        if not {SCORE_MAP, SCORE} <= outputs:
+            raise BundleCorrupt(
+                f"bundle {self._where}: {self._head_name} gives {sorted(outputs)}, expected '{SCORE_MAP}' and '{SCORE}'"
+            )
+        if self._trunk is None:
+            return {}
+        wanted = {i.name: i for i in self._head.get_inputs() if i.name not in self._taps}
+        for name, entry in wanted.items():
+            array = self.bundle.bank.get(name)
+            if array is None:
+                raise BundleCorrupt(
+                    f"bundle {self._where}: head.onnx wants the input '{name}', the bank has "
+                    f"{sorted(self.bundle.bank) or 'no arrays'}; fit again"
+                )
+            if entry.type != ORT_TYPES.get(array.dtype.name) or not _fits(array.shape, entry.shape):
+                raise BundleCorrupt(
+                    f"bundle {self._where}: head.onnx wants '{name}' as {entry.type} {entry.shape}, the bank has "
+                    f"{array.dtype} {array.shape}; fit again"
+                )
+        return {name: self.bundle.bank[name].shape for name in wanted}
+
+    def _opened_tiles(self, is_skipping: bool) -> "_Tiled | None":
+        """The trunk bound to one tile; None where it sees the region in one piece."""
+        grid, entry = self.bundle.grid, self.bundle.manifest.grid
+        if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
+            return None
+        try:
+            runner = TileRunner(self._trunk, grid.tiles, self._taps)
+            free = None
+            if is_skipping and entry.tiles.untouched and self.bundle.free_gel is not None:
+                free = FreeGel(runner, self._taps, self.bundle.free_gel, entry.tiles.untouched)
+            return _Tiled(runner, free)
+        except RUNTIME_ERRORS as error:
+            raise BundleCorrupt(
+                f"bundle {self._where}: trunk.onnx does not run on tiles of {grid.tiles.size}: {error!s:.300}"
+            ) from error
+
+    def _opened_pipe(self) -> "_Pipe":
+        """Buffers for one frame, tried on a grey one, so that a wrong shape is found before the first press."""
+        pipe = self._new_pipe(1)
+        try:
+            score_maps, scores, _, _ = pipe.run(np.full((1, *self.frame, 3), 128, np.uint8))
+        except RUNTIME_ERRORS as error:
+            raise BundleCorrupt(
+                f"bundle {self._where}: its graphs do not run on a frame of {self.frame} (h, w): {error!s:.300}"
+            ) from error
+        expected = (1, *self.frame)
+        if score_maps.shape != expected or scores.shape != (1,) or score_maps.dtype != np.float32:
+            raise BundleCorrupt(
+                f"bundle {self._where}: {self._head_name} gives score_map {score_maps.dtype} {score_maps.shape} "
+                f"and score {scores.shape}, expected float32 {expected} and (1,); export it again"
+            )
+        return pipe
+
+    def _new_pipe(self, size: int) -> "_Pipe":
+        mosaics = None
+        if self._tiled is not None:
+            mosaics = TiledMaps(self._tiled.runner, self._taps, size, self._tiled.free)
+        return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
+
+
+@dataclass(frozen=True)
+class _Tiled:
+    """A trunk that is run tile by tile, and what stands in for tiles without contact."""
+
+    runner: TileRunner
+    free: FreeGel | None
+
+
+class _Pipe:
+    """The two graphs joined by buffers for a fixed number of frames. mosaics: set where the trunk sees tiles."""
+
+    def __init__(
+        self,
+        trunk: ort.InferenceSession | None,
+        head: ort.InferenceSession,
+        taps: Mapping[str, tuple[int, int, int]],
+        bank: Mapping[str, ort.OrtValue],
+        shape: tuple[int, ...],
+        mosaics: TiledMaps | None = None,
+    ) -> None:
+        self.size = shape[0]
+        self._mosaics = mosaics
+        # onnxruntime reads this array in place: writing a frame into it is binding it.
+        self._frames = np.zeros(shape, np.uint8)
+        frames = ort.OrtValue.ortvalue_from_numpy(self._frames)
+        self._trunk, self._head = trunk, head
+        self._head_io = head.io_binding()
+        if trunk is None:
+            self._head_io.bind_ortvalue_input(FRAMES, frames)
+        elif mosaics is not None:
+            for name, array in mosaics.arrays.items():
+                self._head_io.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(array))
+        else:
+            self._trunk_io = trunk.io_binding()
+            self._trunk_io.bind_ortvalue_input(FRAMES, frames)
+            for name, tap in taps.items():
+                buffer = ort.OrtValue.ortvalue_from_shape_and_type((self.size, *tap), np.float32, "cpu")
+                self._trunk_io.bind_ortvalue_output(name, buffer)
+                self._head_io.bind_ortvalue_input(name, buffer)
+        for name, array in bank.items():
+            self._head_io.bind_ortvalue_input(name, array)
+        self._head_io.bind_output(SCORE_MAP, "cpu")
+        self._head_io.bind_output(SCORE, "cpu")
+
+    def run(self, frames: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32], float, float]:
+        """score_map (n, h, w), score (n,), and the milliseconds in trunk and head."""
+        start = time.perf_counter()
+        if self._mosaics is not None:
+            self._mosaics.show(frames)
+        else:
+            self._frames[...] = frames
+        if self._trunk is not None and self._mosaics is None:
+            self._trunk.run_with_iobinding(self._trunk_io)
+        middle = time.perf_counter()
+        self._head.run_with_iobinding(self._head_io)
+        end = time.perf_counter()
+        # The runtime writes the next answer into the same memory, so what is handed out is a copy.
+        score_map, score = (value.numpy().copy() for value in self._head_io.get_outputs())
+        return score_map, score, (middle - start) * 1e3, (end - middle) * 1e3
+
+
+def _fits(found: tuple[int, ...], wanted: list[Any]) -> bool:
+    """Whether a shape agrees with a graph input's, whose free sizes are names or None."""
+    return len(found) == len(wanted) and all(
+        not isinstance(size, int) or size == n for n, size in zip(found, wanted, strict=True)
+    )
+
+
+def map_peaks(score_map: NDArray[np.float32]) -> tuple[tuple[float, ...], ...]:
+    """A score map summed up by the maxima of 8 x 8 blocks, row by row; fewer where the map has fewer pixels."""
+    h, w = score_map.shape
+    rows = np.linspace(0, h, min(MAP_BLOCKS, h) + 1).astype(int)[:-1]
+    columns = np.linspace(0, w, min(MAP_BLOCKS, w) + 1).astype(int)[:-1]
+    peaks = np.maximum.reduceat(np.maximum.reduceat(score_map, rows, axis=0), columns, axis=1)
+    return tuple(tuple(float(value) for value in row) for row in peaks)

@@ -1,0 +1,106 @@
+"""onnxruntime sessions, opened in one way only, and the trunks that several bundles share."""
+
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import onnxruntime as ort
+
+from edge.core.errors import BundleCorrupt
+from edge.model.onnx_validation import GraphRefused, check_graph
+
+__all__ = ["RUNTIME_ERRORS", "TrunkSessions", "open_session", "saturates"]
+
+_NAMES = (
+    "EPFail",
+    "EngineError",
+    "Fail",
+    "InvalidArgument",
+    "InvalidGraph",
+    "InvalidProtobuf",
+    "ModelLoaded",
+    "NoModel",
+    "NoSuchFile",
+    "NotImplemented",
+    "RuntimeException",
+)
+RUNTIME_ERRORS: tuple[type[Exception], ...] = (
+    *(getattr(ort.capi.onnxruntime_pybind11_state, name) for name in _NAMES),
+    RuntimeError,
+    ValueError,
+)
+"""What onnxruntime raises; it has no common base of its own."""
+
+
+def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession:
+    """A session for untrusted bytes with fixed options. `where` names the file in refusals.
+
+    Spinning threads are off: on a shared two-core gateway they gave a worst case of 53.9 ms against 39.9 with the
+    same median. The arena is on: shapes are fixed, so it does not grow. Errors: BundleCorrupt.
+    """
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 3  # errors only: gelgate's own sentences say the rest
+    options.use_deterministic_compute = True
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    if saturates():
+        options.add_session_config_entry("session.x64quantprecision", "1")
+    try:
+        check_graph(graph)
+        return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except GraphRefused as error:
+        raise BundleCorrupt(f"{where} is refused: {error}; export it again") from error
+    except RUNTIME_ERRORS as error:
+        raise BundleCorrupt(
+            f"{where} cannot be run by onnxruntime {ort.__version__}: {_first_line(error)}"
+        ) from error
+
+
+@cache
+def saturates() -> bool:
+    """Whether onnxruntime lets the 16-bit sums of int8 products saturate here, as it does on x86 without VNNI.
+
+    Tried on a convolution whose every product is near the largest. Such a processor needs wider sums, which take an
+    int8 trunk twice as long (measured: 5.1 to 10.6 ms on one core), so others are spared them.
+    """
+    probe = files("edge.model").joinpath("saturation_probe.onnx").read_bytes()
+    session = ort.InferenceSession(probe, providers=["CPUExecutionProvider"])
+    (sums,) = session.run(None, {"x": np.ones((1, 8, 3, 3), np.float32)})
+    return bool(np.abs(sums - _PROBE_SUM).max() > 1)
+
+
+# 8 channels and 3x3 places of one times one.
+_PROBE_SUM = 72
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0][:300] if str(error).strip() else type(error).__name__
+
+
+class TrunkSessions:
+    """Open trunks by the SHA-256 of their file, so that bundles with the same backbone share one session.
+
+    Make one per gateway and give it to every `Scorer` and to `Bundle.load(loaded=...)`.
+    """
+
+    def __init__(self, threads: int = 2) -> None:
+        self.threads = threads
+        self._sessions: dict[str, ort.InferenceSession] = {}
+
+    def __contains__(self, sha256: object) -> bool:
+        return sha256 in self._sessions
+
+    def get(self, sha256: str, graph: bytes | None, where: str) -> ort.InferenceSession:
+        """The session of a trunk, opened at its first use. Errors: BundleCorrupt."""
+        if sha256 not in self._sessions:
+            if graph is None:
+                raise BundleCorrupt(f"{where}: the trunk {sha256[:12]} was not loaded with the bundle")
+            self._sessions[sha256] = open_session(graph, self.threads, where)
+        return self._sessions[sha256]
+
+    def keep_only(self, sha256s: set[str]) -> None:
+        """Forget every other trunk, after a change of bundle."""
+        self._sessions = {sha: session for sha, session in self._sessions.items() if sha in sha256s}

@@ -1,0 +1,340 @@
+"""Recordings: a folder of camera frames and an index, written by capture and simulation, played by false devices.
+
+    recording.toml    `version` first, then who the sensor was and its video mode
+    index.jsonl       one line a frame: sequence, time_ns, file, and `label` (any object, kept as it is)
+    frames/*.jpg|png  the camera's bytes, untouched
+
+A frame's index line is written after its file is complete, so a recording cut short by a kill or a full disk is
+readable up to its last whole line. It is not synced frame by frame: after a power cut the last frames may be gone.
+"""
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from edge.core.errors import RecordingError, StoreError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import kind
+from edge.core.ports import DeviceIdentity
+
+__all__ = ["VERSION", "RecordedFrame", "Recording", "RecordingHeader", "RecordingWriter"]
+
+VERSION = 1
+_HEADER, _INDEX, _FRAMES = "recording.toml", "index.jsonl", "frames"
+# A report longer than this is not read; the rest is counted.
+_LISTED = 20
+
+
+@dataclass(frozen=True)
+class RecordingHeader:
+    """Who was recorded. `mode` is (width, height) of the frames; `profile` hints at the sensor profile they suit."""
+
+    product: str
+    serial: str
+    mode: tuple[int, int]
+    nominal_fps: float
+    profile: str = ""
+
+    def __post_init__(self) -> None:
+        if min(self.mode) < 1:
+            raise ValueError(f"a video mode is (width, height), both positive, found {self.mode}")
+        if not 0 < self.nominal_fps < 1000:
+            raise ValueError(f"nominal_fps lies between 0 and 1000, found {self.nominal_fps}")
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        return DeviceIdentity(self.product, self.serial, self.mode, self.nominal_fps)
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """One frame and what was known about it. `frame.timestamp_ns` is the recorder's clock: only differences count."""
+
+    frame: CameraFrame
+    label: Mapping[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class _Entry:
+    sequence: int
+    time_ns: int
+    file: str
+    label: Mapping[str, object] | None
+
+
+class Recording:
+    """A recording that was checked and can be played. Frames are read from disk when they are asked for."""
+
+    def __init__(
+        self, folder: Path, header: RecordingHeader, entries: tuple[_Entry, ...], *, is_cut: bool
+    ) -> None:
+        self.folder = folder
+        self.header = header
+        self.is_cut = is_cut
+        self._entries = entries
+
+    @classmethod
+    def open(cls, folder: Path) -> Self:
+        """Read and check a recording. Errors: RecordingError, with every missing file in one report."""
+        header = _read_header(folder)
+        entries, is_cut = _read_index(folder / _INDEX)
+        missing = [entry.file for entry in entries if not (folder / entry.file).is_file()]
+        if missing:
+            raise RecordingError(
+                f"recording {folder} lacks {len(missing)} of its {len(entries)} frame files: {_some(missing)}"
+            )
+        return cls(folder, header, entries, is_cut=is_cut)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __getitem__(self, position: int) -> RecordedFrame:
+        entry = self._entries[position]
+        try:
+            payload = (self.folder / entry.file).read_bytes()
+        except OSError as error:
+            raise RecordingError(
+                f"recording {self.folder}: frame {entry.file} cannot be read: {error.strerror}"
+            ) from error
+        return RecordedFrame(CameraFrame(payload, entry.time_ns, entry.sequence), entry.label)
+
+    def __iter__(self) -> Iterator[RecordedFrame]:
+        return (self[position] for position in range(len(self)))
+
+    def labels(self) -> list[Mapping[str, object] | None]:
+        """What was known of every frame, without reading any frame."""
+        return [entry.label for entry in self._entries]
+
+    def times_ns(self) -> list[int]:
+        """The time of every frame, without reading any frame."""
+        return [entry.time_ns for entry in self._entries]
+
+
+class RecordingWriter:
+    """Writes one recording, frame by frame; a context manager. See `resume` for one that was cut.
+
+    Errors: RecordingError when the folder already holds something, StoreError when the disk refuses a frame; what
+    was added before stays a sound recording.
+    """
+
+    def __init__(self, folder: Path, header: RecordingHeader) -> None:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise RecordingError(
+                f"{folder} is not an empty folder; a recording is never written over something else"
+            )
+        self._start(folder, header, keep=0, index_end=0)
+
+    @classmethod
+    def resume(cls, folder: Path, header: RecordingHeader, *, keep: int) -> Self:
+        """Go on with a recording that was cut: its first `keep` frames stay, every later frame and line goes.
+
+        With `keep` 0 the folder may lack anything, or hold other files, which stay. Errors: RecordingError, with
+        nothing changed, when there are fewer whole lines or another header; StoreError when the disk refuses.
+        """
+        writer = cls.__new__(cls)
+        writer._start(folder, header, keep, _end_of_kept(folder, header, keep) if keep else 0)
+        return writer
+
+    def _start(self, folder: Path, header: RecordingHeader, keep: int, index_end: int) -> None:
+        self._folder = folder
+        self._count = keep
+        try:
+            (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
+            if keep == 0:
+                (folder / _HEADER).write_text(_header_text(header), encoding="utf-8")
+            self._index = (folder / _INDEX).open("ab", buffering=0)
+            # The lines go before their frames: killed in between, no line is left without its frame.
+            self._index.truncate(index_end)
+            for path in (folder / _FRAMES).glob("[0-9]*.*"):
+                if path.stem.isdecimal() and int(path.stem) >= keep:
+                    path.unlink()
+        except OSError as error:
+            raise StoreError(
+                f"recording {folder} cannot be started: {error.strerror}; choose another folder"
+            ) from error
+
+    def add(self, payload: bytes, time_ns: int, label: Mapping[str, object] | None = None) -> None:
+        """Append one frame: its file first, then its line in the index."""
+        name = f"{_FRAMES}/{self._count:06d}.{kind(payload) or 'bin'}"
+        entry: dict[str, object] = {"sequence": self._count, "time_ns": time_ns, "file": name}
+        if label is not None:
+            entry["label"] = dict(label)
+        line = (json.dumps(entry, ensure_ascii=False) + "\n").encode()
+        try:
+            (self._folder / name).write_bytes(payload)
+            self._append(line)
+        except OSError as error:
+            raise StoreError(
+                f"recording {self._folder} stops after {self._count} frames: {error.strerror}; "
+                "those are kept, free some space"
+            ) from error
+        self._count += 1
+
+    def _append(self, line: bytes) -> None:
+        """One whole line or none: a disk that fills up in the middle of a line leaves the index as it was."""
+        before = self._index.seek(0, os.SEEK_END)
+        try:
+            written = self._index.write(line)
+            if written != len(line):
+                raise OSError(28, "No space left on device")
+        except OSError:
+            self._index.truncate(before)
+            raise
+
+    def __len__(self) -> int:
+        return self._count
+
+    def close(self) -> None:
+        """Finish; harmless when repeated."""
+        self._index.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _header_text(header: RecordingHeader) -> str:
+    def quoted(text: str) -> str:
+        # A JSON string is a TOML basic string but for DEL, which TOML wants escaped.
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+    return (
+        f"version = {VERSION}\n"
+        f"product = {quoted(header.product)}\n"
+        f"serial = {quoted(header.serial)}\n"
+        f"width = {header.mode[0]}\n"
+        f"height = {header.mode[1]}\n"
+        f"nominal_fps = {float(header.nominal_fps)!r}\n"
+        f"profile = {quoted(header.profile)}\n"
+    )
+
+
+def _read_header(folder: Path) -> RecordingHeader:
+    path = folder / _HEADER
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        found = f"is not a recording: it has no {_HEADER}" if folder.is_dir() else "does not exist"
+        raise RecordingError(
+            f"recording {folder} {found}; correct the path, or make one with `gelgate record`"
+        ) from error
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RecordingError(f"{path} cannot be read: {error}") from error
+    version = table.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise RecordingError(f"{path} has version {version!r}; expected {VERSION}")
+    if version > VERSION:
+        raise RecordingError(
+            f"{path} is of format version {version}; this program reads up to {VERSION}, install a newer gelgate"
+        )
+    return _header_of(path, table)
+
+
+_HEADER_KEYS: Mapping[str, type | tuple[type, ...]] = {
+    "product": str,
+    "serial": str,
+    "width": int,
+    "height": int,
+    "nominal_fps": (int, float),
+    "profile": str,
+}
+
+
+def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
+    table = {"profile": "", **table}
+    wrong = [
+        f"{key} = {table.get(key)!r}"
+        for key, type_ in _HEADER_KEYS.items()
+        if not isinstance(table.get(key), type_)
+    ]
+    if wrong:
+        raise RecordingError(f"{path} lacks a field or has one of the wrong kind: {', '.join(wrong)}")
+    try:
+        return RecordingHeader(
+            product=str(table["product"]),
+            serial=str(table["serial"]),
+            mode=(int(str(table["width"])), int(str(table["height"]))),
+            nominal_fps=float(str(table["nominal_fps"])),
+            profile=str(table["profile"]),
+        )
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}") from error
+
+
+def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
+    """Where in the index the first `keep` lines end, in bytes."""
+    found = _read_header(folder)
+    if found != header:
+        raise RecordingError(f"recording {folder} is of {found}, not of {header}; choose another folder")
+    try:
+        lines = (folder / _INDEX).read_bytes().split(b"\n")[:-1]
+    except OSError as error:
+        raise RecordingError(f"{folder / _INDEX} cannot be read: {error.strerror}") from error
+    if len(lines) < keep:
+        raise RecordingError(
+            f"recording {folder} has {len(lines)} whole frames, expected {keep} to go on after"
+        )
+    return sum(len(line) + 1 for line in lines[:keep])
+
+
+def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:
+    """The entries, and whether the last line was cut off and left out."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RecordingError(
+            f"{path.parent} has no {_INDEX}: it is not a recording, or was cut before its first frame"
+        ) from error
+    *lines, rest = content.split(b"\n")
+    entries: list[_Entry] = []
+    faults: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            entries.append(_entry(line))
+        except (ValueError, TypeError, KeyError) as error:
+            faults.append(f"line {number} ({type(error).__name__}: {error})")
+    if faults:
+        raise RecordingError(f"{path} has {len(faults)} lines that are no index entries: {_some(faults)}")
+    _check_times(path, entries)
+    return tuple(entries), bool(rest)
+
+
+def _entry(line: bytes) -> _Entry:
+    fields = json.loads(line)
+    sequence, time_ns, file = fields["sequence"], fields["time_ns"], fields["file"]
+    if not (isinstance(sequence, int) and isinstance(time_ns, int) and isinstance(file, str)):
+        raise TypeError("sequence and time_ns are integers, file is a text")
+    parts = Path(file).parts
+    if Path(file).is_absolute() or ".." in parts:
+        raise ValueError(f"file {file!r} leads out of the recording")
+    label = fields.get("label")
+    if not (label is None or isinstance(label, dict)):
+        raise TypeError("label is an object")
+    return _Entry(sequence, time_ns, file, label)
+
+
+def _check_times(path: Path, entries: list[_Entry]) -> None:
+    backward = [
+        f"sequence {later.sequence}"
+        for earlier, later in pairwise(entries)
+        if later.time_ns < earlier.time_ns or later.sequence <= earlier.sequence
+    ]
+    if backward:
+        raise RecordingError(
+            f"{path} goes back in time or sequence at {_some(backward)}; frames are kept in order"
+        )
+
+
+def _some(things: list[str]) -> str:
+    more = len(things) - _LISTED
+    return ", ".join(things[:_LISTED]) + (f" and {more} more" if more > 0 else "")

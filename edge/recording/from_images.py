@@ -1,0 +1,173 @@
+"""Single press images turned into a recording of a sensor that is pressed and lifted.
+
+Between presses the reference image, taken without contact, stands for the lifted sensor. What a still picture cannot
+give is not invented: no motion, no noise, no residual imprint. So the copies of a frame are identical, and identical
+frames are what a hung camera sends; a player refuses them as stale. Every copy says in its label that it is one, and
+one of two things makes copies playable: `number_copies` writes a comment into the file, which leaves every pixel as it
+was, and `noise` adds Gaussian noise of a chosen strength from a chosen seed and encodes the copy anew.
+"""
+
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.core.errors import DatasetError
+from edge.core.imaging.image_bytes import damage, kind, picture_size, with_comment
+from edge.recording.format import RecordingHeader, RecordingWriter
+
+__all__ = ["CopyNoise", "PressLift", "images_in", "record_images"]
+
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
+_LISTED = 20
+
+
+@dataclass(frozen=True)
+class CopyNoise:
+    """Gaussian noise for copies: its standard deviation in grey levels, and the seed that makes it repeatable."""
+
+    sd: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not 0 < self.sd < 64:
+            raise ValueError(f"noise has a standard deviation between 0 and 64 grey levels, found {self.sd}")
+
+
+@dataclass(frozen=True)
+class PressLift:
+    """How images become a sequence: frames per second, and how many frames a lift and a press last.
+
+    lead_frames: how many more the first lift has, in which a gateway learns the free gel.
+    """
+
+    fps: float = 18.75
+    lead_frames: int = 0
+    free_frames: int = 20
+    press_frames: int = 12
+    number_copies: bool = False
+    noise: CopyNoise | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fps < 1000 or min(self.free_frames, self.lead_frames) < 0 or self.press_frames < 1:
+            raise ValueError(
+                f"fps is positive, lead_frames and free_frames at least 0, press_frames at least 1, found {self}"
+            )
+
+
+@dataclass(frozen=True)
+class _Shot:
+    state: str
+    press: int | None
+    source: Path
+    copies: int
+
+
+def images_in(folder: Path, pattern: str = "**/*") -> list[Path]:
+    """The JPEG and PNG files below a folder, numbers in their names in counting order. Errors: DatasetError."""
+    if not folder.is_dir():
+        raise DatasetError(f"{folder} is not a folder of press images")
+    found = sorted(
+        (path for path in folder.glob(pattern) if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()),
+        key=lambda path: _natural(path.relative_to(folder).as_posix()),
+    )
+    if not found:
+        raise DatasetError(f"{folder} has no JPEG or PNG file that matches '{pattern}'")
+    return found
+
+
+def record_images(
+    out: Path,
+    presses: Sequence[Path],
+    reference: Path | None,
+    plan: PressLift,
+    *,
+    product: str,
+    serial: str,
+    profile: str = "",
+) -> int:
+    """Write the recording and return its number of frames. Without a reference there are no lifts between presses.
+
+    Errors: DatasetError naming every image that is broken or of another size than the first.
+    """
+    mode = _common_size([*presses, *([reference] if reference else [])])
+    # The sensor delivers three quarters of its nominal rate (firmware_notes/gelsight_mini.md).
+    header = RecordingHeader(product, serial, mode, nominal_fps=plan.fps / 0.75, profile=profile)
+    with RecordingWriter(out, header) as writer:
+        for shot in _shots(presses, reference, plan):
+            _add_shot(writer, shot, plan)
+        return len(writer)
+
+
+def _shots(presses: Sequence[Path], reference: Path | None, plan: PressLift) -> Iterator[_Shot]:
+    """Lift, press, lift, press, ..., lift."""
+    for number, press in enumerate(presses):
+        if reference is not None:
+            lead_frames = 0 if number else plan.lead_frames
+            yield _Shot("free", None, reference, lead_frames + plan.free_frames)
+        yield _Shot("press", number, press, plan.press_frames)
+    if reference is not None:
+        yield _Shot("free", None, reference, plan.free_frames)
+
+
+def _add_shot(writer: RecordingWriter, shot: _Shot, plan: PressLift) -> None:
+    original = shot.source.read_bytes()
+    for copy in range(shot.copies):
+        position = len(writer)
+        label: dict[str, object] = {"state": shot.state, "source": shot.source.name, "copy": copy}
+        if shot.press is not None:
+            label["press"] = shot.press
+        payload = _copy(original, position, plan) if copy else original
+        writer.add(payload, round(position * 1e9 / plan.fps), label)
+
+
+def _copy(original: bytes, position: int, plan: PressLift) -> bytes:
+    if plan.noise is not None:
+        return _with_noise(original, plan.noise, position)
+    return with_comment(original, f"gelgate copy, frame {position}") if plan.number_copies else original
+
+
+def _with_noise(original: bytes, noise: CopyNoise, position: int) -> bytes:
+    """The picture with noise of its own (seed and position decide it), in the same file format, JPEG quality 95."""
+    import cv2
+    import numpy as np
+
+    bgr = cv2.imdecode(np.frombuffer(original, np.uint8), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise DatasetError(f"an image of {len(original)} bytes cannot be decoded")
+    grain = np.random.default_rng([noise.seed, position]).normal(0.0, noise.sd, bgr.shape)
+    noisy = np.clip(np.rint(bgr.astype(np.float64) + grain), 0, 255).astype(np.uint8)
+    suffix, how = (".jpg", [cv2.IMWRITE_JPEG_QUALITY, 95]) if kind(original) == "jpg" else (".png", [])
+    return cv2.imencode(suffix, noisy, how)[1].tobytes()
+
+
+def _common_size(images: Sequence[Path]) -> tuple[int, int]:
+    sizes: dict[Path, tuple[int, int]] = {}
+    faults: list[str] = []
+    for path in images:
+        payload = path.read_bytes()
+        size = picture_size(payload)
+        fault = damage(payload) or (None if size else "its size cannot be read")
+        if fault or size is None:
+            faults.append(f"{path} ({fault})")
+        else:
+            sizes[path] = size
+    expected = next(iter(sizes.values()), (0, 0))
+    faults += [
+        f"{path} ({w}x{h}, not {expected[0]}x{expected[1]})"
+        for path, (w, h) in sizes.items()
+        if (w, h) != expected
+    ]
+    if faults:
+        more = f" and {len(faults) - _LISTED} more" if len(faults) > _LISTED else ""
+        raise DatasetError(
+            f"{len(faults)} of {len(images)} images cannot be in one recording: {', '.join(faults[:_LISTED])}{more}"
+        )
+    return expected
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """press10 after press9."""
+    parts = re.split(r"(\d+)", name)
+    return list(itertools.starmap(lambda i, part: (int(part), "") if i % 2 else (-1, part), enumerate(parts)))

@@ -1,0 +1,66 @@
+"""Pictures of the free gel, kept beside the database: the first of each gel, to see wear, and the last, to start from.
+
+They are aids, not records: a damaged or missing one is learnt again, and nothing counted depends on them.
+"""
+
+import logging
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from edge.core.contact.reference import Reference
+from edge.core.imaging.decode import VIEW_SIZE
+
+__all__ = ["ReferenceFolder"]
+
+log = logging.getLogger(__name__)
+
+Which = Literal["first", "last"]
+
+
+class ReferenceFolder:
+    """One folder, `<serial>/<gel id>.<first|last>.npy` in it: float32 (h, w, 3), RGB."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def load(self, serial: str, gel_id: str, which: Which) -> Reference | None:
+        """The picture, or None where there is none that can be read."""
+        path = self._path(serial, gel_id, which)
+        try:
+            view = np.load(path, allow_pickle=False)
+            if view.shape != (*reversed(VIEW_SIZE), 3):
+                raise ValueError(f"it is {view.shape}")
+            return Reference(view, frames=1, learnt_ns=0)
+        except FileNotFoundError:
+            return None
+        except (OSError, EOFError, ValueError) as error:  # EOFError: left empty by a power cut
+            log.warning("the free-gel picture %s cannot be used and is learnt again: %s", path, error)
+            return None
+
+    def save(self, serial: str, gel_id: str, reference: Reference) -> None:
+        """Keep this picture as the last of its gel, and as the first where there is none yet."""
+        try:
+            self._write(self._path(serial, gel_id, "last"), reference)
+            first = self._path(serial, gel_id, "first")
+            if not first.exists():
+                self._write(first, reference)
+        except OSError as error:
+            log.warning("the free-gel picture of %s was not kept: %s", gel_id, error.strerror or error)
+
+    def _path(self, serial: str, gel_id: str, which: Which) -> Path:
+        return self._folder / _as_name(serial) / f"{_as_name(gel_id)}.{which}.npy"
+
+    def _write(self, path: Path, reference: Reference) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.save(file, reference.view, allow_pickle=False)
+        os.replace(part, path)
+
+
+def _as_name(text: str) -> str:
+    """A file name for any id: whatever is not a letter, a digit, `-` or `_` becomes its code."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else f"%{ord(c):x}" for c in text)

@@ -1,0 +1,103 @@
+"""A third party's single graph made into a bundle: it brings the mathematics, nominal presses bring the threshold.
+
+The graph does not know these presses, so their scores need no folds: the quantile is split-conformal as it stands.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.fitting.bundle_measurements import (
+    contact_range,
+    cost_card,
+    given_threshold,
+    golden_frames,
+    measured_tolerance,
+    placeholders,
+    provenance,
+    warnings,
+)
+from calibration.fitting.colours import colour_warnings, nominal_colours
+from calibration.fitting.fit import Fitted
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.threshold import check_alpha, conformal_threshold
+from calibration.progress import Report
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.bundle import Graphs, bundle_files
+from edge.model.manifest import Facts, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
+from edge.model.scorer import Scorer
+
+__all__ = ["WrapRecipe", "wrap_files"]
+
+
+@dataclass(frozen=True)
+class WrapRecipe:
+    """What is to be made. method: the name that results will carry. The other fields are those of `Recipe`."""
+
+    part: str
+    position: str
+    profile: SensorProfile
+    region: Region
+    method: str
+    alpha: float = 0.05
+    threshold: float | None = None
+    threads: int = 2
+
+    def __post_init__(self) -> None:
+        check_alpha(self.alpha)
+
+
+def wrap_files(
+    graph: bytes,
+    presses: NominalPresses,
+    recipe: WrapRecipe,
+    *,
+    created: str,
+    report: Report = lambda stage, fraction: None,
+) -> Fitted:
+    """The bundle of one graph: uint8 `frames` (n, h, w, 3) to `score_map` (n, h, w) and `score` (n,).
+
+    presses: nominal ones that the graph was not trained on. Errors: BundleCorrupt for a graph that does not keep the
+    contract, FitError for too few presses, NotScorable.
+    """
+    region, is_given = recipe.region, recipe.threshold is not None
+    said = warnings(presses, (region.height, region.width), None if is_given else recipe.alpha)
+    colours = nominal_colours(presses.frames)
+    said += colour_warnings(colours)
+    graphs = Graphs(detector=graph)
+
+    def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
+        return Facts(
+            part=recipe.part,
+            position=recipe.position,
+            method=recipe.method,
+            profile=ProfileEntry.of(recipe.profile),
+            region=RegionEntry.of(region),
+            threshold=threshold,
+            tolerance=tolerance,
+            contact=contact_range(presses),
+            colours=colours,
+            provenance=provenance(created, presses, None, said),
+        )
+
+    scorer = Scorer(Fitted(*bundle_files(facts(*placeholders()), graphs)).bundle(), recipe.threads)
+    scores = np.empty(len(presses))
+    for k, frame in enumerate(presses.frames):
+        scores[k] = scorer.score(frame).anomaly_score
+        report("score", (k + 1) / len(presses))
+    golden = golden_frames(scorer, presses.frames)
+    tolerance = measured_tolerance(scorer, golden, recipe.threads)
+    threshold = (
+        given_threshold(recipe.threshold, recipe.alpha)
+        if recipe.threshold is not None
+        else conformal_threshold(
+            scores, recipe.alpha, tolerance.around(float(scores.max())), "split-conformal"
+        )
+    )
+    whole = facts(threshold, tolerance).model_copy(
+        update={"cost": cost_card(scorer, presses.frames, recipe.threads, {})}
+    )
+    fitted = Fitted(*bundle_files(whole, graphs, golden=golden))
+    Scorer(fitted.bundle(), recipe.threads).check_golden()
+    return fitted

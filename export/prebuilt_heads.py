@@ -1,0 +1,135 @@
+"""`make heads`: the heads that ship with the product, written by the detectors' own authors.
+
+Each detector is fitted with its default settings on invented features of the shipped trunk's sizes, with all cells and
+with some touched, with and without the free gel, and whatever different graphs result are stored.
+`plugins/detectors/shipped.py` finds them again.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge import registry
+from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
+from edge.model.session import open_session
+from plugins.backbones.tactile import tactile_resnet18
+from plugins.detectors.shipped import FORMAT, INDEX, identity, written_grid, written_parameters
+
+__all__ = ["FRAMES", "METHODS", "Authored", "Situation", "authored", "invented", "main", "shipped_grid"]
+
+METHODS = ("padim", "spade", "fapm", "inreach", "subspace", "patchcore")
+# The default region at low resolution, and the whole picture: (h, w).
+FRAMES = ((224, 224), (240, 320))
+HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "heads"
+# Enough that no number of presses limits anything that a graph could fix.
+_PRESSES = 4
+
+Authored = tuple[dict[str, Any], bytes]
+"""An entry of the index without its file, and the graph."""
+
+
+def shipped_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
+    """The grid of the shipped trunk for a frame at low resolution, by running it once."""
+    session = open_session(tactile_resnet18.trunk(), 1, "tactile_resnet18")
+    maps = session.run(list(taps), {"frames": np.zeros((1, *frame, 3), np.uint8)})
+    return Grid(frame, {tap: m.shape[1:] for tap, m in zip(taps, maps, strict=True)}, LR_PIXELS_PER_MM)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What is known of the gel. touched: radius of the disc in the middle that presses touch, as a part of the frame's
+    height; None where nothing is known of it. has_free_gel: whether there are frames of the untouched gel."""
+
+    touched: float | None
+    has_free_gel: bool
+
+
+SITUATIONS = (Situation(None, False), Situation(0.25, False), Situation(0.25, True), Situation(None, True))
+
+
+def invented(grid: Grid, presses: int, situation: Situation) -> Nominal:
+    """Nominal features of noise."""
+    rng = np.random.default_rng(0)
+
+    def noise(n: int) -> Features:
+        return {
+            tap: np.abs(rng.normal(1, 0.3, (n, *shape))).astype(np.float32)
+            for tap, shape in grid.taps.items()
+        }
+
+    touched = None if situation.touched is None else _disc(grid.frame, situation.touched)
+    return Nominal(noise(presses), touched, noise(2) if situation.has_free_gel else None)
+
+
+def _disc(frame: tuple[int, int], part: float) -> NDArray[np.bool_]:
+    rows, columns = np.indices(frame)
+    disc: NDArray[np.bool_] = np.hypot(rows - frame[0] / 2, columns - frame[1] / 2) < part * frame[0]
+    return disc
+
+
+def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
+    """The different heads of one method's default settings on one frame."""
+    detector: Detector = registry.load("detectors", method)
+    parameters = detector.parameters()
+    grid = shipped_grid(frame, detector.taps(parameters))
+    seen: list[Authored] = []
+    for situation in SITUATIONS:
+        nominal = invented(grid, _PRESSES, situation)
+        bank = detector.fit(nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
+        graph = detector.head(grid, bank, parameters)
+        entry = {
+            "detector": identity(detector),
+            "parameters": written_parameters(parameters),
+            "grid": written_grid(grid),
+            "arrays": _arrays(graph, bank),
+        }
+        if (entry, graph) not in seen:
+            seen.append((entry, graph))
+            yield entry, graph
+
+
+def _arrays(graph: bytes, bank: Bank) -> dict[str, Any]:
+    """Name to dtype and shape of every bank array; sizes that the graph leaves open are names."""
+    import onnx
+
+    declared = {
+        value.name: [dim.dim_param or dim.dim_value for dim in value.type.tensor_type.shape.dim]
+        for value in onnx.load_from_string(graph).graph.input
+    }
+    return {
+        name: [
+            str(array.dtype),
+            declared.get(name, [f"{name}_{axis}" for axis in range(array.ndim)]),
+        ]
+        for name, array in bank.arrays.items()
+    }
+
+
+def main(home: Path = HOME) -> None:
+    """Write every head and the index, and remove heads that are no longer any."""
+    entries = []
+    home.mkdir(exist_ok=True)
+    for method in METHODS:
+        for frame in FRAMES:
+            for number, (entry, graph) in enumerate(authored(method, frame)):
+                name = f"{method}_{frame[1]}x{frame[0]}_{number + 1}.onnx"
+                (home / name).write_bytes(graph)
+                sha256 = hashlib.sha256(graph).hexdigest()
+                entries.append({"file": name, "sha256": sha256, **entry})
+                print(f"{name}: {len(graph)} bytes", file=sys.stderr, flush=True)
+    (home / INDEX).write_text(json.dumps({"format": FORMAT, "heads": entries}, indent=1) + "\n")
+    for path in home.glob("*.onnx"):
+        if path.name not in {entry["file"] for entry in entries}:
+            path.unlink()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Which of the devices on the bus is a GelSight Mini.
+
+Ref: USB dumps in public reports (firmware_notes/gelsight_mini.md). The id 0c45:636d belongs to a camera bridge that
+webcams share, so it only chooses what is looked at; the product string decides.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import usb.core
+import usb.util
+
+from edge.core.errors import DeviceNotFound
+from edge.core.ports import DeviceIdentity, Sighting
+from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_STREAMING, MjpegFormat, VideoMode, mjpeg_formats
+
+__all__ = [
+    "PRODUCT_ID",
+    "PRODUCT_PREFIX",
+    "VENDOR_ID",
+    "SensorOnBus",
+    "choose",
+    "refusal",
+    "streaming_formats",
+    "survey",
+]
+
+VENDOR_ID, PRODUCT_ID = 0x0C45, 0x636D
+PRODUCT_PREFIX = "GelSight Mini"
+
+
+@dataclass(frozen=True)
+class SensorOnBus:
+    """A pyusb device together with what it turned out to be."""
+
+    device: Any
+    sighting: Sighting
+
+
+def refusal(product: str) -> str | None:
+    """Why a device with the sensor's USB id is not a sensor, or None when it is one."""
+    if product.startswith(PRODUCT_PREFIX):
+        return None
+    return (
+        f"a camera with the sensor's USB id {VENDOR_ID:04x}:{PRODUCT_ID:04x}, but its product is "
+        f"'{product}' and not '{PRODUCT_PREFIX} ...'; that id is shared by webcams"
+    )
+
+
+def survey(backend: Any) -> list[SensorOnBus]:
+    """Everything with the sensor's USB id, in the order of bus, port and address."""
+    found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
+    seen = [SensorOnBus(device, _look(device)) for device in found]
+    return sorted(seen, key=lambda one: (one.device.bus, one.device.port_numbers or (), one.device.address))
+
+
+def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
+    """The sensor with this serial, or the only one. Errors: DeviceNotFound with all that was seen instead."""
+    sensors = [one for one in seen if one.sighting.identity is not None]
+    chosen = [one for one in sensors if serial in (None, _serial(one))]
+    if len(chosen) == 1:
+        return chosen[0]
+    if len(chosen) > 1:
+        raise DeviceNotFound(
+            f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial"
+        )
+    wanted = f"no GelSight Mini with serial {serial}" if serial else "no GelSight Mini"
+    others = [f"{_serial(one)} at {one.sighting.place}" for one in sensors]
+    others += [f"{one.sighting.place}: {one.sighting.refusal}" for one in seen if one.sighting.refusal]
+    raise DeviceNotFound(f"{wanted} is plugged in; seen: {'; '.join(others) or 'no device with its USB id'}")
+
+
+def streaming_formats(device: Any) -> tuple[int, list[MjpegFormat]]:
+    """(number of the streaming interface, its MJPEG formats). Errors: ValueError when it has none."""
+    for interface in _streaming_interfaces(device):
+        formats = mjpeg_formats(bytes(interface.extra_descriptors))
+        if any(one.modes for one in formats):
+            return int(interface.bInterfaceNumber), formats
+    raise ValueError("it has no MJPEG video mode")
+
+
+def _streaming_interfaces(device: Any) -> Iterator[Any]:
+    for configuration in device:
+        for interface in configuration:
+            if (interface.bInterfaceClass, interface.bInterfaceSubClass) == (CLASS_VIDEO, SUBCLASS_STREAMING):
+                yield interface
+
+
+def _serial(one: SensorOnBus) -> str:
+    return one.sighting.identity.serial if one.sighting.identity else ""
+
+
+def _look(device: Any) -> Sighting:
+    place = f"bus {device.bus} port {'.'.join(map(str, device.port_numbers or ()))} address {device.address}"
+    try:
+        product = usb.util.get_string(device, device.iProduct) or ""
+        why = refusal(product)
+        if why:
+            return Sighting(place, product, refusal=why)
+        serial = usb.util.get_string(device, device.iSerialNumber) or _tail(product)
+        mode = largest_mode(streaming_formats(device)[1])
+    except (usb.core.USBError, ValueError) as error:
+        # pyusb answers a missing permission with "The device has no langid", a ValueError.
+        return Sighting(
+            place,
+            "",
+            refusal=f"its descriptors cannot be read ({error}); run `gelgate install-service` as root",
+        )
+    finally:
+        usb.util.dispose_resources(device)
+    identity = DeviceIdentity(product, serial, (mode.width, mode.height), mode.nominal_fps)
+    return Sighting(place, product, identity)
+
+
+def _tail(product: str) -> str:
+    """The serial that the product string ends with, its dash left out: `... 2BNN-4ZE7` is 2BNN4ZE7."""
+    return product.split()[-1].replace("-", "")
+
+
+def largest_mode(formats: list[MjpegFormat]) -> VideoMode:
+    """The mode with most pixels; the first of equals."""
+    return max((mode for one in formats for mode in one.modes), key=lambda mode: mode.width * mode.height)

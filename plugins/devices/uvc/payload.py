@@ -1,0 +1,122 @@
+"""UVC payloads: cutting a frame into isochronous packets, and putting packets together to frames again.
+
+Ref: UVC 1.5 section 2.4.3.3 (payload header). Both halves are pure and stand side by side, so that one is the test of
+the other. There is no sequence number in a UVC packet: a loss that the host controller does not report leaves a hole
+that nobody can see, which is why every packet here carries its transfer status.
+"""
+
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from edge.core.imaging.image_bytes import damage
+
+__all__ = ["FrameAssembler", "Packet", "ReceivedFrame", "split_frame"]
+
+FID, EOF, PTS, SCR, STILL, ERROR, END_OF_HEADER = 0x01, 0x02, 0x04, 0x08, 0x20, 0x40, 0x80
+_PLAIN_HEADER, _PTS_HEADER = 2, 6
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One isochronous packet as the host controller gave it: its own bytes, and whether it arrived whole."""
+
+    data: bytes
+    arrived: bool = True
+
+
+@dataclass(frozen=True)
+class ReceivedFrame:
+    """One frame from the wire. `fault` says why it cannot be trusted; `pts` is the camera's clock, when sent."""
+
+    payload: bytes
+    pts: int | None = None
+    fault: str | None = None
+
+
+def split_frame(
+    payload: bytes, *, fid: int, pts: int, packet_bytes: int, error_in: frozenset[int] = frozenset()
+) -> Iterator[Packet]:
+    """A frame as packets of at most `packet_bytes`, each with a 6-byte header, EOF on the last.
+
+    fid: 0 or 1, toggled by the caller from frame to frame. error_in: positions whose error bit is set.
+    """
+    room = packet_bytes - _PTS_HEADER
+    if room < 1 or fid not in (0, 1):
+        raise ValueError(
+            f"packets hold more than {_PTS_HEADER} bytes and fid is 0 or 1, found {packet_bytes} and {fid}"
+        )
+    starts = range(0, max(len(payload), 1), room)
+    for position, start in enumerate(starts):
+        flags = END_OF_HEADER | PTS | fid
+        flags |= EOF if position == len(starts) - 1 else 0
+        flags |= ERROR if position in error_in else 0
+        yield Packet(
+            struct.pack("<BBI", _PTS_HEADER, flags, pts & 0xFFFFFFFF) + payload[start : start + room]
+        )
+
+
+class FrameAssembler:
+    """Puts packets together to frames. A frame is given out whole, or with its fault; never silently short.
+
+    max_frame_bytes: the camera's own promise (dwMaxVideoFrameSize); 0 when it made none. What arrives before the
+    first frame boundary belongs to a frame whose start was not seen, and is left out without being counted.
+    """
+
+    def __init__(self, max_frame_bytes: int = 0) -> None:
+        self._max_frame_bytes = max_frame_bytes
+        self._fid: int | None = None
+        self._in_step = False
+        self._chunks: list[bytes] = []
+        self._pts: int | None = None
+        self._fault: str | None = None
+
+    def feed(self, packets: Iterable[Packet]) -> list[ReceivedFrame]:
+        """The frames that these packets complete, in order."""
+        done: list[ReceivedFrame] = []
+        for packet in packets:
+            self._take(packet, done)
+        return done
+
+    def _take(self, packet: Packet, done: list[ReceivedFrame]) -> None:
+        if not packet.arrived:
+            self._fault = self._fault or "a packet was lost on the bus"
+            return
+        data = packet.data
+        if not data:
+            return  # an empty micro-frame
+        length = data[0]
+        if length < _PLAIN_HEADER or length > len(data):
+            self._fault = self._fault or f"a packet of {len(data)} bytes says its header has {length}"
+            return
+        flags = data[1]
+        if self._fid is not None and (flags & FID) != self._fid:
+            self._finish(done)  # the last packet of the frame before was lost
+            self._in_step = True
+        self._fid = flags & FID
+        if flags & ERROR:
+            self._fault = self._fault or "the camera set the error bit"
+        if flags & PTS and length >= _PTS_HEADER and self._pts is None:
+            self._pts = int.from_bytes(data[2:6], "little")
+        self._chunks.append(data[length:])
+        if flags & EOF:
+            self._finish(done)
+            self._in_step = True
+            self._fid = None
+
+    def _finish(self, done: list[ReceivedFrame]) -> None:
+        payload = b"".join(self._chunks)
+        if payload and (self._in_step or payload.startswith(b"\xff\xd8")):
+            done.append(ReceivedFrame(payload, self._pts, self._fault or self._doubt(payload)))
+        elif self._in_step and self._fault:
+            done.append(ReceivedFrame(b"", self._pts, self._fault))
+        self._chunks, self._pts, self._fault = [], None, None
+
+    def _doubt(self, payload: bytes) -> str | None:
+        if self._max_frame_bytes and len(payload) > self._max_frame_bytes:
+            return f"a frame of {len(payload)} bytes; the camera promised at most {self._max_frame_bytes}"
+        # Entropy-coded data stuffs a zero after FF, so a second start can only be a second frame: both the end of
+        # this frame and a whole frame's worth of toggles were lost.
+        if payload.find(b"\xff\xd8\xff", 2) >= 0:
+            return "two frames that ran together"
+        return damage(payload)

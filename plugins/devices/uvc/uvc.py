@@ -1,0 +1,160 @@
+"""USB Video Class as values: request codes, the probe/commit block, and the format descriptors.
+
+Ref: Universal Serial Bus Device Class Definition for Video Devices, revisions 1.0 to 1.5 (tables 3-x for descriptors,
+4-47 / 4-75 for the probe block). Nothing here touches a device; `plugins.devices.uvc.stream` does.
+"""
+
+import struct
+from dataclasses import dataclass, replace
+from typing import Self
+
+__all__ = [
+    "BLOCK_SIZES",
+    "CLASS_VIDEO",
+    "COMMIT",
+    "GET_CUR",
+    "GET_DEF",
+    "GET_INFO",
+    "GET_LEN",
+    "GET_MAX",
+    "GET_MIN",
+    "GET_RES",
+    "PROBE",
+    "REQUEST_GET",
+    "REQUEST_SET",
+    "SET_CUR",
+    "SUBCLASS_CONTROL",
+    "SUBCLASS_STREAMING",
+    "UNITS_PER_SECOND",
+    "MjpegFormat",
+    "StreamControl",
+    "VideoMode",
+    "mjpeg_formats",
+]
+
+CLASS_VIDEO, SUBCLASS_CONTROL, SUBCLASS_STREAMING = 0x0E, 0x01, 0x02
+
+# Class-specific requests (UVC 1.5 table A-8) and their bmRequestType for an interface.
+SET_CUR, GET_CUR, GET_MIN, GET_MAX = 0x01, 0x81, 0x82, 0x83
+GET_RES, GET_LEN, GET_INFO, GET_DEF = 0x84, 0x85, 0x86, 0x87
+REQUEST_SET, REQUEST_GET = 0x21, 0xA1
+
+# Selectors of a streaming interface (table A-16).
+PROBE, COMMIT = 0x01, 0x02
+
+# Frame intervals count 100 ns (section 3.9.2.1).
+UNITS_PER_SECOND = 10_000_000
+
+CS_INTERFACE = 0x24
+VS_INPUT_HEADER, VS_FORMAT_MJPEG, VS_FRAME_MJPEG = 0x01, 0x06, 0x07
+
+_BLOCK_10 = struct.Struct("<HBBIHHHHHII")  # 26 bytes, UVC 1.0
+_BLOCK_11 = struct.Struct("<IBBBB")  # 8 more from UVC 1.1
+BLOCK_SIZES = (26, 34)
+
+
+@dataclass(frozen=True)
+class StreamControl:
+    """The probe/commit block: what the host asks of the stream, and what the camera answers.
+
+    frame_interval: 100 ns units. max_frame_bytes: no frame is longer. max_payload_bytes: bytes per micro-frame, which
+    chooses the alternate setting.
+    """
+
+    format_index: int
+    frame_index: int
+    frame_interval: int
+    hint: int = 1  # keep the frame interval, let the rest follow
+    max_frame_bytes: int = 0
+    max_payload_bytes: int = 0
+    clock_frequency: int = 0
+
+    def pack(self, size: int = 26) -> bytes:
+        """The block as it travels: 26 bytes for UVC 1.0, 34 from 1.1 on (what a camera asks by GET_LEN)."""
+        block = _BLOCK_10.pack(
+            self.hint,
+            self.format_index,
+            self.frame_index,
+            self.frame_interval,
+            *(0, 0, 0, 0, 0),  # key frame rate, P frame rate, quality, window, delay: unused by MJPEG
+            self.max_frame_bytes,
+            self.max_payload_bytes,
+        ) + _BLOCK_11.pack(self.clock_frequency, 0, 0, 0, 0)
+        return block[:size].ljust(size, b"\0")
+
+    @classmethod
+    def unpack(cls, block: bytes) -> Self:
+        """Read a block of 26 bytes or more. Errors: ValueError when it is shorter."""
+        if len(block) < _BLOCK_10.size:
+            raise ValueError(f"a probe block has 26 bytes or more, found {len(block)}")
+        hint, format_index, frame_index, interval, *_, max_frame, max_payload = _BLOCK_10.unpack_from(block)
+        clock = _BLOCK_11.unpack_from(block, _BLOCK_10.size)[0] if len(block) >= 34 else 0
+        return cls(format_index, frame_index, interval, hint, max_frame, max_payload, clock)
+
+    def answered(self, *, max_frame_bytes: int, max_payload_bytes: int) -> "StreamControl":
+        """The same request with the two limits that only the camera knows."""
+        return replace(self, max_frame_bytes=max_frame_bytes, max_payload_bytes=max_payload_bytes)
+
+
+@dataclass(frozen=True)
+class VideoMode:
+    """One frame descriptor of an MJPEG format; `intervals` are in 100 ns, the default one first."""
+
+    frame_index: int
+    width: int
+    height: int
+    max_frame_bytes: int
+    intervals: tuple[int, ...]
+
+    @property
+    def nominal_fps(self) -> float:
+        return UNITS_PER_SECOND / self.intervals[0]
+
+
+@dataclass(frozen=True)
+class MjpegFormat:
+    """One MJPEG format descriptor with its video modes."""
+
+    format_index: int
+    modes: tuple[VideoMode, ...]
+
+
+def mjpeg_formats(extra: bytes) -> list[MjpegFormat]:
+    """The MJPEG formats in the class-specific descriptors of a streaming interface.
+
+    Errors: ValueError when a descriptor runs past the end or is shorter than its kind allows.
+    """
+    formats: list[MjpegFormat] = []
+    for descriptor in _descriptors(extra):
+        if descriptor[1] != CS_INTERFACE:
+            continue
+        if descriptor[2] == VS_FORMAT_MJPEG:
+            formats.append(MjpegFormat(descriptor[3], ()))
+        elif descriptor[2] == VS_FRAME_MJPEG and formats:
+            formats[-1] = replace(formats[-1], modes=(*formats[-1].modes, _mode(descriptor)))
+    return formats
+
+
+def _descriptors(extra: bytes) -> list[bytes]:
+    found, at = [], 0
+    while at < len(extra):
+        length = extra[at]
+        if length < 3 or at + length > len(extra):
+            raise ValueError(
+                f"a class-specific descriptor at byte {at} says {length} bytes; {len(extra) - at} are left"
+            )
+        found.append(extra[at : at + length])
+        at += length
+    return found
+
+
+def _mode(descriptor: bytes) -> VideoMode:
+    if len(descriptor) < 30:
+        raise ValueError(f"an MJPEG frame descriptor has 30 bytes or more, found {len(descriptor)}")
+    index = descriptor[3]
+    width, height = struct.unpack_from("<HH", descriptor, 5)
+    max_frame, default = struct.unpack_from("<II", descriptor, 17)
+    count = descriptor[25]
+    # A type of 0 is a continuous range (min, max, step); the default lies in it and is the one that we ask for.
+    others = struct.unpack_from(f"<{count}I", descriptor, 26) if len(descriptor) >= 26 + 4 * count else ()
+    return VideoMode(index, width, height, max_frame, (default, *(i for i in others if i != default)))

@@ -1,0 +1,125 @@
+"""`gelgate devices` and `gelgate record` as a user runs them."""
+
+import json
+from pathlib import Path
+
+import pytest
+from small_recordings import SERIAL, jpeg, write_recording
+from typer.testing import CliRunner
+
+from edge.cli import build
+from edge.core.errors import ConfigError, DeviceLost, DeviceNotFound, RecordingError
+from edge.recording.format import Recording
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(build(), [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_devices_names_sensor_and_refusal(tmp_path: Path) -> None:
+    """The sensor with serial and mode; the webcam with the reason."""
+    folder = write_recording(tmp_path / "r", 1)
+    text = run("devices", "--device", "usb_mock", "--option", f"recording={folder}")
+    assert f"serial {SERIAL}, 64x48 at nominal 25 fps" in text
+    assert "refused" in text
+    assert "shared by webcams" in text
+
+
+def test_devices_as_json(tmp_path: Path) -> None:
+    """One object per plugin, for programs."""
+    folder = write_recording(tmp_path / "r", 1)
+    (report,) = json.loads(
+        run("devices", "--json", "--device", "recorded", "--option", f"recording={folder}")
+    )
+    assert report["plugin"] == "recorded"
+    assert report["seen"][0]["identity"]["serial"] == SERIAL
+
+
+def test_devices_lists_every_plugin() -> None:
+    """Without options each plugin says what it sees or needs, and none stops the others."""
+    text = run("devices")
+    assert "gelsight_mini:" in text
+    assert "usb_mock: needs --option recording=..." in text
+
+
+def test_record_from_a_device(tmp_path: Path) -> None:
+    """Recorded through the virtual sensor: the same bytes, header and number; corrupt frames are left out."""
+    folder = write_recording(tmp_path / "r", 6)
+    source = ["--device", "usb_mock", "--option", f"recording={folder}", "--option", "pace=0"]
+    said = run("record", tmp_path / "copy", *source, "--option", 'faults=["truncate@2"]', "--frames", 4)
+    copy = Recording.open(tmp_path / "copy")
+    assert [frame.frame.payload for frame in copy] == [jpeg(seed) for seed in (0, 1, 3, 4)]
+    assert copy.header.serial == SERIAL
+    assert "4 frames, 1 corrupt" in said
+
+
+def test_record_until_a_recording_ends(tmp_path: Path) -> None:
+    """Playing to the end is an end, not an error."""
+    folder = write_recording(tmp_path / "r", 3)
+    said = run(
+        "record",
+        tmp_path / "copy",
+        "--device",
+        "recorded",
+        "--option",
+        f"recording={folder}",
+        "--option",
+        "pace=0",
+    )
+    assert "3 frames" in said
+
+
+def test_what_was_recorded_before_a_loss_is_kept(tmp_path: Path) -> None:
+    """Unplugged after three frames: an error, and three frames that play."""
+    folder = write_recording(tmp_path / "r", 6)
+    source = ["--device", "usb_mock", "--option", f"recording={folder}", "--option", "pace=0"]
+    arguments = ["record", str(tmp_path / "copy"), *source, "--option", 'faults=["unplug@3"]']
+    with pytest.raises(DeviceLost):
+        CliRunner().invoke(build(), arguments, catch_exceptions=False)
+    assert len(Recording.open(tmp_path / "copy")) == 3
+
+
+def test_record_from_images(tmp_path: Path) -> None:
+    """The reference may lie among the presses; it is not taken for one."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for seed, name in enumerate(("free", "a", "b")):
+        (images / f"{name}.jpg").write_bytes(jpeg(seed))
+    reference = ["--reference", images / "free.jpg", "--lead", 1, "--repeat-free", 2, "--repeat-press", 1]
+    said = run("record", tmp_path / "r", "--from-images", images, *reference)
+    assert "9 frames, 2 presses" in said
+    states = [frame.label["state"] for frame in Recording.open(tmp_path / "r") if frame.label]
+    assert "".join(state[0] for state in states) == "fffpffpff"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        (["record", "out"], ConfigError, "either --device or --from-images"),
+        (["record", "out", "--device", "usb_mok"], ConfigError, "did you mean 'usb_mock'"),
+        (["record", "out", "--device", "usb_mock", "--option", "recording"], ConfigError, "name=value"),
+        (
+            ["record", "out", "--device", "usb_mock", "--option", "pase=0"],
+            ConfigError,
+            r"(?s)'pase' is not known; did you mean 'pace'.*it takes: recording, ",
+        ),
+        (
+            ["record", "out", "--device", "recorded", "--option", "recording=/nowhere"],
+            RecordingError,
+            "nowhere",
+        ),
+        (["devices", "--reset"], ConfigError, "--device"),
+        (["devices", "--device", "recorded", "--reset"], ConfigError, "nothing to reset"),
+        (
+            ["record", "out", "--device", "gelsight_mini", "--option", "serial=ZZZZZZZZ"],
+            DeviceNotFound,
+            "ZZZZZZZZ",
+        ),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments: list[str], error: type[Exception], says: str) -> None:
+    """Each mistake is named with what to do."""
+    with pytest.raises(error, match=says):
+        CliRunner().invoke(build(), arguments, catch_exceptions=False)

@@ -1,0 +1,101 @@
+"""`gelgate fit`: from a folder of pictures to a verified bundle, with a visitor's detector and backbone."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+import tiny
+from typer.testing import CliRunner, Result
+
+from edge import cli, registry
+from edge.core.errors import ConfigError, GelgateError
+from edge.model.bundle import Bundle
+
+
+@pytest.fixture(autouse=True)
+def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The tiny detector and backbone as another distribution installs its own: through entry points."""
+    info = tmp_path / "site" / "visitor-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: visitor\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
+    )
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "site")])
+    registry._group.cache_clear()
+    yield
+    registry._group.cache_clear()
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """Six nominal pictures of the profile `cropped_lr`, 320x240."""
+    folder = tmp_path / "good"
+    folder.mkdir()
+    for k, frame in enumerate(tiny.presses(6)):
+        cv2.imwrite(str(folder / f"{k}.png"), cv2.resize(frame, (320, 240), interpolation=cv2.INTER_NEAREST))
+    return folder
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.build(), [str(a) for a in arguments])
+
+
+def fit(pictures: Path, out: Path, *more: object) -> Result:
+    options = ("--part", "bolt", "--method", "tiny", "--backbone", "tiny", "--profile", "cropped_lr")
+    return run("fit", pictures, "-o", out, *options, *more)
+
+
+def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
+    """A visitor's method is fitted, told about and verified without a line of gelgate that knows it."""
+    result = fit(pictures, tmp_path / "bolt.zip", "--set", "gain=2.5", "--set", "packing='int8'")
+    assert result.exit_code == 0, result.output
+    for said in ("6 nominal presses, tiny (corrected) on tiny", "1/7", "warning:", "threshold", "written to"):
+        assert said in result.output
+    manifest = Bundle.load(tmp_path / "bolt.zip").manifest
+    assert manifest.parameters == {"gain": 2.5, "packing": "int8"}
+    assert (manifest.part, manifest.region.width, manifest.provenance.seed) == ("bolt", 224, 0)
+    assert run("verify", tmp_path / "bolt.zip").exit_code == 0
+    assert "gain=2.5" in run("inspect", tmp_path / "bolt.zip").output
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (("--method", "tny"), "did you mean 'tiny'"),
+        (("--backbone", "nothing"), "no backbone is named 'nothing'"),
+        (("--profile", "croped_lr"), "did you mean 'cropped_lr'"),
+        (("--region", "0,0,400x400"), "region"),
+        (("--mode", "papr"), "known: corrected, paper"),
+        (("--set", "gain"), "write --set name=value"),
+        (("--set", "gian=1"), "no such parameter"),
+        (("--alpha", "2"), "false-alarm rate"),
+    ],
+)
+def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
+    pictures: Path, tmp_path: Path, more: tuple[str, ...], reason: str
+) -> None:
+    """Each wrong word is named with what would be right."""
+    result = fit(pictures, tmp_path / "bolt", *more)
+    assert isinstance(result.exception, GelgateError)
+    assert reason in str(result.exception)
+    assert not (tmp_path / "bolt").exists()
+
+
+def test_an_existing_bundle_is_kept_unless_told(pictures: Path, tmp_path: Path) -> None:
+    """Nothing is overwritten by chance."""
+    assert fit(pictures, tmp_path / "bolt").exit_code == 0
+    assert isinstance(fit(pictures, tmp_path / "bolt").exception, ConfigError)
+    assert fit(pictures, tmp_path / "bolt", "--overwrite", "--part", "nut").exit_code == 0
+    assert Bundle.load(tmp_path / "bolt").manifest.part == "nut"
+
+
+def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
+    pictures: Path, tmp_path: Path
+) -> None:
+    """`--no-trunk` leaves it out; the installed backbone of that name, whole or cut, gives it back by its hash."""
+    assert fit(pictures, tmp_path / "bolt", "--no-trunk").exit_code == 0
+    assert not (tmp_path / "bolt" / "trunk.onnx").exists()
+    assert run("verify", tmp_path / "bolt").exit_code == 0

@@ -1,0 +1,32 @@
+"""The udev rule and the systemd unit that come with the program agree with it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from edge.cli import EXIT_CODES
+from edge.core.errors import BundleError, ConfigError
+from plugins.devices.uvc.identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
+
+SERVICE = Path(__file__).resolve().parents[2] / "edge/service"
+
+
+def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
+    """Every rule asks for the id and the product string of plugins.devices.uvc.identity."""
+    rules = (SERVICE / "60-gelgate.rules").read_text().replace("\\\n", "")
+    lines = [line for line in rules.splitlines() if line and not line.startswith("#")]
+    assert len(lines) == 3
+    for line in lines:
+        assert f'{{idVendor}}=="{VENDOR_ID:04x}"' in line
+        assert f'{{idProduct}}=="{PRODUCT_ID:04x}"' in line
+        assert f'{{product}}=="{PRODUCT_PREFIX}*"' in line
+
+
+@pytest.mark.parametrize("error", [ConfigError, BundleError])
+def test_the_unit_does_not_restart_what_cannot_be_mended(error: type[Exception]) -> None:
+    """The exit codes of a wrong configuration or bundle are those that the unit excepts from restarting."""
+    (codes,) = re.findall(
+        r"^RestartPreventExitStatus=(.*)$", (SERVICE / "gelgate.service").read_text(), re.MULTILINE
+    )
+    assert str(dict(EXIT_CODES)[error]) in codes.split()

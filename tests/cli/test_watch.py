@@ -1,0 +1,186 @@
+"""`gelgate watch`: one line a verdict, each press once, heatmaps on disk."""
+
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import typer
+
+from edge.cli.watch import watch as watch_command
+from edge.core.errors import SinkUnavailable
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_connection import Broker, Connection, Outgoing
+from edge.messaging.subscriber import describe, station_filter, watch
+
+ROOT = "gelgate/plant/line1/press2/gel/v1"
+IDS = [f"01ARZ3NDEKTSV4RRFFQ69G5FA{letter}" for letter in "ABCDEF"]
+
+
+@pytest.fixture(params=["mosquitto", "amqtt"])
+def broker(request: pytest.FixtureRequest) -> Iterator[LocalBroker]:
+    if request.param not in available_brokers():
+        pytest.skip(f"SKIPPED, NOT TESTED: the broker {request.param} is not installed")
+    with LocalBroker(request.param) as running:
+        yield running
+
+
+def result(n: int, **changes: object) -> bytes:
+    content: dict[str, object] = {
+        "press_id": IDS[n],
+        "time": "2026-01-31T12:00:00.000250Z",
+        "part": "bolt",
+        "verdict": "fail",
+        "score": 2.5,
+        "threshold": 1.0,
+        "gel_presses": 12,
+        "gel_limit_presses": 1000,
+        "latency_ms": {"total": 31.26},
+        "heatmap_topic": f"heatmap/{IDS[n]}",
+        "is_replayed": False,
+    }
+    return json.dumps({**content, **changes}).encode()
+
+
+def speak(broker: LocalBroker, *messages: tuple[str, bytes]) -> Callable[[], None]:
+    """Publishes the messages as soon as the watcher's subscription is there: its first retained message says so."""
+    speaker = Connection.open(Broker(broker.host, broker.port, "speaker"))
+    speaker.publish(Outgoing(f"{ROOT}/state", b'{"state":"ready"}', retain=True))
+
+    def run() -> None:
+        for topic, payload in messages:
+            speaker.publish(Outgoing(f"{ROOT}/{topic}", payload))
+        speaker.close()
+
+    return run
+
+
+def listen(
+    broker: LocalBroker, run: Callable[[], None], **options: object
+) -> list[tuple[str, dict[str, object]]]:
+    """What the watcher gives; `run` is called in a thread once the watcher has heard the retained state."""
+    address = Broker(broker.host, broker.port, "watcher")
+    heard = []
+    speaker = threading.Thread(target=run)
+    for seen in watch(address, station_filter("gelgate"), timeout_s=20, **options):  # type: ignore[arg-type]
+        if seen.kind == "state" and not speaker.ident:
+            speaker.start()
+        heard.append((seen.kind, dict(seen.content)))
+    speaker.join()
+    return heard
+
+
+def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, tmp_path: Path) -> None:
+    """A repeated result is left out; the watch ends after the last wanted press's picture."""
+    run = speak(
+        broker,
+        ("result", result(0)),
+        (f"heatmap/{IDS[0]}", b"png0"),
+        ("result", result(0, is_replayed=True)),
+        ("result", result(1)),
+        ("result", result(2)),
+        (f"heatmap/{IDS[1]}", b"png1"),
+    )
+
+    heard = listen(broker, run, save=tmp_path / "maps", count=2)
+
+    assert [content["press_id"] for kind, content in heard if kind == "result"] == IDS[:2]
+    assert {path.name: path.read_bytes() for path in (tmp_path / "maps").iterdir()} == {
+        f"{IDS[0]}.png": b"png0",
+        f"{IDS[1]}.png": b"png1",
+    }
+
+
+def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
+    """Garbage on the result topic does not end the watch, and a cleared alarm is no news."""
+    told: list[str] = []
+    run = speak(
+        broker,
+        ("result", b"\xff"),
+        ("result", b"[]"),
+        ("result", b"{}"),
+        ("alarm/gel", b""),
+        ("alarm/gel", b'{"alarm":"gel","text":"due"}'),
+        ("result", result(3)),
+    )
+
+    heard = listen(broker, run, count=1, tell=told.append)
+
+    assert [kind for kind, _ in heard] == ["state", "alarm", "result"]
+    assert len([sentence for sentence in told if "cannot be read" in sentence]) == 3
+
+
+def test_a_heatmap_can_only_be_saved_under_a_press_id(tmp_path: Path, broker: LocalBroker) -> None:
+    """A topic that is no press id names no file, whatever it contains."""
+    run = speak(
+        broker,
+        ("heatmap/../../escape", b"x"),
+        ("heatmap/escape", b"x"),
+        ("result", result(0, heatmap_topic=None)),
+    )
+
+    listen(broker, run, save=tmp_path / "maps", count=1)
+
+    assert not list(tmp_path.rglob("*escape*"))
+
+
+def test_no_broker_is_a_sentence() -> None:
+    """Host and port are named, and what to do."""
+    with pytest.raises(SinkUnavailable, match=r"no broker answers at 127\.0\.0\.1:1 .*start it, or correct"):
+        list(watch(Broker("127.0.0.1", 1, "watcher"), station_filter("gelgate")))
+
+
+def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
+    """The watch tells it, returns, and goes on; a press heard before is not given again."""
+    told: list[str] = []
+    address = Broker(broker.host, broker.port, "watcher", level=None if broker.speaks_mqtt5 else "3.1.1")
+    speak(broker)()
+    heard = []
+    for seen in watch(address, station_filter("gelgate"), count=1, timeout_s=60, tell=told.append):
+        heard.append(seen.kind)
+        if heard == ["state"]:
+            broker.kill()
+            broker.start()
+            speak(broker)()
+        elif heard == ["state", "state"]:
+            speak(broker, ("result", result(0, heatmap_topic=None)))()
+
+    assert heard[-1] == "result"
+    assert any("is lost" in sentence for sentence in told)
+    assert any("again" in sentence for sentence in told)
+
+
+def test_a_line_says_what_a_person_wants_to_know() -> None:
+    """When, where, what, by how much, the gel, the time it took, and whether it is late."""
+    line = describe(json.loads(result(0, is_replayed=True, position="top")), "gelgate/plant/line1/press2")
+
+    assert line == (
+        "2026-01-31T12:00:00.000250Z  gelgate/plant/line1/press2  bolt  top  FAIL  score 2.5 > 1"
+        "  gel 12/1000  31.3 ms  (late)"
+    )
+    unscored = json.loads(result(0, verdict=None, score=None, error="saturated", latency_ms={}))
+    assert re.search(r"ERROR  saturated  gel 12/1000$", describe(unscored, "s"))
+
+
+def test_the_command_prints_json_and_counts(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json` prints each result as it came, and nothing else on stdout."""
+    retained = Connection.open(Broker(broker.host, broker.port, "keeper"))
+    retained.publish(Outgoing(f"{ROOT}/result", result(0), retain=True))
+    retained.close()
+
+    watch_command(host=broker.host, port=broker.port, as_json=True, count=1, timeout=20)
+
+    assert json.loads(capsys.readouterr().out)["press_id"] == IDS[0]
+
+
+def test_too_few_verdicts_in_time_is_a_failure(
+    broker: LocalBroker, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1 and a sentence with both numbers."""
+    with pytest.raises(typer.Exit) as ended:
+        watch_command(host=broker.host, port=broker.port, count=3, timeout=0.2)
+
+    assert ended.value.exit_code == 1
+    assert "0 verdict(s) came in 0.2 s, 3 were wanted" in capsys.readouterr().err

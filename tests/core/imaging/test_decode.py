@@ -1,0 +1,158 @@
+"""Camera bytes to pictures and views."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError, FrameCorrupt
+from edge.core.imaging.decode import VIEW_SIZE, decode, decode_view
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.known_profiles import MINI_CONTROLS, PROFILES, profile
+from edge.core.imaging.sensor_profile import SensorProfile
+
+SMALL = SensorProfile("small", (656, 496), (1 / 7, 1 / 7), (80, 60), 4, 4.0)
+
+
+def encoded(rgb: NDArray[np.uint8], extension: str = ".jpg", sequence: int = 7) -> CameraFrame:
+    parameters = [cv2.IMWRITE_JPEG_QUALITY, 95] if extension == ".jpg" else []
+    done, payload = cv2.imencode(extension, np.ascontiguousarray(rgb[..., ::-1]), parameters)
+    assert done
+    return CameraFrame(payload.tobytes(), timestamp_ns=123, sequence=sequence)
+
+
+def gradient(width: int, height: int) -> NDArray[np.uint8]:
+    """Red rises to the right, green downwards, blue is 40: every pixel tells where it is."""
+    x = np.broadcast_to(np.linspace(20, 220, width), (height, width))
+    y = np.broadcast_to(np.linspace(20, 220, height)[:, None], (height, width))
+    return np.stack([x, y, np.full((height, width), 40.0)], axis=-1).astype(np.uint8)
+
+
+def test_colour_order_is_rgb_once() -> None:
+    """A red frame gives a red picture, a blue one a blue picture."""
+    for channel in range(3):
+        rgb = np.full((240, 320, 3), 30, np.uint8)
+        rgb[..., channel] = 200
+        picture = decode(encoded(rgb), PROFILES["cropped_lr"])
+        assert int(np.argmax(picture.rgb.mean(axis=(0, 1)))) == channel
+        assert int(np.argmax(decode_view(encoded(rgb), PROFILES["cropped_lr"]).mean(axis=(0, 1)))) == channel
+
+
+def test_a_png_without_crop_comes_back_bit_by_bit() -> None:
+    """Scale 1, no border, same size: nothing is resampled."""
+    rgb = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    picture = decode(encoded(rgb, ".png"), PROFILES["cropped_lr"])
+    assert np.array_equal(picture.rgb, rgb)
+    assert (picture.timestamp_ns, picture.sequence) == (123, 7)
+
+
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+def test_the_border_is_cut_in_camera_pixels(extension: str) -> None:
+    """One seventh of each side goes: the corner pixels show the gradient at 1/7 and 6/7 of the frame."""
+    picture = decode(encoded(gradient(656, 496), extension), SMALL)
+    assert picture.rgb.shape == (60, 80, 3)
+    low, high = 20 + 200 / 7, 20 + 200 * 6 / 7
+    half_pixel = 200 * (5 / 7) / 80 / 2
+    assert picture.rgb[30, 0, 0] == pytest.approx(low + half_pixel, abs=2)
+    assert picture.rgb[30, -1, 0] == pytest.approx(high - half_pixel, abs=2)
+    assert picture.rgb[0, 40, 1] == pytest.approx(low + half_pixel * 80 / 60, abs=2)
+    assert picture.rgb[-1, 40, 1] == pytest.approx(high - half_pixel * 80 / 60, abs=2)
+
+
+@pytest.mark.parametrize("scale", [1, 2, 4, 8])
+def test_decode_scales_agree_on_geometry(scale: int) -> None:
+    """Every decode scale, JPEG or PNG, puts the gradient where the full decode puts it, within a level or two."""
+    at_scale = SensorProfile("small", (656, 496), (1 / 7, 1 / 7), (40, 30), scale, 2.0)
+    full = SensorProfile("small", (656, 496), (1 / 7, 1 / 7), (40, 30), 1, 2.0)
+    frame = gradient(656, 496)
+    expected = decode(encoded(frame, ".png"), full).rgb.astype(np.float32)
+    for extension in (".jpg", ".png"):
+        found = decode(encoded(frame, extension), at_scale).rgb.astype(np.float32)
+        assert np.abs(found - expected).max() <= 3
+
+
+@pytest.mark.parametrize("name", ["mini_lr", "mini_hr", "mini_hr43"])
+def test_native_frames_give_the_size_of_their_profile(name: str) -> None:
+    """A 3280x2464 JPEG becomes the profile's size, and a 160x120 float view from the same crop."""
+    frame = encoded(gradient(3280, 2464))
+    picture = decode(frame, PROFILES[name])
+    assert picture.rgb.shape == (PROFILES[name].size[1], PROFILES[name].size[0], 3)
+    view = decode_view(frame, PROFILES[name])
+    assert view.dtype == np.float32
+    assert view.shape == (VIEW_SIZE[1], VIEW_SIZE[0], 3)
+    small = cv2.resize(picture.rgb, VIEW_SIZE, interpolation=cv2.INTER_AREA).astype(np.float32)
+    assert np.abs(view - small).max() <= 3
+
+
+def test_black_and_white_survive() -> None:
+    """0 and 255 arrive as 0 and 255: flat frames are pictures, judged by quality, not broken bytes."""
+    for value in (0, 255):
+        frame = encoded(np.full((240, 320, 3), value, np.uint8))
+        assert (decode(frame, PROFILES["cropped_lr"]).rgb == value).all()
+        assert (decode_view(frame, PROFILES["cropped_lr"]) == value).all()
+
+
+def test_a_wrong_native_size_is_refused_with_both_sizes() -> None:
+    """Found and expected sizes are in the message."""
+    with pytest.raises(FrameCorrupt, match=r"640x480.*3280x2464"):
+        decode(encoded(gradient(640, 480)), PROFILES["mini_lr"])
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9", b"hello" * 100, b"\x89PNG\r\n\x1a\n"]
+)
+def test_bytes_that_are_no_picture_are_refused(payload: bytes) -> None:
+    """Nothing but FrameCorrupt leaves the decoder."""
+    for read in (decode, decode_view):
+        with pytest.raises(FrameCorrupt):
+            read(CameraFrame(payload, 0, 0), PROFILES["cropped_lr"])
+
+
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_frame_is_refused(extension: str, share: float) -> None:
+    """A frame that ends early would decode to a grey lower half, which no part looks like."""
+    whole = encoded(gradient(656, 496), extension).payload
+    with pytest.raises(FrameCorrupt, match="frame 3"):
+        decode(CameraFrame(whole[: int(len(whole) * share)], 0, 3), SMALL)
+
+
+@pytest.mark.parametrize("extension", [".jpg", ".png"])
+def test_a_missing_end_marker_alone_is_enough(extension: str) -> None:
+    """Every row may be there; what is cut in transit is not trusted."""
+    whole = encoded(gradient(656, 496), extension).payload
+    with pytest.raises(FrameCorrupt, match="lost USB packets"):
+        decode(CameraFrame(whole[:-2], 0, 3), SMALL)
+
+
+def test_a_truncated_frame_that_got_an_end_marker_is_refused() -> None:
+    """Lost packets before an intact end: the last rows are flat although the first are not."""
+    noisy = np.random.default_rng(1).integers(0, 256, (496, 656, 3), dtype=np.uint8)
+    whole = encoded(noisy).payload
+    with pytest.raises(FrameCorrupt, match="last rows"):
+        decode(CameraFrame(whole[: len(whole) // 2] + b"\xff\xd9", 0, 3), SMALL)
+
+
+def test_zero_padding_behind_the_end_marker_is_accepted() -> None:
+    """Some cameras fill their buffer up with zeros."""
+    frame = encoded(gradient(656, 496))
+    padded = CameraFrame(frame.payload + b"\0" * 500, 0, 0)
+    assert np.array_equal(decode(padded, SMALL).rgb, decode(frame, SMALL).rgb)
+
+
+def test_damaged_png_data_is_refused() -> None:
+    """A PNG with both ends but a broken middle."""
+    payload = bytearray(encoded(gradient(656, 496), ".png").payload)
+    payload[40:-40] = bytes(len(payload) - 80)
+    with pytest.raises(FrameCorrupt):
+        decode(CameraFrame(bytes(payload), 0, 0), SMALL)
+
+
+def test_profiles_know_their_scale_and_names() -> None:
+    """15.77 px/mm at 320 columns, four times that at 1280; an unknown name is answered with the nearest."""
+    assert profile("mini_lr").pixels_per_mm == pytest.approx(15.77, abs=0.01)
+    assert profile("mini_hr").pixels_per_mm == pytest.approx(63.09, abs=0.01)
+    assert profile("mini_lr").controls == MINI_CONTROLS
+    assert all(name == entry.name for name, entry in PROFILES.items())
+    with pytest.raises(ConfigError, match="did you mean 'mini_hr43'"):
+        profile("mini_hr34")

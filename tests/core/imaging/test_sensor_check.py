@@ -1,0 +1,83 @@
+"""Coarse colours: what moves the distance, what does not, and the sentence that refuses."""
+
+import numpy as np
+import pytest
+
+from edge.core.imaging.quality import Reason
+from edge.core.imaging.sensor_check import NominalColours, check_sensor, colour_cells, colour_distance
+
+CELLS = np.tile(np.array([150.0, 100.0, 50.0]), (8, 8, 1))
+NOMINAL = NominalColours(CELLS, 0.14)
+
+
+def picture(r: int, g: int, b: int) -> np.ndarray:
+    return np.tile(np.array([r, g, b], np.uint8), (64, 64, 1))
+
+
+def test_cells_are_mean_colours() -> None:
+    """Worked by hand: a region whose left half is 10 and right half 30 has such cells, and 20 as one cell."""
+    rgb = np.full((16, 16, 3), 10, np.uint8)
+    rgb[:, 8:] = 30
+    assert colour_cells(rgb, (2, 2)).tolist() == [[[10] * 3, [30] * 3]] * 2
+    assert colour_cells(rgb, (1, 1)).tolist() == [[[20] * 3]]
+
+
+@pytest.mark.parametrize("gain", [0.2, 0.7, 1.0, 1.6])
+def test_a_common_gain_moves_nothing(gain: float) -> None:
+    """Lamps that are dimmer or brighter as one are the same sensor."""
+    assert colour_distance(gain * CELLS, CELLS) == pytest.approx(0, abs=1e-12)
+
+
+def test_the_largest_channel_counts_by_the_light() -> None:
+    """Worked by hand: red and blue exchanged leave the light at 100 and differ by 100."""
+    assert colour_distance(CELLS[..., ::-1], CELLS) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("rows", "is_near"), [(3, True), (5, False)])
+def test_an_imprint_on_less_than_half_moves_nothing(rows: int, is_near: bool) -> None:
+    """The median over cells: three rows of eight may show anything, five may not."""
+    cells = CELLS.copy()
+    cells[:rows] = cells[:rows, :, ::-1]
+    assert (colour_distance(cells, CELLS) < 0.01) == is_near
+
+
+def test_black_is_far_and_finite() -> None:
+    """No division by an absent light."""
+    assert colour_distance(np.zeros((8, 8, 3)), CELLS) == pytest.approx(1.5)
+
+
+def test_the_same_sensor_is_accepted_and_another_refused() -> None:
+    """What was found, what is accepted and what to do stand in one sentence."""
+    assert check_sensor(picture(150, 100, 50), NOMINAL) is None
+    assert check_sensor(picture(75, 50, 25), NOMINAL) is None
+    assert check_sensor(picture(156, 96, 48), NOMINAL) is None
+    found = check_sensor(picture(100, 100, 100), NOMINAL)
+    assert found is not None
+    assert found.reason is Reason.OTHER_SENSOR
+    assert "50.0%" in found.text
+    assert "at most 14.0%" in found.text
+    assert "fit again" in found.text
+
+
+def test_the_limit_itself_is_accepted() -> None:
+    """A press that lies exactly at the limit is one of the same sensor."""
+    seen = picture(100, 100, 100)
+    distance = colour_distance(colour_cells(seen, (8, 8)), CELLS)
+    assert check_sensor(seen, NominalColours(CELLS, distance)) is None
+    assert check_sensor(seen, NominalColours(CELLS, distance * (1 - 1e-9))) is not None
+
+
+@pytest.mark.parametrize(
+    ("cells", "limit", "what"),
+    [
+        (np.zeros((8, 8, 3)), 0.14, "black"),
+        (np.full((8, 8, 3), 256.0), 0.14, "levels"),
+        (np.ones((8, 8)), 0.14, "rows, columns, 3"),
+        (CELLS, 0.0, "positive"),
+        (CELLS, float("nan"), "positive"),
+    ],
+)
+def test_nonsense_is_refused(cells: np.ndarray, limit: float, what: str) -> None:
+    """Colours are levels, and a limit lets something through."""
+    with pytest.raises(ValueError, match=what):
+        NominalColours(cells, limit)

@@ -1,0 +1,110 @@
+"""The colours of nominal presses: how they are measured, stored and held against presses of the same unit."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+from typer.testing import CliRunner
+
+from calibration.benchmark.presses import Sizes, part_trial
+from calibration.fitting.colours import LEAST_LIMIT, LIMIT_FACTOR, colour_warnings, nominal_colours
+from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk
+from edge import cli
+from edge.core.errors import BundleCorrupt
+from edge.core.imaging.sensor_check import check_sensor
+from edge.model.bundle import parse_manifest, write_bundle
+
+
+def flat(*colours: tuple[int, int, int]) -> np.ndarray:
+    """One frame of each colour, uint8 (n, 32, 32, 3)."""
+    return np.stack([np.tile(np.array(colour, np.uint8), (32, 32, 1)) for colour in colours])
+
+
+def fitted(frames: np.ndarray) -> dict[str, bytes]:
+    recipe = Recipe("bolt", "crest", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk()))
+    return fit_files(NominalPresses(frames, ("",) * len(frames)), recipe, created="").files
+
+
+def test_like_presses_have_the_least_limit() -> None:
+    """Worked by hand: the mean colour, no spread, 14 %; one press is enough."""
+    for frames in (flat((150, 100, 50)), flat(*[(150, 100, 50)] * 3)):
+        colours = nominal_colours(frames)
+        assert colours is not None
+        assert colours.cells == (((150.0, 100.0, 50.0),) * 8,) * 8
+        assert (colours.spread, colours.limit) == (0.0, LEAST_LIMIT)
+
+
+def test_each_press_is_held_against_the_others() -> None:
+    """Worked by hand: of two presses with red at 110 and 90, one lies 20 levels from the other after equal light."""
+    colours = nominal_colours(flat((110, 100, 90), (90, 100, 110)))
+    assert colours is not None
+    assert colours.cells[0][0] == (100.0, 100.0, 100.0)
+    assert colours.spread == pytest.approx(0.2)
+    assert colours.limit == pytest.approx(LIMIT_FACTOR * 0.2)
+
+
+def test_a_limit_within_reach_of_other_sensors_is_said() -> None:
+    """Presses of two sensors under one bundle cannot be told from a third one."""
+    assert colour_warnings(nominal_colours(flat(*[(150, 100, 50)] * 3))) == []
+    (warning,) = colour_warnings(nominal_colours(flat((110, 100, 90), (90, 100, 110))))
+    assert "differ by 20.0%" in warning
+    assert "one sensor" in warning
+
+
+def test_black_presses_have_no_colours() -> None:
+    """And no limit that would refuse everything else, or nothing."""
+    assert nominal_colours(flat((3, 2, 1), (3, 2, 1))) is None
+    assert colour_warnings(None) == []
+
+
+def test_the_manifest_carries_them() -> None:
+    """Written by a fit, they accept the presses they come from."""
+    frames = tiny.presses(6)
+    colours = parse_manifest(fitted(frames)["manifest.json"], "x").colours
+    assert colours is not None
+    assert all(check_sensor(frame, colours.nominal()) is None for frame in frames)
+    swapped = np.ascontiguousarray(flat((200, 100, 20)))
+    assert check_sensor(swapped[0], colours.nominal()) is not None
+
+
+def test_inspect_shows_the_limit(tmp_path: Path) -> None:
+    """With what the nominal presses differ by, so that a reader sees how much room there is."""
+    write_bundle(tmp_path / "bolt", fitted(flat(*[(150, 100, 50)] * 4)))
+    shown = CliRunner().invoke(cli.build(), ["inspect", str(tmp_path / "bolt")])
+    assert "refused beyond 14.0% of the light, nominal presses differ by 0.0%" in shown.output
+
+
+def test_a_manifest_without_them_is_valid() -> None:
+    """Bundles made before there was such a check."""
+    content = json.loads(fitted(tiny.presses(4))["manifest.json"])
+    del content["colours"]
+    assert parse_manifest(json.dumps(content).encode(), "x").colours is None
+
+
+@pytest.mark.parametrize(
+    "cells", [[], [[]], [[[1, 2, 3]], []], [[[1, 2]]], [[[1, 2, 256]]], [[[0, 0, 0]]]], ids=str
+)
+def test_broken_colours_are_a_sentence(cells: list) -> None:
+    """A manifest edited by hand is refused by the field's name."""
+    content = json.loads(fitted(tiny.presses(4))["manifest.json"])
+    content["colours"]["cells"] = cells
+    with pytest.raises(BundleCorrupt, match="colours"):
+        parse_manifest(json.dumps(content).encode(), "x")
+
+
+@pytest.mark.parametrize(("part", "condition"), [("PZ3", "unseen sensor"), ("PZ1", "worn gel")])
+def test_simulated_presses_of_one_unit_are_accepted(part: str, condition: str) -> None:
+    """Drifting lamps, tilted presses that touch in part, a gel that wears, sound and damaged pieces: all are scored."""
+    trial = part_trial(part, condition, Sizes(pieces=3, held_out=1, presses=2, damaged=3, free_gels=1))
+    colours = nominal_colours(trial.nominal.frames)
+    assert colours is not None
+    assert len(trial.frames) >= 5
+    nominal = dataclasses.replace(colours.nominal(), limit=LEAST_LIMIT)
+    assert [check_sensor(np.ascontiguousarray(rgb), nominal) for rgb in trial.frames] == [None] * len(
+        trial.frames
+    )

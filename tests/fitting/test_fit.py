@@ -1,0 +1,341 @@
+"""From presses to a bundle: what it learns, what it promises, and what it refuses."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import onnx.parser
+import pytest
+import tiny
+
+from calibration.fitting.bundle_measurements import scatter_warnings
+from calibration.fitting.fit import Recipe, fit_bundle, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk, open_trunk
+from edge import registry
+from edge.core.contact.mask import Touch
+from edge.core.detector import Bank, Grid, Nominal, Progress
+from edge.core.errors import BundleCorrupt, ConfigError, FitError
+from edge.model.bundle import Bundle
+from edge.model.onnx_validation import output_names
+from edge.model.scorer import Scorer
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+
+
+def presses(n: int, **changes: object) -> NominalPresses:
+    frames = tiny.presses(n)
+    return dataclasses.replace(NominalPresses(frames, tuple(f"press {k}" for k in range(n))), **changes)  # type: ignore[arg-type]
+
+
+def recipe(**changes: object) -> Recipe:
+    whole = Recipe(
+        part="bolt",
+        position="crest",
+        profile=tiny.PROFILE,
+        region=tiny.REGION,
+        detector=tiny.TINY,
+        trunk=Trunk("tiny", tiny.tiny_trunk()),
+    )
+    return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
+
+
+def test_the_bank_is_the_mean_of_the_presses() -> None:
+    """Worked by hand: the tiny detector's bank is the mean colour of each 8x8 cell over all presses."""
+    nominal = presses(6)
+    bank = fit_files(nominal, recipe(), created="2026-01-01").bundle().bank["mean"]
+    cells = nominal.frames.reshape(6, 4, 8, 4, 8, 3).astype(np.float64).mean(axis=(0, 2, 4)) / 255
+    np.testing.assert_allclose(bank, cells.transpose(2, 0, 1), rtol=1e-6)
+
+
+def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:
+    """The bundle does its job: threshold from nominal presses alone, a painted square lies far above it."""
+    bundle = fit_files(presses(40), recipe(), created="2026-01-01").bundle()
+    limit, scorer = bundle.manifest.threshold, Scorer(bundle)
+    fresh = tiny.presses(50, seed=7)
+    marked = fresh[0].copy()
+    marked[4:12, 4:12] = 0
+    alarms = sum(s.anomaly_score > limit.value for s in scorer.score_batch(fresh))
+    assert alarms <= 8  # 5 % of 50 expected; more than 8 happens once in 500
+    assert scorer.score(marked).anomaly_score > 2 * limit.value
+
+
+def test_scores_for_the_threshold_are_out_of_fold() -> None:
+    """A press that is unlike all others scores high, because the bank that scored it did not know it."""
+    frames = np.full((10, 32, 32, 3), 100, np.uint8)
+    frames[4] = 200
+    manifest = fit_files(NominalPresses(frames, ("",) * 10), recipe(), created="").manifest
+    assert manifest.threshold.nominal_scores[-1] == pytest.approx(np.sqrt(3) * 100 / 255, rel=1e-4)
+
+
+def test_a_specimen_is_held_out_whole() -> None:
+    """Two presses of one odd specimen are both strangers; told apart, one is known when the other is scored."""
+    frames = np.full((10, 32, 32, 3), 100, np.uint8)
+    frames[4:6] = 200
+    stranger = np.sqrt(3) * 100 / 255
+    grouped = NominalPresses(frames, ("",) * 10, tuple("aabbooccdd"))
+    scores = fit_files(grouped, recipe(), created="").manifest.threshold.nominal_scores
+    assert scores[-2:] == pytest.approx((stranger, stranger), rel=1e-4)
+    apart = fit_files(NominalPresses(frames, ("",) * 10), recipe(seed=3), created="").manifest
+    assert apart.threshold.nominal_scores[-1] < 0.9 * stranger
+
+
+def test_one_specimen_is_said_to_be_one() -> None:
+    """Folds within one specimen know nothing of other parts; the bundle says so."""
+    manifest = fit_files(presses(5, specimens=("a",) * 5), recipe(), created="").manifest
+    assert any("one specimen" in warning for warning in manifest.provenance.warnings)
+    assert manifest.threshold.n == 5
+
+
+def test_the_floor_is_stated() -> None:
+    """Four presses cannot promise one in twenty: stated in the manifest and as a warning."""
+    manifest = fit_files(presses(4), recipe(), created="").manifest
+    assert manifest.threshold.is_floored
+    assert manifest.threshold.alpha_floor == pytest.approx(0.2)
+    assert any("1/5 at best; 19 are needed" in warning for warning in manifest.provenance.warnings)
+
+
+def test_nineteen_presses_need_no_warning() -> None:
+    """n = 19 promises 0.05 exactly."""
+    manifest = fit_files(presses(19), recipe(), created="").manifest
+    assert manifest.provenance.warnings == ()
+    assert not manifest.threshold.is_floored
+
+
+def test_copies_of_a_press_are_pointed_out() -> None:
+    """Identical presses give a bundle, with a warning and a threshold above their common score."""
+    frames = np.repeat(tiny.presses(1), 5, axis=0)
+    fitted = fit_files(NominalPresses(frames, ("",) * 5), recipe(), created="")
+    assert any(
+        "4 of 5 presses are exact copies" in warning for warning in fitted.manifest.provenance.warnings
+    )
+    assert Scorer(fitted.bundle()).score(frames[0]).anomaly_score <= fitted.manifest.threshold.value
+
+
+def test_a_threshold_can_be_given() -> None:
+    """One press and a threshold from elsewhere make a bundle."""
+    manifest = fit_files(presses(1), recipe(threshold=0.25), created="").manifest
+    assert manifest.threshold.value == 0.25
+    assert manifest.threshold.method == "given by hand"
+
+
+@pytest.mark.parametrize(
+    ("nominal", "changes", "reason"),
+    [
+        (presses(1), {}, "1 nominal press gives no threshold"),
+        (NominalPresses(np.zeros((0, 32, 32, 3), np.uint8), ()), {}, "no nominal press"),
+        (presses(3), {"alpha": 1.5}, "false-alarm rate"),
+        (presses(3), {"alpha": 0.0}, "false-alarm rate"),
+        (presses(3), {"overrides": {"gian": 2.0}}, "no such parameter"),
+        (
+            NominalPresses(np.zeros((3, 32, 31, 3), np.uint8), ("",) * 3),
+            {},
+            r"presses are \(32, 31\), the region",
+        ),
+    ],
+)
+def test_what_cannot_be_fitted_is_a_sentence(nominal: NominalPresses, changes: dict, reason: str) -> None:
+    """Before any long work."""
+    with pytest.raises(FitError, match=reason):
+        fit_files(nominal, recipe(**changes), created="")
+
+
+def test_a_trunk_without_the_tap_is_a_sentence() -> None:
+    """The sentence names the taps that are wanted, given and missing."""
+
+    class Deep(tiny.TinyDetector):
+        def taps(self, parameters: tiny.TinyParameters) -> tuple[str, ...]:
+            return ("layer1", "layer4")
+
+    with pytest.raises(FitError, match="trunk gives layer1, layer2; export a trunk with layer4"):
+        fit_files(presses(3), recipe(detector=Deep()), created="")
+
+
+def test_a_trunk_that_is_no_graph_is_a_sentence() -> None:
+    """A wrong file given as the backbone."""
+    with pytest.raises(BundleCorrupt, match="trunk 'x' is refused"):
+        fit_files(presses(3), recipe(trunk=Trunk("x", b"not a graph")), created="")
+
+
+def test_features_that_are_not_finite_are_refused() -> None:
+    """A trunk with broken weights cannot teach."""
+    model = onnx.parser.parse_model("""
+        < ir_version: 8, opset_import: ["" : 17] >
+        broken (uint8[n, h, w, 3] frames) => (float[n, 3, h8, w8] layer1)
+        {
+            pixels = Cast <to = 1> (frames)
+            zero = Sub (pixels, pixels)
+            odd = Div (pixels, zero)
+            planes = Transpose <perm = [0, 3, 1, 2]> (odd)
+            layer1 = AveragePool <kernel_shape = [8, 8], strides = [8, 8]> (planes)
+        }
+    """)
+    with pytest.raises(FitError, match="not finite at layer1"):
+        fit_files(presses(3), recipe(trunk=Trunk("broken", model.SerializeToString())), created="")
+
+
+def test_as_many_folds_as_presses_leave_one_out() -> None:
+    """Six folds of six presses; one fold would leave nothing to learn from."""
+    sizes: list[int] = []
+
+    class Counting(tiny.TinyDetector):
+        def fit(
+            self,
+            nominal: Nominal,
+            grid: Grid,
+            parameters: object,
+            rng: np.random.Generator,
+            progress: Progress,
+        ) -> Bank:
+            sizes.append(nominal.presses)
+            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+
+    fit_files(presses(6), recipe(detector=Counting(), folds=6), created="")
+    assert sizes == [6, 5, 5, 5, 5, 5, 5]
+    with pytest.raises(FitError, match="at least 2 folds"):
+        recipe(folds=1)
+
+
+def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
+    """Everything but the times that were measured."""
+    first, second = (fit_files(presses(8), recipe(), created="2026-01-01") for _ in range(2))
+    assert first.manifest.model_copy(update={"cost": None}) == second.manifest.model_copy(
+        update={"cost": None}
+    )
+    assert {k: v for k, v in first.files.items() if k != "manifest.json"} == {
+        k: v for k, v in second.files.items() if k != "manifest.json"
+    }
+
+
+@pytest.mark.parametrize("packing", ["none", "float16", "int8"])
+def test_golden_frames_hold_on_the_written_bundle(tmp_path: Path, packing: str) -> None:
+    """Two nominal frames and a marked one are scored again after loading, whatever the packing."""
+    path = fit_bundle(tmp_path / "bolt.zip", presses(8), recipe(overrides={"packing": packing}), created="")
+    bundle = Bundle.load(path)
+    assert len(bundle.golden) == 3
+    assert bundle.golden[2].score > bundle.manifest.threshold.value
+    assert Scorer(bundle).check_golden() <= bundle.manifest.tolerance.around(1.0)
+
+
+def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None:
+    """The zip is small; the store holds the trunk under its hash."""
+    path = fit_bundle(tmp_path / "bolt.zip", presses(4), recipe(with_trunk=False), created="")
+    (tmp_path / "trunks").mkdir()
+    (tmp_path / "trunks" / f"{Trunk('', tiny.tiny_trunk()).sha256}.onnx").write_bytes(tiny.tiny_trunk())
+    assert Scorer(Bundle.load(path)).check_golden() == 0.0
+
+
+def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
+    """Off-position presses can be told by centroid and area."""
+    touches = tuple(Touch(0.10 + 0.01 * k, 0.50 + 0.01 * k, 0.40) for k in range(4))
+    contact = fit_files(presses(4, touches=touches), recipe(), created="").manifest.contact
+    assert contact is not None
+    assert all(contact.holds(touch) for touch in touches)
+    assert contact.holds(Touch(0.12, 0.55, 0.42))
+    assert not contact.holds(Touch(0.12, 0.80, 0.40))
+    assert not contact.holds(Touch(0.50, 0.50, 0.40))
+
+
+def test_the_detector_is_given_touch_and_free_gel() -> None:
+    """What a detector may use arrives at it: the touched area and the features of the free gel, in folds as well."""
+    seen: list[Nominal] = []
+
+    class Watching(tiny.TinyDetector):
+        def fit(
+            self,
+            nominal: Nominal,
+            grid: Grid,
+            parameters: object,
+            rng: np.random.Generator,
+            progress: Progress,
+        ) -> Bank:
+            seen.append(nominal)
+            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+
+    area = np.zeros((32, 32), bool)
+    area[8:24, 8:24] = True
+    fit_files(
+        presses(5, touched=area, no_contact=tiny.presses(2, seed=3)), recipe(detector=Watching()), created=""
+    )
+    assert [n.presses for n in seen] == [5, 4, 4, 4, 4, 4]
+    for nominal in seen:
+        np.testing.assert_array_equal(nominal.touched, area)
+        assert nominal.no_contact is not None
+        assert nominal.no_contact["layer1"].shape == (2, 3, 4, 4)
+
+
+@pytest.mark.parametrize("stage", ["features", "bank", "threshold", "golden", "write"])
+def test_an_interrupt_at_any_stage_leaves_nothing(tmp_path: Path, stage: str) -> None:
+    """Ctrl-C while it works: no bundle and no half of one."""
+
+    def report(now: str, fraction: float) -> None:
+        if now == stage and fraction == (0.0 if stage == "write" else 1.0):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_bundle(tmp_path / "bolt", presses(4), recipe(), created="", report=report)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_bundle_is_refused_before_the_work(tmp_path: Path) -> None:
+    """Nobody waits for a fit that cannot be written."""
+    (tmp_path / "bolt").mkdir()
+    with pytest.raises(FileExistsError, match="exists already"):
+        fit_bundle(
+            tmp_path / "bolt", presses(4), recipe(), created="", report=lambda s, f: pytest.fail("it began")
+        )
+
+
+def test_a_trunk_comes_from_a_file_or_by_name(tmp_path: Path) -> None:
+    """A path ends in .onnx; a name is an installed backbone; anything else is a sentence with the known names."""
+    (tmp_path / "mine.onnx").write_bytes(tiny.tiny_trunk())
+    assert open_trunk(str(tmp_path / "mine.onnx")).id == "mine"
+    with pytest.raises(FitError, match="cannot be read"):
+        open_trunk(str(tmp_path / "none.onnx"))
+    with pytest.raises(ConfigError, match=r"no backbone is named 'renset'; known: .*tactile_resnet18"):
+        open_trunk("renset")
+
+
+class Resnet18:
+    """A backbone that can give any tap, and usually gives layer1 and layer2."""
+
+    def trunk(self, taps: tuple[str, ...] = ("layer1", "layer2")) -> bytes:
+        return build_trunk(random_state("resnet18"), "resnet18", taps)
+
+
+def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The usual trunk is kept where it has the taps, so that parts which read equally deep share one file."""
+    monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
+    monkeypatch.setattr(registry, "load", lambda kind, name: Resnet18())
+    usual = open_trunk("mine")
+    assert open_trunk("mine", ("layer2",)).sha256 == usual.sha256
+    deep = open_trunk("mine", ("layer2.0",))
+    assert output_names(deep.graph) == ["layer2.0"]
+    assert deep.facts["taps"] == ["layer2.0"]
+
+
+def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> None:
+    """Contacts 8 mm apart: PaDiM refuses, or warns where they are meant; InReaCh says nothing, nor does anyone to a
+    millimetre or where no touch is known.
+    """
+
+    class Padim(tiny.TinyDetector):
+        name = "padim"
+
+    wide = dataclasses.replace(tiny.PROFILE, pixels_per_mm=2.0)
+    anywhere, fixed = (
+        presses(4, touches=tuple(Touch(0.2, 0.5 + side * mm / 48, 0.5) for side in (-1, 1, -1, 1)))
+        for mm in (8.0, 1.0)
+    )
+    (said,) = scatter_warnings(anywhere, wide, "padim", is_scattered=True)
+    assert said.startswith(
+        "half of the contacts lie more than 4.0 mm from their common middle: padim compares"
+    )
+    assert "fit inreach" in said
+    with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
+        fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test")
+    for given, method in ((anywhere, "inreach"), (fixed, "padim"), (presses(4), "padim")):
+        assert scatter_warnings(given, wide, method) == []
+    meant = recipe(detector=Padim(), profile=wide, is_scattered=True)
+    warned = fit_files(anywhere, meant, created="test").manifest
+    assert said in warned.provenance.warnings

@@ -1,0 +1,146 @@
+"""Nominal presses from recordings and pictures: what the gateway would score, and a sentence for everything else."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.fitting.nominal_presses import MAX_NO_CONTACT, read_presses
+from edge.core.errors import DatasetError, FitError, RecordingError
+from edge.core.imaging.image_bytes import with_comment
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.recording.format import RecordingHeader, RecordingWriter
+
+PROFILE = SensorProfile("test", (160, 120), (0.0, 0.0), (160, 120), 1, 4.0)
+REGION = Region(24, 12, 96, 96)
+FRAME_NS = 50_000_000
+
+
+def gel(seed: int, centre: tuple[int, int] | None = None, radius: int = 18) -> bytes:
+    """A PNG of the free gel, or of a ball pressed at (x, y): lit from one side, 60 levels either way."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[:120, :160].astype(np.float64)
+    picture = np.repeat((110 + rows / 6 + columns / 8)[..., None], 3, axis=2)
+    if centre is not None:
+        slope = (columns - centre[0]) / radius
+        inside = (columns - centre[0]) ** 2 + (rows - centre[1]) ** 2 < radius**2
+        picture += np.where(inside, 60 * np.sign(slope + 1e-9), 0)[..., None]
+    noisy = np.clip(picture + rng.normal(0, 1.0, picture.shape), 0, 255)
+    return bytes(cv2.imencode(".png", noisy.astype(np.uint8))[1])
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three presses at known places, each half a second long, with four seconds of free gel around them."""
+    folder = tmp_path_factory.mktemp("recordings") / "three"
+    header = RecordingHeader("mock", "TEST", (160, 120), 20.0, "test")
+    free, pressed = [gel(k) for k in range(4)], [gel(9, (70 + 10 * k, 60)) for k in range(3)]
+    frames = [(free[k % 4], None) for k in range(30)]
+    for press in range(3):
+        frames += [(pressed[press], {"specimen": press // 2})] * 12
+        frames += [(free[k % 4], None) for k in range(70)]
+    with RecordingWriter(folder, header) as writer:
+        for number, (payload, label) in enumerate(frames):
+            writer.add(with_comment(payload, str(number)), number * FRAME_NS, label)
+    return folder
+
+
+def test_a_recording_gives_one_frame_per_press(recording: Path) -> None:
+    """Three presses, three settled frames with their places and specimens, and the free gel before them."""
+    presses = read_presses([recording], PROFILE, REGION)
+    assert presses.frames.shape == (3, 96, 96, 3)
+    assert presses.specimens == ("0", "0", "1")
+    assert [round(t.x * 160) for t in presses.touches] == pytest.approx([70, 80, 90], abs=2)
+    assert presses.no_contact is not None
+    assert 1 <= len(presses.no_contact) <= MAX_NO_CONTACT
+    assert presses.names[0].startswith("three#")
+
+
+def test_touched_is_the_union_of_the_presses_with_a_margin(recording: Path) -> None:
+    """All three balls are inside, the region's corner is not, and the margin is a millimetre (4 pixels here)."""
+    presses = read_presses([recording], PROFILE, REGION)
+    assert presses.touched is not None
+    for x in (70, 80, 90):
+        assert presses.touched[60 - 12, x - 24]
+    assert not presses.touched[0, 0]
+    assert presses.touched[48, 90 + 18 + 2 - 24]
+
+
+def write(folder: Path, name: str, payload: bytes) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_bytes(payload)
+    return folder
+
+
+def test_pictures_are_presses(tmp_path: Path) -> None:
+    """A folder's pictures in the order of their names, cut to the region; without a free gel no touch is known."""
+    for k in (1, 0):
+        write(tmp_path / "good", f"bolt_crest_s00{k}_p00.png", gel(k, (80, 60)))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION)
+    assert presses.names == ("good/bolt_crest_s000_p00.png", "good/bolt_crest_s001_p00.png")
+    assert presses.specimens == ("000", "001")
+    assert presses.touches == ()
+    expected = cv2.imdecode(np.frombuffer(gel(0, (80, 60)), np.uint8), cv2.IMREAD_COLOR)[12:108, 24:120, ::-1]
+    np.testing.assert_array_equal(presses.frames[0], expected)
+
+
+def test_with_a_picture_of_the_free_gel_the_touch_is_known(tmp_path: Path) -> None:
+    """The same arithmetic as the gateway's contact detection."""
+    write(tmp_path / "good", "a.png", gel(1, (80, 60)))
+    write(tmp_path / "free", "b.png", gel(2))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"])
+    assert presses.no_contact is not None
+    assert (presses.touches[0].x * 160, presses.touches[0].y * 120) == pytest.approx((80, 60), abs=2)
+
+
+def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
+    """Wrong size, cut short, not a picture: one report."""
+    folder = write(tmp_path / "good", "sound.png", gel(1))
+    write(folder, "small.png", bytes(cv2.imencode(".png", np.zeros((10, 20, 3), np.uint8))[1]))
+    write(folder, "cut.png", gel(1)[:-40])
+    write(folder, "text.png", b"not a picture")
+    with pytest.raises(DatasetError, match="3 of 4 pictures") as caught:
+        read_presses([folder], PROFILE, REGION)
+    for said in ("small.png: is 20x10", "cut.png", "text.png: is neither a JPEG nor a PNG"):
+        assert said in str(caught.value)
+
+
+def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
+    """A picture of another tool can be used, knowingly."""
+    big = np.full((240, 320, 3), 77, np.uint8)
+    folder = write(tmp_path / "good", "big.png", bytes(cv2.imencode(".png", big)[1]))
+    with pytest.raises(DatasetError, match="allow resizing"):
+        read_presses([folder], PROFILE, REGION)
+    assert (read_presses([folder], PROFILE, REGION, resize=True).frames == 77).all()
+
+
+def test_no_source_with_a_press_is_a_sentence(tmp_path: Path) -> None:
+    """An empty folder, a missing path and nothing at all are told apart."""
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FitError, match="neither a recording nor a folder with pictures"):
+        read_presses([tmp_path / "empty"], PROFILE, REGION)
+    with pytest.raises(FitError, match="nothing at"):
+        read_presses([tmp_path / "missing"], PROFILE, REGION)
+    with pytest.raises(FitError, match="no press was found"):
+        read_presses([], PROFILE, REGION)
+
+
+def test_a_recording_without_a_press_is_a_sentence(tmp_path: Path) -> None:
+    """Thirty frames of the free gel teach nothing about a part."""
+    with RecordingWriter(tmp_path / "free", RecordingHeader("mock", "T", (160, 120), 20.0)) as writer:
+        for k in range(30):
+            writer.add(gel(k), k * FRAME_NS)
+    with pytest.raises(FitError, match="no press was found"):
+        read_presses([tmp_path / "free"], PROFILE, REGION)
+
+
+def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Path) -> None:
+    """The recording's own check speaks."""
+    import shutil
+
+    copy = Path(shutil.copytree(recording, tmp_path / "copy"))
+    next((copy / "frames").iterdir()).unlink()
+    with pytest.raises(RecordingError, match="lacks 1 of its"):
+        read_presses([copy], PROFILE, REGION)

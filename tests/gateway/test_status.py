@@ -1,0 +1,64 @@
+"""The one word that a station says of itself, from all that is wrong with it."""
+
+import json
+
+from small_recordings import FakeClock
+
+from edge.core.ports import Message
+from edge.gateway.status import Reporter
+
+
+class Heard:
+    """What was announced: the states in order, and the alarms that stand."""
+
+    def __init__(self) -> None:
+        self.states: list[str] = []
+        self.reasons: list[str | None] = []
+        self.alarms: set[str] = set()
+
+    def __call__(self, message: Message) -> None:
+        if message.topic == "state":
+            content = json.loads(message.payload)
+            self.states.append(content["state"])
+            self.reasons.append(content["reason"])
+        elif message.payload:
+            self.alarms.add(message.topic)
+        else:
+            self.alarms.discard(message.topic)
+
+
+def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
+    """A sensor alone is not enough: before the free gel is learnt no press is seen."""
+    heard = Heard()
+    reporter = Reporter(heard, FakeClock())
+    reporter.awaits("the sensor")
+    reporter.awaits("the free gel")
+    reporter.awaits(None)
+    reporter.stopped()
+
+    assert heard.states == ["starting", "starting", "ready", "stopped"]
+    assert heard.reasons == ["waiting for the sensor", "waiting for the free gel", None, None]
+
+
+def test_one_fault_mended_is_not_ready_while_another_lasts() -> None:
+    """The sensor comes back while the disk is still full."""
+    heard = Heard()
+    reporter = Reporter(heard, FakeClock())
+    reporter.fault("device", "the sensor is gone.")
+    reporter.fault("store", "the disk is full.")
+    reporter.mended("device")
+
+    assert (heard.states[-1], heard.reasons[-1]) == ("halted", "the disk is full.")
+    assert heard.alarms == {"alarm/store"}
+    reporter.mended("store")
+    assert heard.states[-1] == "ready"
+    assert heard.alarms == set()
+
+
+def test_a_fault_that_lasts_is_said_once() -> None:
+    """And again when its sentence is another."""
+    heard = Heard()
+    reporter = Reporter(heard, FakeClock())
+
+    assert [reporter.fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
+    assert heard.reasons == ["full", "read-only"]

@@ -1,0 +1,110 @@
+"""Real brokers: mosquitto where it is installed, amqtt as well; each missing one is a loud skip."""
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_connection import Broker, Connection, Received
+from plugins.sinks.mqtt import MqttSink, Options
+from plugins.sinks.mqtt import open as open_sink
+
+ROOT = "gelgate/plant/line1/press2/gel/v1"
+
+
+def require(kind: str) -> None:
+    if kind not in available_brokers():
+        pytest.skip(f"SKIPPED, NOT TESTED: the broker {kind} is not installed")
+
+
+@pytest.fixture
+def mosquitto() -> Iterator[LocalBroker]:
+    require("mosquitto")
+    with LocalBroker("mosquitto") as broker:
+        yield broker
+
+
+@pytest.fixture(params=["mosquitto-5", "mosquitto-3.1.1", "amqtt"])
+def any_broker(request: pytest.FixtureRequest) -> Iterator[tuple[LocalBroker, str]]:
+    """Each broker, with the protocol option to use: MQTT 5, 3.1.1 by choice, and 3.1.1 because nothing else goes."""
+    kind, _, level = request.param.partition("-")
+    require(kind)
+    with LocalBroker(kind) as broker:
+        yield broker, level or "auto"
+
+
+class Listener:
+    """A subscriber that remembers what it heard."""
+
+    def __init__(
+        self, broker: LocalBroker, topic_filter: str = "gelgate/#", client_id: str = "listener"
+    ) -> None:
+        self._changed = threading.Condition()
+        self.heard: list[Received] = []
+        level = None if broker.speaks_mqtt5 else "3.1.1"
+        self._connection = Connection.open(
+            Broker(broker.host, broker.port, client_id, level=level),
+            on_received=self._note,  # type: ignore[arg-type]
+        )
+        self._connection.subscribe(topic_filter)
+
+    def _note(self, message: Received) -> None:
+        with self._changed:
+            self.heard.append(message)
+            self._changed.notify_all()
+
+    def payloads(self, topic: str) -> list[bytes]:
+        return [m.payload for m in self.heard if m.topic == f"{ROOT}/{topic}"]
+
+    def wait_for(self, is_heard: Callable[["Listener"], bool], timeout_s: float = 20.0) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: is_heard(self), timeout_s), f"heard only {self.heard}"
+
+    def ask(self, verb: str, payload: bytes) -> None:
+        from edge.messaging.mqtt_connection import Outgoing
+
+        self._connection.publish(Outgoing(f"{ROOT}/cmd/{verb}", payload))
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+@pytest.fixture
+def listen() -> Iterator[Callable[..., Listener]]:
+    """Opens listeners, and closes them at the end."""
+    opened: list[Listener] = []
+
+    def make(*arguments: object, **options: object) -> Listener:
+        opened.append(Listener(*arguments, **options))  # type: ignore[arg-type]
+        return opened[-1]
+
+    yield make
+    for listener in opened:
+        listener.close()
+
+
+@pytest.fixture
+def sink_to() -> Iterator[Callable[..., MqttSink]]:
+    """Opens sinks of one station with a will and a birth, and closes them at the end."""
+    opened: list[MqttSink] = []
+
+    def make(
+        broker: LocalBroker, on_command: Callable[[str, bytes], bytes] | None = None, **options: object
+    ) -> MqttSink:
+        station = Station(
+            ROOT,
+            client_id="press2",
+            will=Message("state", b'{"state":"lost"}', retain=True),
+            birth=lambda: [Message("state", b'{"state":"ready"}', retain=True)],
+            on_command=on_command,
+        )
+        chosen = Options.model_validate({"host": broker.host, "port": broker.port, "retry_s": 1.0, **options})
+        opened.append(open_sink(chosen, station))
+        return opened[-1]
+
+    yield make
+    for sink in opened:
+        sink.close()

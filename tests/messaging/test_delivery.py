@@ -1,0 +1,167 @@
+"""From the store to a subscriber, with a broker that is killed in the middle."""
+
+import json
+import random
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from edge.clock import SystemClock
+from edge.core.backoff import Backoff
+from edge.core.ports import Message
+from edge.core.verdict import Kind
+from edge.gateway.commands import Commands
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
+from edge.messaging.publisher import IDLE_S, Lane, Publisher
+from edge.messaging.retained_state import Announcements
+from edge.store.outbox import Outbox
+from edge.store.press_store import GelRecord, Press, Store
+from edge.store.ulid import new_ulid
+from plugins.sinks.mqtt import MqttSink
+
+from .conftest import ROOT, Listener
+
+T0 = 1_780_000_000 * 10**9
+
+
+def record(store: Store, n: int) -> str:
+    """Record the n-th press as the gateway does; gives its id."""
+    time_ns = T0 + n * 10**9
+    press_id = new_ulid(time_ns)
+
+    def messages(gel: GelRecord) -> object:
+        result = ResultPayload(
+            time_ns=time_ns,
+            press_id=press_id,
+            part="bolt",
+            verdict=Kind.PASS,
+            score=0.5,
+            threshold=1.0,
+            sensor_serial=gel.serial,
+            gel_id=gel.gel_id,
+            gel_presses=gel.presses,
+            gel_limit_presses=gel.limit_presses,
+            heatmap_topic=f"heatmap/{press_id}",
+        )
+        return press_messages(result, gel, b"\x89PNG" + bytes(30_000))
+
+    store.record_press(Press(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages)  # type: ignore[arg-type]
+    return press_id
+
+
+def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
+    any_broker: tuple[LocalBroker, str],
+    tmp_path: Path,
+    sink_to: Callable[..., MqttSink],
+    listen: Callable[..., Listener],
+) -> None:
+    """Each press arrives at least once and, counted by id, exactly once; its heatmap too; `last` is the newest.
+
+    The lane is stepped by hand, so that the subscriber is always back before the gateway sends.
+    """
+    broker, protocol = any_broker
+    path = tmp_path / "gelgate.db"
+    sink = sink_to(broker, protocol=protocol)
+    ids: list[str] = []
+    heard: list[Listener] = []
+    with Store(path) as store, Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        backoff = Backoff(random.Random(1), 0.05, 0.2)
+        lane = Lane("mqtt", sink, outbox, Announcements(), SystemClock(), backoff, lambda *_: None)
+        for outage in range(2):
+            heard.append(listen(broker, client_id=f"listener{outage}"))
+            while lane.step() != IDLE_S:
+                SystemClock().sleep(0.02)
+            ids += [record(store, len(ids)) for _ in range(10)]
+            lane.step()  # one batch: some presses are out, some are not
+            hears_all_acknowledged(heard, ids, outbox)
+            broker.kill()
+            ids += [record(store, len(ids)) for _ in range(5)]
+            assert lane.step() > 0
+            broker.start()
+        heard.append(listen(broker, client_id="last"))
+        while lane.step() != IDLE_S:
+            SystemClock().sleep(0.02)
+        hears_all_acknowledged(heard, ids, outbox)
+
+        assert outbox.status().rows == 0
+    times = Counter(press_id for listener in heard for press_id in results(listener))
+    assert set(times) == set(ids)
+    assert max(times.values()) <= 2
+    assert json.loads(heard[-1].payloads("last")[-1])["press_id"] == ids[-1]
+
+
+def results(listener: Listener) -> list[str]:
+    return [json.loads(payload)["press_id"] for payload in listener.payloads("result")]
+
+
+def hears_all_acknowledged(heard: list[Listener], ids: list[str], outbox: Outbox) -> None:
+    """Wait until every row that the broker acknowledged was heard: a broker that is killed forgets what it holds."""
+    waiting = [row.message for row in outbox.pending("mqtt", 1000)]
+    acknowledged = set(ids) - {json.loads(m.payload)["press_id"] for m in waiting if m.topic == "result"}
+    pictures = {f"heatmap/{press_id}" for press_id in ids} - {m.topic for m in waiting}
+
+    def hears(last: Listener) -> bool:
+        got = {press_id for listener in heard for press_id in results(listener)}
+        seen = {m.topic.removeprefix(f"{ROOT}/") for listener in heard for m in listener.heard}
+        return acknowledged <= got and pictures <= seen
+
+    heard[-1].wait_for(hears)
+
+
+def test_two_processes_of_one_station_never_share_a_database_but_two_sinks_do(
+    any_broker: tuple[LocalBroker, str],
+    tmp_path: Path,
+    sink_to: Callable[..., MqttSink],
+    listen: Callable[..., Listener],
+) -> None:
+    """Two MQTT sinks of one gateway: each delivers every press once, and then the outbox is empty."""
+    broker, protocol = any_broker
+    path = tmp_path / "gelgate.db"
+    listener = listen(broker)
+    sinks = {name: sink_to(broker, protocol=protocol, client_id=name) for name in ("one", "two")}
+    with Store(path) as store:
+        publisher = Publisher(path, sinks, Announcements(), SystemClock(), random.Random(1))
+        publisher.start()
+        ids = [record(store, n) for n in range(20)]
+        publisher.wake()
+        listener.wait_for(lambda heard: len(heard.payloads("result")) >= 40)
+        publisher.stop(drain_s=20)
+        with Outbox(path) as outbox:
+            assert outbox.status().rows == 0
+
+    assert Counter(json.loads(p)["press_id"] for p in listener.payloads("result")) == dict.fromkeys(ids, 2)
+
+
+def test_a_state_change_and_a_command_pass_while_results_flow(
+    mosquitto: LocalBroker,
+    tmp_path: Path,
+    sink_to: Callable[..., MqttSink],
+    listen: Callable[..., Listener],
+) -> None:
+    """The gateway's own composition in small: announcements, outbox, commands on one connection."""
+    listener = listen(mosquitto)
+    commands = Commands({"ping": lambda arguments: {"echo": arguments["text"]}}, SystemClock())
+    sink = sink_to(mosquitto, commands)
+    with Store(tmp_path / "gelgate.db") as store:
+        publisher = Publisher(store.path, {"mqtt": sink}, Announcements(), SystemClock(), random.Random(1))
+        publisher.start()
+        publisher.announce(state_message(StatePayload(time_ns=T0, state="halted", reason="no sensor")))
+        listener.wait_for(lambda heard: len(heard.payloads("state")) == 2)
+        record(store, 1)
+        publisher.wake()
+        listener.wait_for(lambda heard: heard.payloads("gel") != [])
+        listener.ask("ping", b'{"transaction": "t1", "arguments": {"text": "hello"}}')
+        listener.wait_for(lambda heard: heard.payloads("cmd/ping/response") != [])
+        publisher.stop()
+
+    (response,) = [json.loads(p) for p in listener.payloads("cmd/ping/response")]
+    assert (response["transaction"], response["status"], response["data"]) == ("t1", "ok", {"echo": "hello"})
+    assert json.loads(listener.payloads("state")[-1])["reason"] == "no sensor"
+    assert listener.payloads("result") != []
+
+
+def test_a_message_is_a_plain_value() -> None:
+    """Two equal messages are equal and hash alike: the sink counts repeated failures of one message by it."""
+    assert hash(Message("a", b"1")) == hash(Message("a", b"1"))

@@ -1,0 +1,90 @@
+"""The sinks that need no broker: lines in a file, and a list in memory."""
+
+import json
+import os
+import resource
+import signal
+from pathlib import Path
+
+import pytest
+
+from edge import registry
+from edge.core.errors import SinkUnavailable
+from edge.core.ports import Message, Sink
+from edge.core.sink_context import Station
+from plugins.sinks import jsonl, memory
+
+STATION = Station(
+    "gelgate/plant/line1/press2/gel/v1", "press2", birth=lambda: [Message("state", b"{}", retain=True)]
+)
+
+
+def lines(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / "messages.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+@pytest.mark.parametrize("name", ["jsonl", "memory", "mqtt"])
+def test_each_is_found_by_its_name(name: str) -> None:
+    """Through the same door as a visitor's plugin: options, and open."""
+    plugin = registry.load("sinks", name)
+
+    assert plugin.Options.model_config["extra"] == "forbid"
+    assert callable(plugin.open)
+
+
+def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
+    """Birth first, then what was sent."""
+    sink = memory.open(memory.Options(), STATION)
+    sink.send(Message("result", b"1"))
+    sink.close()
+    sink.close()
+
+    assert isinstance(sink, Sink)
+    assert [m.topic for m in sink.messages] == ["state", "result"]
+
+
+def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
+    """JSON stays JSON, an empty payload is null, a picture lies beside under its topic."""
+    sink = jsonl.open(jsonl.Options(folder=tmp_path / "log"), STATION)
+    sink.send(Message("result", '{"part":"Bügel"}'.encode()))
+    sink.send(Message("heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV", b"png", content_type="image/png"))
+    sink.send(Message("alarm/gel", b"", retain=True))
+    sink.close()
+
+    assert isinstance(sink, Sink)
+    assert [line.get("payload", line.get("file")) for line in lines(tmp_path / "log")] == [
+        {"part": "Bügel"},
+        "heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV.png",
+        None,
+    ]
+    assert (tmp_path / "log" / "heatmap" / "01ARZ3NDEKTSV4RRFFQ69G5FAV.png").read_bytes() == b"png"
+
+
+def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
+    """The outbox keeps the row; the sentence names the folder."""
+    (tmp_path / "file").write_text("")
+    sink = jsonl.open(jsonl.Options(folder=tmp_path / "file" / "log"), STATION)
+
+    with pytest.raises(SinkUnavailable, match=r"file/log cannot be written"):
+        sink.send(Message("result", b"{}"))
+
+
+def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
+    """What did not fit is taken back, so the next line can be read when there is room again."""
+    sink = jsonl.open(jsonl.Options(folder=tmp_path), STATION)
+    sink.send(Message("result", b'{"n":1}'))
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+            sink.send(Message("result", json.dumps("x" * 5000).encode()))
+        except SinkUnavailable:
+            code = 42
+        finally:
+            os._exit(code)
+
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 42
+    sink.send(Message("result", b'{"n":2}'))
+    assert [line["payload"] for line in lines(tmp_path)] == [{"n": 1}, {"n": 2}]

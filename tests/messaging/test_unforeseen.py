@@ -1,0 +1,40 @@
+"""Faults that nobody foresaw, in what a station gives to its sink."""
+
+import time
+
+from edge.core.errors import SinkUnavailable
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker
+from plugins.sinks.mqtt import Options
+from plugins.sinks.mqtt import open as open_sink
+
+from .conftest import ROOT
+
+
+def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever() -> None:
+    """The connection is given up and made again; the thread that makes it lives on."""
+    births: list[int] = []
+
+    def birth() -> list[Message]:
+        births.append(1)
+        if len(births) == 1:
+            raise RuntimeError("nobody foresaw this")
+        return []
+
+    with LocalBroker() as broker:
+        station = Station(ROOT, client_id="unforeseen", birth=birth)
+        sink = open_sink(Options(host=broker.host, port=broker.port, retry_s=1.0), station)
+        try:
+            deadline = time.monotonic() + 20
+            while True:
+                try:
+                    sink.send(Message("result", b"1"))
+                    break
+                except SinkUnavailable:
+                    assert time.monotonic() < deadline
+                    time.sleep(0.02)
+        finally:
+            sink.close()
+
+    assert len(births) == 2

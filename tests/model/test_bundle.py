@@ -1,0 +1,257 @@
+"""A bundle: equal inputs give equal bytes, and whatever is changed in it is found and named."""
+
+import dataclasses
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+
+from edge.core.errors import BundleCorrupt, BundleMismatch, FitError
+from edge.model.archive import MANIFEST
+from edge.model.bundle import Bundle, GoldenFrame, bundle_files, write_bundle
+from edge.model.manifest import SCHEMA_VERSION
+from edge.model.scorer import Scorer
+
+GOLDEN = GoldenFrame(tiny.presses(1)[0], "a press", 0.5, ((0.5,),))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A whole bundle with an int8 bank and a golden frame, as a folder."""
+    _, files = tiny.tiny_files(tiny.tiny_bank(packing="int8"), golden=[GOLDEN])
+    return write_bundle(tmp_path / "bolt", files)
+
+
+def edited(folder: Path, change: Callable[[dict], object]) -> Path:
+    """The bundle with its manifest changed by hand."""
+    path = folder / MANIFEST
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    return folder
+
+
+def test_equal_inputs_give_equal_bytes() -> None:
+    """A bundle has no clock and no chance in it."""
+    first, second = (tiny.tiny_files(golden=[GOLDEN])[1] for _ in range(2))
+    assert first == second
+
+
+@pytest.mark.parametrize("name", ["bolt", "bolt.zip"])
+def test_a_written_bundle_is_loaded(tmp_path: Path, name: str) -> None:
+    """Folder and zip give the manifest, graphs, unpacked bank and golden frames that were written."""
+    manifest, files = tiny.tiny_files(golden=[GOLDEN])
+    bundle = Bundle.load(write_bundle(tmp_path / name, files))
+    assert bundle.manifest == manifest
+    assert bundle.graphs.trunk == tiny.tiny_trunk()
+    assert bundle.profile == tiny.PROFILE
+    assert bundle.region == tiny.REGION
+    assert bundle.grid == tiny.tiny_grid()
+    np.testing.assert_array_equal(bundle.bank["mean"], tiny.tiny_bank().arrays["mean"])
+    np.testing.assert_array_equal(bundle.golden[0].rgb, GOLDEN.rgb)
+
+
+def test_the_digest_tells_bundles_apart(tmp_path: Path) -> None:
+    """The bundle's identity is the same from folder and zip, and another for another threshold."""
+    _, files = tiny.tiny_files()
+    _, others = tiny.tiny_files(threshold=0.06)
+    a, b, c = (
+        Bundle.load(write_bundle(tmp_path / name, f)).digest
+        for name, f in (("a", files), ("b.zip", files), ("c", others))
+    )
+    assert a == b != c
+
+
+def test_the_manifest_states_bytes_stored_and_in_use(folder: Path) -> None:
+    """int8 with one scale per row: 48 values and 12 scales against 192 bytes unpacked, headers included."""
+    entry = Bundle.load(folder).manifest.bank["mean"]
+    assert entry.bytes_unpacked == 3 * 4 * 4 * 4
+    assert entry.scale is not None
+    assert entry.bytes_stored == sum((folder / f.file).stat().st_size for f in (entry.data, entry.scale))
+
+
+FILES = ["trunk.onnx", "head.onnx", "bank/mean.npy", "bank/mean.scale.npy", "golden/0.png"]
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_one_changed_byte_in_any_file_is_found(folder: Path, file: str) -> None:
+    """The sentence names the file and both hashes."""
+    data = bytearray((folder / file).read_bytes())
+    data[-1] ^= 1
+    (folder / file).write_bytes(bytes(data))
+    with pytest.raises(BundleCorrupt, match=rf"{file} has SHA-256 [0-9a-f]{{12}} .* expects [0-9a-f]{{12}}"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("file", [*FILES, MANIFEST])
+def test_a_missing_file_is_named(folder: Path, file: str) -> None:
+    """A bundle copied in part is refused by the name of what is missing."""
+    (folder / file).unlink()
+    with pytest.raises(BundleCorrupt, match=f"{file} is missing"):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_a_file_cut_short_is_found(folder: Path, file: str) -> None:
+    """An interrupted copy has fewer bytes than the manifest says."""
+    (folder / file).write_bytes((folder / file).read_bytes()[:-10])
+    with pytest.raises(BundleCorrupt, match=file):
+        Bundle.load(folder)
+
+
+def with_bank_file(data: bytes) -> tuple[object, dict[str, bytes]]:
+    """A bundle whose bank file holds these bytes, with a manifest that agrees to their hash."""
+    manifest, files = tiny.tiny_files()
+    entry = manifest.bank["mean"]
+    import hashlib
+
+    forged = entry.data.model_copy(
+        update={"sha256": hashlib.sha256(data).hexdigest(), "size_bytes": len(data)}
+    )
+    bank = {"mean": entry.model_copy(update={"data": forged})}
+    return manifest.model_copy(update={"bank": bank}), {**files, "bank/mean.npy": data}
+
+
+def npy(array: np.ndarray, allow_pickle: bool = False) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=allow_pickle)
+    return stream.getvalue()
+
+
+MEAN = np.full((3, 4, 4), 0.5, np.float32)
+NAN = np.where(np.arange(48).reshape(3, 4, 4) == 7, np.float32(np.nan), MEAN)
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (npy(np.full((3, 4, 4), None, object), allow_pickle=True), "holds object"),
+        (npy(MEAN)[:-8], "184 bytes of data, 192 were expected"),
+        (npy(MEAN) + b"more", "196 bytes of data, 192 were expected"),
+        (npy(MEAN.astype(np.float64)), r"holds float64 \(3, 4, 4\), the manifest expects float32"),
+        (npy(MEAN.reshape(3, 16)), r"holds float32 \(3, 16\), the manifest expects float32 \(3, 4, 4\)"),
+        (npy(np.asfortranarray(MEAN)), "the manifest expects float32"),
+        (npy(NAN), "NaN or infinity"),
+        (b"\x80\x04N.", "not a npy file"),
+        (b"", "not a npy file"),
+    ],
+    ids=["pickle", "cut", "longer", "dtype", "shape", "order", "nan", "bare pickle", "empty"],
+)
+def test_a_bank_file_that_is_not_what_the_manifest_says_is_refused(data: bytes, reason: str) -> None:
+    """Even with the right hash: nothing in a bank is unpickled, and no header is believed."""
+    manifest, files = with_bank_file(data)
+    with pytest.raises(BundleCorrupt, match=reason):
+        Bundle.in_memory(manifest, files)  # type: ignore[arg-type]
+
+
+def test_a_newer_schema_is_refused_by_name(folder: Path) -> None:
+    """An old gateway says that it is old, not that the bundle is broken."""
+    edited(folder, lambda m: m.update(schema_version=SCHEMA_VERSION + 1, unheard_of=True))
+    with pytest.raises(
+        BundleMismatch, match=rf"schema {SCHEMA_VERSION + 1}, this program reads up to {SCHEMA_VERSION}"
+    ):
+        Bundle.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda m: m.update(threshold=None), "threshold"),
+        (lambda m: m["threshold"].update(value="NaN"), "threshold.value"),
+        (lambda m: m.update(surprise=1), "surprise"),
+        (lambda m: m["head"].update(file="../head.onnx"), "head.file"),
+        (lambda m: m["head"].update(file="/etc/passwd"), "head.file"),
+        (lambda m: m["region"].update(x=400), "outside the picture"),
+        (lambda m: m["grid"].update(frame=[30, 32]), "the head is built for"),
+        (lambda m: m.update(head=None), "either backbone, head and grid"),
+        (lambda m: m.pop("schema_version"), "not a gelgate manifest"),
+    ],
+)
+def test_a_manifest_that_makes_no_sense_is_refused(
+    folder: Path, change: Callable[[dict], object], reason: str
+) -> None:
+    """The sentence names the field."""
+    with pytest.raises(BundleCorrupt, match=reason):
+        Bundle.load(edited(folder, change))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "nonsense", "[" * 100_000, '{"schema_version": "1"}'])
+def test_a_manifest_that_is_no_json_object_is_refused(folder: Path, text: str) -> None:
+    """Empty, foreign or hostile text gets a sentence."""
+    (folder / MANIFEST).write_text(text)
+    with pytest.raises(BundleCorrupt, match=r"manifest\.json"):
+        Bundle.load(folder)
+
+
+def test_another_sensor_profile_is_refused_with_the_difference(folder: Path) -> None:
+    """The sentence says which field of the profile differs and both values."""
+    bundle = Bundle.load(folder)
+    bundle.check_profile(tiny.PROFILE)
+    other = dataclasses.replace(tiny.PROFILE, name="mini_lr", border=(0.15, 0.15))
+    with pytest.raises(BundleMismatch, match=r"border \(0.15, 0.15\) \(bundle: \(0.0, 0.0\)\)"):
+        bundle.check_profile(other)
+
+
+class TestWithoutTrunk:
+    """A bundle that was sent without its trunk finds it by hash, or says where to put it."""
+
+    @pytest.fixture
+    def slim(self, tmp_path: Path) -> Path:
+        _, files = tiny.tiny_files(with_trunk=False)
+        assert "trunk.onnx" not in files
+        return write_bundle(tmp_path / "bolt.zip", files)
+
+    def stored(self, folder: Path, data: bytes) -> Path:
+        manifest, _ = tiny.tiny_files()
+        folder.mkdir()
+        assert manifest.backbone is not None
+        (folder / f"{manifest.backbone.trunk.sha256}.onnx").write_bytes(data)
+        return folder
+
+    def test_it_is_found_in_the_store(self, slim: Path, tmp_path: Path) -> None:
+        """The gateway's trunk store is given to load."""
+        store = self.stored(tmp_path / "store", tiny.tiny_trunk())
+        assert Bundle.load(slim, store).graphs.trunk == tiny.tiny_trunk()
+
+    def test_it_is_found_beside_the_bundle(self, slim: Path, tmp_path: Path) -> None:
+        """A folder `trunks` next to the bundle needs no setting."""
+        self.stored(tmp_path / "trunks", tiny.tiny_trunk())
+        assert Bundle.load(slim).graphs.trunk == tiny.tiny_trunk()
+
+    def test_a_wrong_file_of_that_name_is_refused(self, slim: Path, tmp_path: Path) -> None:
+        """A file's name proves nothing; its bytes do."""
+        store = self.stored(tmp_path / "store", tiny.tiny_trunk()[:-1] + b"?")
+        with pytest.raises(BundleCorrupt, match="SHA-256"):
+            Bundle.load(slim, store)
+
+    def test_a_missing_trunk_says_where_it_belongs(self, slim: Path, tmp_path: Path) -> None:
+        """The sentence gives the file name to copy."""
+        with pytest.raises(BundleCorrupt, match=r"copy it there as [0-9a-f]{64}\.onnx"):
+            Bundle.load(slim, tmp_path)
+
+    def test_a_trunk_that_is_open_already_is_not_read(self, slim: Path) -> None:
+        """Changing the part on a line never reads the trunk again."""
+        manifest, _ = tiny.tiny_files()
+        assert manifest.backbone is not None
+        assert Bundle.load(slim, loaded={manifest.backbone.trunk.sha256}).graphs.trunk is None
+
+
+def test_a_bank_that_cannot_be_stored_is_a_fit_error() -> None:
+    """A dtype that no head takes is refused when the bundle is made, not on the line."""
+    bank = tiny.tiny_bank()
+    wrong = dataclasses.replace(bank, arrays={"mean": bank.arrays["mean"].astype(np.float64)})
+    with pytest.raises(FitError, match="float64"):
+        bundle_files(tiny.tiny_facts(), tiny.tiny_graphs(), wrong, backbone="tiny")
+
+
+def test_a_file_replaced_after_loading_changes_nothing(folder: Path) -> None:
+    """What was checked is what scores: nothing is read or mapped later, even when the files vanish."""
+    scorer = Scorer(Bundle.load(folder))
+    before = scorer.score(GOLDEN.rgb).anomaly_score
+    (folder / "bank" / "mean.npy").write_bytes(b"")
+    (folder / "trunk.onnx").unlink()
+    assert scorer.score(GOLDEN.rgb).anomaly_score == before

@@ -1,0 +1,72 @@
+"""Trunks end where the detector stops reading, whatever they are made of, without the onnx package."""
+
+import numpy as np
+import onnx.checker
+import onnx.parser
+import onnxruntime as ort
+import pytest
+
+from calibration.fitting.trunks import open_trunk
+from edge.model.onnx_prune import cut_trunk
+from edge.model.onnx_validation import GraphRefused, output_names
+from plugins.backbones.tactile import tactile_resnet18
+from plugins.graph import Graph
+
+FRAMES = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), dtype=np.uint8)
+
+
+def run(graph: bytes, tap: str) -> np.ndarray:
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    answer: np.ndarray = session.run([tap], {"frames": FRAMES})[0]
+    return answer
+
+
+@pytest.mark.parametrize("backbone", ["tactile_resnet18", "tactile_resnet18_int8"])
+def test_a_cut_trunk_gives_the_same_features(backbone: str) -> None:
+    """Cut after layer1 both variants give its features bit for bit, in less than a tenth of the bytes."""
+    whole, cut = open_trunk(backbone), open_trunk(backbone, ("layer1",))
+    onnx.checker.check_model(onnx.load_from_string(cut.graph), full_check=True)
+    assert output_names(cut.graph) == ["layer1"]
+    assert cut.facts["cut_after"] == "layer1"
+    assert len(cut.graph) < len(whole.graph) / 10
+    assert np.array_equal(run(cut.graph, "layer1"), run(whole.graph, "layer1"))
+
+
+def test_parts_that_read_equally_deep_share_one_file() -> None:
+    """layer2 alone and layer1 with layer2 are one cut; all three taps are the file as it is."""
+    whole = tactile_resnet18.trunk()
+    assert cut_trunk(whole, ("layer2",)) == cut_trunk(whole, ("layer1", "layer2"))
+    for taps in ((), ("layer3",), ("layer1", "layer3"), ("layer1", "layer4")):
+        assert cut_trunk(whole, taps) is whole
+
+
+def test_what_is_no_model_is_refused_and_what_nests_graphs_is_left_alone() -> None:
+    """Bytes that are no protobuf are refused; a node with a graph of its own may read anything, so nothing is cut."""
+    with pytest.raises(GraphRefused):
+        cut_trunk(b"\xff" * 40, ("layer1",))
+    nested = onnx.parser.parse_model("""
+        < ir_version: 8, opset_import: ["" : 17] >
+        nested (float[n] x, bool c) => (float[n] first, float[n] second)
+        {
+            first = Abs (x)
+            second = If (c) <
+                then_branch = yes () => (float[n] a) { a = Neg (first) },
+                else_branch = no () => (float[n] b) { b = Identity (first) }
+            >
+        }
+    """).SerializeToString()
+    assert cut_trunk(nested, ("first",)) is nested
+
+
+def test_a_trunk_of_any_origin_is_cut() -> None:
+    """Weights, inputs and metadata that stay keep their bytes; what only the rest used is gone."""
+    graph = Graph("two")
+    x = graph.op("Cast", graph.input("frames", ("n", "h", "w", 3), "uint8"), to=1)
+    shallow = graph.op("Mul", x, graph.constant(np.full((3,), 2.0, np.float32)))
+    deep = graph.op("Add", shallow, graph.constant(np.arange(300, dtype=np.float32).reshape(100, 1, 3)))
+    graph.output("shallow", shallow, ("n", "h", "w", 3))
+    graph.output("deep", deep, ("n", 100, "w", 3))
+    cut = onnx.load_from_string(cut_trunk(graph.serialise({"kept": "yes"}), ("shallow",)))
+    assert [node.op_type for node in cut.graph.node] == ["Cast", "Mul", "Identity"]
+    assert [tuple(t.dims) for t in cut.graph.initializer] == [(3,)]
+    assert [(p.key, p.value) for p in cut.metadata_props] == [("kept", "yes")]

@@ -1,0 +1,42 @@
+"""Batches drawn in another process are those drawn in place, and its death is a sentence."""
+
+import multiprocessing
+import os
+import signal
+
+import pytest
+import torch
+
+from calibration.training import prefetch as ahead
+from calibration.training.prefetch import draw_step, drawn_ahead
+from calibration.training.recipe import Recipe
+from edge.core.errors import GelgateError
+
+SMALL = Recipe(steps=4, pairs=1, side=64, high_resolution=0.5)
+CPU = torch.device("cpu")
+
+
+def test_drawn_ahead_is_drawn_in_place() -> None:
+    """Steps 1 and 2 have the same bytes either way; a step out of order is refused; the process ends with the run."""
+    torch.set_num_threads(1)
+    with drawn_ahead(SMALL, 1) as take:
+        for step in (1, 2):
+            found, expected = take(step), draw_step(SMALL, step, CPU)
+            assert found.spacing == expected.spacing
+            for name in ("frames", "surface_mm", "change_mm"):
+                assert torch.equal(getattr(found, name), getattr(expected, name))
+        with pytest.raises(GelgateError, match="was step 3, wanted step 7"):
+            take(7)
+    assert not multiprocessing.active_children()
+
+
+def test_a_dead_drawing_process_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed before its first batch, the next step says with which signal it ended."""
+    monkeypatch.setattr(ahead, "_PATIENCE_S", 0.2)
+    with drawn_ahead(SMALL, 0) as take:
+        (drawer,) = multiprocessing.active_children()
+        assert drawer.pid is not None
+        os.kill(drawer.pid, signal.SIGKILL)
+        drawer.join()
+        with pytest.raises(GelgateError, match="ended with -9 before step 0"):
+            take(0)

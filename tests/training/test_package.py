@@ -1,0 +1,198 @@
+"""Packaging: graphs that answer as the trained network does, variants of a bounded size, and a card of facts alone."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+import torch
+
+from calibration.benchmark.model_card import card, page, write_card
+from calibration.benchmark.trial import FORMAT
+from calibration.training import package as packaging
+from calibration.training.ablations import joined
+from calibration.training.checkpoint import Checkpoint, save
+from calibration.training.network import Trunk, state_arrays
+from calibration.training.recipe import STAGES, Recipe
+from edge import cli
+from edge.core.errors import ConfigError
+from plugins.backbones.resnet import build_trunk
+
+
+def run(graph: bytes, frames: np.ndarray) -> list[np.ndarray]:
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    answer: list[np.ndarray] = session.run(list(STAGES), {"frames": frames})
+    return answer
+
+
+def test_the_graph_is_the_network(trunk: Trunk) -> None:
+    """The ONNX trunk answers as torch does, to 1e-4 of the largest feature, at two sizes."""
+    graph = build_trunk(state_arrays(trunk), "resnet18", STAGES)
+    for side in (64, 96):
+        frames = np.random.default_rng(side).integers(0, 256, (2, side, side, 3), dtype=np.uint8)
+        with torch.no_grad():
+            expected = trunk(torch.tensor(frames.tolist(), dtype=torch.float32).permute(0, 3, 1, 2))
+        for found, wanted in zip(run(graph, frames), expected, strict=True):
+            assert np.abs(found - wanted.numpy()).max() < 1e-4 * float(wanted.max())
+
+
+def test_int8_keeps_inputs_outputs_and_features(trunk: Trunk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The int8 trunk takes the same frames and gives the same taps within a fifth, in a third of the bytes."""
+
+    def few(purpose: str, batches: int, pairs: int = 2) -> object:
+        rng = np.random.default_rng(batches)
+        return iter([rng.integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)])
+
+    monkeypatch.setattr(packaging, "calibration_frames", few)
+    plain = build_trunk(state_arrays(trunk), "resnet18", STAGES)
+    small = packaging.quantised(plain, batches=1)
+    assert len(small) < len(plain) / 3
+    assert len(small) < packaging.MOST_BYTES
+    errors = packaging.feature_errors(small, plain)
+    assert list(errors) == list(STAGES)
+    assert 0 < max(errors.values()) < 0.2
+    half = build_trunk(state_arrays(trunk), "resnet18", STAGES, weights="float16")
+    assert len(half) < packaging.MOST_BYTES
+    assert max(packaging.feature_errors(half, plain).values()) < 0.005
+
+
+FACTS = {
+    "name": "tactile_resnet18",
+    "topology": "resnet18",
+    "taps": list(STAGES),
+    "recipe": {"seed": 0, "steps": 5},
+    "trained_steps": 5,
+    "pairs_seen": 10,
+    "last_entry": {"step": 5, "geometry": 0.1234567},
+    "variants": {
+        "tactile_resnet18": {
+            "bytes": 7,
+            "sha256": "ab" * 32,
+            "relative_error": dict.fromkeys(STAGES, 0.00012),
+        }
+    },
+}
+
+
+def evaluation(measures: dict[str, object]) -> dict[str, object]:
+    """An evaluation file with one row, and a set that was left out."""
+    row = {"backbone": "trained", "detector": "padim", "measures": measures}
+    return {
+        "format": FORMAT,
+        "replicates": 200,
+        "settings": {"padim": {"taps": ["layer1", "layer2"], "rank": 16, "channels": None}},
+        "trunks": {"trained": {"sha256": "ab" * 32}, "pairs": {"sha256": "cd" * 32}},
+        "sets": {
+            "parts": {"title": "Unseen parts", "text": "Five.", "trials": ["PZ1"], "rows": [row]},
+            "screws": {"title": "Screws", "text": "Turned.", "missing": "no folder was given"},
+        },
+    }
+
+
+def test_the_card_has_the_facts_and_the_evaluation() -> None:
+    """Every number of the card stands in the facts or the evaluation; without an evaluation it says so."""
+    assert "Not evaluated yet" in card(FACTS, None)
+    measures = {"aupro_fpr01": {"value": 0.71, "over_images": [0.65, 0.77]}, "image_auroc": {"value": None}}
+    text = card(FACTS, evaluation(measures))
+    assert "| trained | padim | 0.710 (0.650 to 0.770) | - |" in text
+    assert "- padim: taps layer1 and layer2, rank 16" in text
+    assert "Not measured: no folder was given." in text
+    assert "0.1235" in text
+    assert "abababababababab" in text
+    assert "What was tried" not in text
+
+
+def test_the_card_prints_no_evaluation_of_other_weights() -> None:
+    """An evaluation that compared no file of these facts is as good as none."""
+    other = {**evaluation({"aupro_fpr01": {"value": 0.7}}), "trunks": {"trained": {"sha256": "ef" * 32}}}
+    for stale in (other, {**evaluation({"aupro_fpr01": {"value": 0.7}}), "format": 1}):
+        text = card(FACTS, stale)
+        assert "Not evaluated yet" in text
+        assert "0.700" not in text
+
+
+def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
+    """One row per run: how its settings differ from those that ship, its numbers by method, and the means per set."""
+    save(tmp_path / "run", Checkpoint(Recipe(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
+    rows = [
+        {
+            "backbone": trunk,
+            "detector": name,
+            "measures": {"aupro_fpr01": {"value": value}, "image_auroc": {"value": 0.9}},
+        }
+        for trunk, name, value in (
+            ("longer", "padim", 0.7512),
+            ("longer", "spade", 0.7),
+            ("other", "padim", 0.1),
+        )
+    ]
+    found = {
+        "format": FORMAT,
+        "trunks": {"longer": {}, "other": {}},
+        "sets": {
+            "parts": {"title": "Unseen parts", "rows": rows},
+            "screws": {"title": "S", "missing": "none"},
+        },
+    }
+    tried = joined(found, {"longer": tmp_path / "run"}, {"longer": "on a Tuesday"})
+    facts = {**FACTS, "recipe": json.loads(Recipe(seed=0, steps=5).to_json())}
+    text = card(facts, None, tried)
+    assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
+    assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
+    assert "What was tried" not in card(facts, None, {**tried, "rows": []})
+    for runs, notes, sentence in (
+        ({"longer": tmp_path}, {"oter": "x"}, "no run and trunk is named oter; evaluated were longer, other"),
+        ({"shorter": tmp_path}, {}, "no run and trunk is named shorter"),
+        ({"other": tmp_path / "none"}, {}, "no checkpoint in"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            joined(found, runs, notes)
+    with pytest.raises(ConfigError, match="format 1, not"):
+        joined({**found, "format": 1}, {}, {})
+
+
+def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:
+    """Trunks that do not ship are named as runs of their own; random weights need no name."""
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    found = evaluation({"aupro_fpr01": {"value": 0.7}})
+    (tmp_path / "tactile_resnet18_evaluation.json").write_text(json.dumps(found))
+    assert "gelgate train-backbone RUN1 --steps 5 --seed 0 --package plugins/backbones" in page(tmp_path)
+    assert (
+        "gelgate evaluate-backbone plugins/backbones trained=tactile_resnet18 trained_int8=tactile_resnet18_int8 "
+        "pairs=RUN_pairs/tactile_resnet18.onnx --workers 2"
+    ) in page(tmp_path)
+
+
+def test_the_card_needs_its_facts(tmp_path: Path) -> None:
+    """No facts, no card, one sentence; with facts the card lies beside them."""
+    with pytest.raises(ConfigError, match="package the run again"):
+        write_card(tmp_path)
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    assert write_card(tmp_path).read_text().startswith("# tactile_resnet18")
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["gelgate", "train-backbone", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def test_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One small step runs, a second start in the same folder is refused, and a missing torch names the extra."""
+    small = (str(tmp_path / "run"), "--steps", "1", "--pairs", "1", "--side", "64", "--device", "cpu")
+    assert command(monkeypatch, *small) == 0
+    assert "step 1/1" in capsys.readouterr().err
+    assert command(monkeypatch, *small) == 3
+    assert "already holds a run" in capsys.readouterr().err
+    assert command(monkeypatch, *small, "--resume", "--seed", "1") == 3
+    assert "seed: 1, not 0" in capsys.readouterr().err
+    for name in [n for n in sys.modules if n.startswith("calibration.training.t")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert command(monkeypatch, *small) == 3
+    assert "pip install 'gelgate[train]'" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""The backbone that ships: its files are those of the facts, it answers as trunks do, and its card is current."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+
+from calibration.benchmark.evaluation import DETECTORS, used_settings
+from calibration.benchmark.model_card import card, page
+from calibration.benchmark.sets import SETS
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.training.package import MOST_BYTES
+from edge.core.errors import ConfigError
+from plugins.backbones import tactile
+from plugins.backbones.tactile import TactileBackbone, tactile_resnet18, tactile_resnet18_int8
+
+ROOT = Path(__file__).parents[2]
+HOME = ROOT / "plugins" / "backbones"
+FACTS = json.loads((HOME / "tactile_resnet18.json").read_text())
+EVALUATION = json.loads((HOME / "tactile_resnet18_evaluation.json").read_text())
+TRIALS = HOME / "tactile_resnet18_trials.json"
+
+
+def test_it_is_the_default_and_the_file_of_the_facts() -> None:
+    """The product's backbone has the recorded bytes, within the limit, and says how it was trained."""
+    trunk = open_trunk(DEFAULT_BACKBONE)
+    assert trunk.id == tactile_resnet18.name == "tactile_resnet18"
+    recorded = FACTS["variants"]["tactile_resnet18"]
+    assert hashlib.sha256(trunk.graph).hexdigest() == recorded["sha256"]
+    assert len(trunk.graph) == recorded["bytes"] <= MOST_BYTES
+    assert f"{FACTS['trained_steps']} steps" in str(trunk.facts["weights"])
+
+
+@pytest.mark.parametrize("backbone", [tactile_resnet18, tactile_resnet18_int8])
+def test_it_answers_as_every_trunk_does(backbone: TactileBackbone) -> None:
+    """Frames uint8 (n, h, w, 3) to layer1, layer2 and layer3 at strides 4, 8 and 16, positive and finite."""
+    graph = backbone.trunk()
+    assert hashlib.sha256(graph).hexdigest() == FACTS["variants"][backbone.name]["sha256"]
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    frames = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint8)
+    maps = session.run(["layer1", "layer2", "layer3"], {"frames": frames})
+    assert [m.shape for m in maps] == [(2, 64, 16, 24), (2, 128, 8, 12), (2, 256, 4, 6)]
+    assert all(np.isfinite(m).all() and m.min() >= 0 < m.max() for m in maps)
+
+
+def test_other_taps_are_refused() -> None:
+    """What the file does not give is named, with what it does give."""
+    assert tactile_resnet18.trunk(("layer2",)) == tactile_resnet18.trunk()
+    with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, asked for layer4"):
+        tactile_resnet18.trunk(("layer2", "layer4"))
+
+
+def test_a_missing_file_is_a_sentence() -> None:
+    """An installation without the weights says so."""
+    tactile._read.cache_clear()
+    with pytest.raises(ConfigError, match=r"'nowhere\.onnx' is missing from this installation"):
+        TactileBackbone("nowhere").trunk()
+
+
+def test_card_and_page_are_printed_from_the_facts() -> None:
+    """Neither was edited by hand, and both carry the evaluation, and the trials where there are any."""
+    text = card(FACTS, EVALUATION, json.loads(TRIALS.read_text()) if TRIALS.is_file() else None)
+    assert (HOME / "tactile_resnet18.md").read_text() == text
+    assert (ROOT / "docs" / "backbone.md").read_text() == page(HOME)
+    assert "Not evaluated yet" not in text
+
+
+def test_the_evaluation_is_of_these_weights_and_settings() -> None:
+    """The trunks that were compared are the files that ship, and the detectors read what they read today."""
+    for name, variant in (("trained", "tactile_resnet18"), ("trained_int8", "tactile_resnet18_int8")):
+        assert EVALUATION["trunks"][name]["sha256"] == FACTS["variants"][variant]["sha256"]
+    for method, settings in EVALUATION["settings"].items():
+        assert settings == json.loads(json.dumps(used_settings(method)))
+
+
+def test_every_set_was_evaluated() -> None:
+    """No table of the card is missing, and each compares random weights with those that ship."""
+    assert tuple(EVALUATION["sets"]) == SETS
+    for written in EVALUATION["sets"].values():
+        assert {"trained", "random"} <= {row["backbone"] for row in written["rows"]}
+
+
+@pytest.mark.parametrize("name", ["random-parts", "parts", "sensor"])
+def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
+    """In the shipped evaluation every detector has a higher AU-PRO on unseen parts than with random weights, and loses
+    less than 0.005 of it with the int8 trunk.
+    """
+    found = {
+        (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"]
+        for row in EVALUATION["sets"][name]["rows"]
+    }
+    for detector in DETECTORS:
+        assert found["trained", detector] > found["random", detector]
+        assert found["trained_int8", detector] > found["trained", detector] - 0.005

@@ -1,0 +1,211 @@
+"""The training loop on a few small steps: loss falls, a cut run equals a whole one, refusals are sentences."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from calibration.training import checkpoint as checkpoints
+from calibration.training.recipe import Recipe
+from calibration.training.train import Run, learning_rate, main, train
+from edge.core.errors import ConfigError, GelgateError
+
+SMALL = Recipe(steps=6, pairs=2, side=64, precision="float32", max_rate=2e-3)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six steps in one go."""
+    folder = tmp_path_factory.mktemp("whole")
+    train(SMALL, Run(folder, log_every=1, validate_every=3, threads=1, device="cpu"))
+    return folder
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return checkpoints.load(folder).weights
+
+
+def test_cut_and_resumed_equals_whole(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted within the fourth step, then two more in another folder: equal bit for bit, one continuous log."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    calls = 0
+
+    def interrupt_within_the_fourth(*args: object, **kwargs: object) -> object:
+        nonlocal calls
+        calls += 1
+        if calls == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+        return original(*args, **kwargs)
+
+    from calibration.training import train as module
+
+    original = module.losses
+    monkeypatch.setattr(module, "losses", interrupt_within_the_fourth)
+    with pytest.raises(KeyboardInterrupt):
+        train(SMALL, Run(first, log_every=1, validate_every=3, threads=1, device="cpu"))
+    monkeypatch.undo()
+    assert checkpoints.load(first).step == 4
+    train(SMALL, Run(second, resume=first, log_every=1, validate_every=3, threads=1, device="cpu"))
+    expected, found = weights(whole), weights(second)
+    assert expected.keys() == found.keys()
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    steps = [json.loads(line)["step"] for line in (second / "log.jsonl").read_text().splitlines()]
+    assert steps == [1, 2, 3, 4, 5, 6]
+
+
+def test_same_seed_same_weights_other_seed_others(whole: Path, tmp_path: Path) -> None:
+    """A run is a function of its recipe."""
+    again, other = tmp_path / "again", tmp_path / "other"
+    train(SMALL, Run(again, threads=1, device="cpu"))
+    train(Recipe(**{**vars(SMALL), "seed": 1}), Run(other, threads=1, device="cpu"))
+    assert all(
+        torch.equal(a, b) for a, b in zip(weights(whole).values(), weights(again).values(), strict=True)
+    )
+    assert not torch.equal(weights(whole)["trunk.conv1.weight"], weights(other)["trunk.conv1.weight"])
+
+
+def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
+    """With batches from a second process the weights are the same bits."""
+    train(SMALL, Run(tmp_path, threads=1, device="cpu", is_drawn_ahead=True))
+    found = weights(tmp_path)
+    assert all(torch.equal(value, found[name]) for name, value in weights(whole).items())
+
+
+def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None:
+    """The second run learns on from the first, remembers it, and refuses a start that its recipe does not name."""
+    recipe = Recipe(
+        **{**vars(SMALL), "steps": 1, "start": checkpoints.weights_sha256(whole), "max_rate": 1e-9}
+    )
+    train(recipe, Run(tmp_path / "second", threads=1, device="cpu", start=whole))
+    found = checkpoints.load(tmp_path / "second")
+    assert [run["steps"] for run in found.history] == [6, 1]
+    name = "trunk.layer1.0.conv1.weight"
+    assert torch.allclose(found.weights[name], weights(whole)[name], atol=1e-6)
+    with pytest.raises(ConfigError, match="the recipe begins with"):
+        train(recipe, Run(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
+    with pytest.raises(ConfigError, match="needs their run"):
+        train(recipe, Run(tmp_path / "fourth", threads=1, device="cpu"))
+
+
+def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve steps on one batch halve the geometry loss."""
+    from calibration.training import train as module
+
+    recipe = Recipe(steps=12, pairs=2, side=64, precision="float32", warm_up=0.0)
+    original = module.draw_step
+    monkeypatch.setattr(module, "draw_step", lambda recipe, step, device: original(recipe, 0, device))
+    torch.set_num_threads(1)
+    learner = module._Learner(recipe, torch.device("cpu"))
+    found = [learner.learn() for _ in range(12)]
+    assert found[-1].geometry.item() < 0.5 * found[0].geometry.item()
+    assert found[-1].total(recipe).item() < found[0].total(recipe).item()
+
+
+def test_other_settings_are_refused(whole: Path, tmp_path: Path) -> None:
+    """A resume with another margin names the setting and both values."""
+    changed = Recipe(**{**vars(SMALL), "margin": 0.5})
+    with pytest.raises(ConfigError, match=r"other settings \(margin: 0\.5, not 1\.0\)"):
+        train(changed, Run(tmp_path, resume=whole, device="cpu"))
+    with pytest.raises(ConfigError, match="already holds a run"):
+        train(SMALL, Run(whole, device="cpu"))
+    with pytest.raises(ConfigError, match="no checkpoint"):
+        train(SMALL, Run(tmp_path / "x", resume=tmp_path, device="cpu"))
+
+
+def test_a_damaged_checkpoint_is_refused(whole: Path, tmp_path: Path) -> None:
+    """One changed byte is noticed; a state from another format names the setting it does not know."""
+    copy = tmp_path / "step_0000006"
+    copy.mkdir()
+    for file in (whole / "step_0000006").iterdir():
+        (copy / file.name).write_bytes(file.read_bytes())
+    data = bytearray((copy / "weights.pt").read_bytes())
+    data[len(data) // 2] ^= 1
+    (copy / "weights.pt").write_bytes(data)
+    with pytest.raises(ConfigError, match=r"weights\.pt' differs"):
+        checkpoints.load(tmp_path)
+    state = json.loads((copy / "state.json").read_text())
+    state["recipe"]["colour"] = 1
+    (copy / "state.json").write_text(json.dumps(state))
+    with pytest.raises(ConfigError, match="unknown settings colour"):
+        checkpoints.load(tmp_path)
+
+
+def test_a_full_disk_keeps_the_last_checkpoint(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When writing fails, the error names the checkpoint that is whole, and it still loads."""
+    saved = checkpoints.load(whole)
+    checkpoints.save(tmp_path, saved)
+
+    def full(path: Path, data: bytes) -> None:
+        path.write_bytes(data[:100])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoints, "_write_bytes", full)
+    later = checkpoints.Checkpoint(saved.recipe, 7, saved.weights, saved.first_moment, saved.second_moment)
+    with pytest.raises(GelgateError, match=r"step 7 cannot be written: No space.*step_0000006' is whole"):
+        checkpoints.save(tmp_path, later)
+    assert checkpoints.load(tmp_path).step == 6
+    assert [p.name for p in tmp_path.iterdir()] == ["step_0000006"]
+
+
+def test_files_are_small_enough_to_carry(whole: Path) -> None:
+    """Every file of a checkpoint is below 16 MB, and only the newest checkpoint stays."""
+    files = list(whole.rglob("*.*"))
+    assert max(f.stat().st_size for f in files) < 16e6
+    assert [p.name for p in whole.glob("step_*")] == ["step_0000006"]
+    assert (whole / "losses.png").stat().st_size > 1000
+
+
+def test_the_rate_is_one_cycle() -> None:
+    """It rises to its peak at the end of the warm-up and falls to a ten-thousandth."""
+    recipe = Recipe(steps=1000, warm_up=0.2)
+    rates = [learning_rate(recipe, step) for step in range(1001)]
+    assert max(rates) == rates[200] == recipe.max_rate
+    assert rates[0] == pytest.approx(0.04 * recipe.max_rate)
+    assert rates[1000] == pytest.approx(1e-4 * recipe.max_rate)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"side": 100},
+        {"pairs": 0},
+        {"geometry_weight": 0.0, "pair_weight": 0.0, "rank_weight": 0.0},
+        {"seed": -1},
+    ],
+)
+def test_recipes_refuse_nonsense(
+    settings: dict[str, float], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Sizes, counts and weights out of range are refused before anything is written, with exit code 3."""
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
+    assert main(["--out", str(tmp_path / "run"), *words]) == 3
+    assert "found" in capsys.readouterr().err or settings.get("geometry_weight") == 0.0
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_recipe_from_before_a_setting_keeps_its_meaning() -> None:
+    """A file that does not name them is of a run without window, with equal stages and unit features."""
+    old = Recipe.from_json('{"steps": 5, "side": 128}')
+    assert (old.window_mm, old.finest_weight, old.distance) == (0.0, 1.0, "cosine")
+    assert Recipe.from_json(Recipe().to_json()) == Recipe()
+
+
+def test_runs_where_only_torch_and_numpy_are(tmp_path: Path) -> None:
+    """The module starts with onnx, onnxruntime, typer, pydantic, rich, sklearn and scipy blocked."""
+    program = (
+        "import sys\n"
+        "for name in ('onnx','onnxruntime','typer','pydantic','rich','sklearn','scipy','matplotlib','paho','usb'):\n"
+        "    sys.modules[name] = None\n"
+        "from calibration.training.train import main\n"
+        "small = ['--steps', '1', '--pairs', '1', '--side', '64', '--threads', '1']\n"
+        f"sys.exit(main(['--out', {str(tmp_path)!r}, *small]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
