@@ -134,7 +134,7 @@ def contact_range(presses: NominalPresses) -> ContactRange | None:
 def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | None) -> list[str]:
     """What the user should know of these presses. alpha: None where no rate is promised.
 
-    Errors: FitError for no presses, or for frames that are not (h, w).
+    Errors: FitError for no presses, for copies of one picture, or for frames that are not (h, w).
     """
     n = len(presses)
     if n == 0:
@@ -145,6 +145,11 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         )
     found = []
     distinct = len({rgb.tobytes() for rgb in presses.frames})
+    if alpha is not None and distinct == 1 < n:
+        raise FitError(
+            f"all {n} presses are one picture: they say nothing of how sound presses differ, so there is no threshold; "
+            "give different presses, or state a threshold yourself"
+        )
     if distinct < n:
         found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
     if alpha is not None and alpha < 1 / (n + 1):

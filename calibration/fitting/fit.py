@@ -151,6 +151,7 @@ class _Fit:
         features, no_contact = self._timed("features", self._features)
         nominal = Nominal(features, self.presses.touched, no_contact)
         bank = self._timed("fit", lambda: self._bank(nominal, self._progress("bank")))
+        self.warnings += bank.facts.get("warnings", ())
         head = head_of(self.detector, self.grid, bank, self.parameters)
         self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=head)
         scores = self._timed("threshold", lambda: self._held_out_scores(nominal))

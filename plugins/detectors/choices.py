@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
@@ -55,7 +56,8 @@ def require_fittable(
     """Refuse presses that no bank can be learnt from.
 
     is_tileable: whether this detector's head can put a mosaic of tiles together. Errors: FitError when a tap is
-    missing, there is no press, a shape differs from the grid, a value is not finite, or the grid is of tiles.
+    missing, there is no press, a shape differs from the grid, a value is not finite or out of range, one press is far
+    stronger than the others, or the grid is of tiles.
     """
     if grid.tiles is not None and not is_tileable:
         raise FitError(f"{detector} does not work on tiles; use a trunk that sees the frame in one piece")
@@ -76,6 +78,14 @@ def require_scorable(detector: str, features: Features, taps: tuple[str, ...]) -
             raise NotScorable(f"{detector}: '{tap}' of this press is not finite; it has no score")
 
 
+# Float32 squares of smaller differences vanish and of larger ones overflow: a defect would have the score 0, or none.
+# Every method was seen right from 1e-20 to 1e10.
+FAINTEST, STRONGEST = 1e-15, 1e12
+# One press this many times as strong as the usual one decides the directions, prototypes and int8 steps of the others.
+# Seen: 100 times does no harm, 1000 times costs 5 % of the peak, a million times everything.
+MOST_APART = 100.0
+
+
 def _check(detector: str, what: str, features: Features, grid: Grid, taps: tuple[str, ...]) -> None:
     counts = set()
     for tap in taps:
@@ -91,8 +101,27 @@ def _check(detector: str, what: str, features: Features, grid: Grid, taps: tuple
         if not shape[0]:
             raise FitError(f"{detector}: there are no {what}; press at least one good part")
         counts.add(shape[0])
-        if not np.isfinite(features[tap]).all():
-            bad = np.flatnonzero(~np.isfinite(features[tap]).all(axis=(1, 2, 3)))
-            raise FitError(f"{detector}: '{tap}' is not finite in {what} {bad[:5].tolist()}; leave those out")
+        _check_strength(f"{detector}: '{tap}'", what, features[tap])
     if len(counts) > 1:
         raise FitError(f"{detector}: the taps hold different numbers of {what}: {sorted(counts)}")
+
+
+def _check_strength(tap: str, what: str, maps: NDArray[np.floating]) -> None:
+    """Refuse values (n, c, h, w) that are not finite, out of range, or of one press far stronger than the others'."""
+    strength = np.array([max(float(press.max()), -float(press.min())) for press in maps])
+    if not np.isfinite(strength).all():
+        bad = np.flatnonzero(~np.isfinite(strength))
+        raise FitError(f"{tap} is not finite in {what} {bad[:5].tolist()}; leave those out")
+    top = float(strength.max())
+    if top and not FAINTEST <= top <= STRONGEST:
+        raise FitError(
+            f"{tap} of the {what} reaches {top:.3g}; values between {FAINTEST:g} and {STRONGEST:g} have distances in "
+            "float32: use a trunk whose outputs are of order one"
+        )
+    usual = float(np.sort(strength)[(len(strength) - 1) // 2])
+    apart = np.flatnonzero(strength > MOST_APART * usual)
+    if len(apart):
+        raise FitError(
+            f"{tap} of {what} {apart[:5].tolist()} is more than {MOST_APART:g} times as strong as usual "
+            f"({top:.3g}, usually {usual:.3g}); leave those out"
+        )

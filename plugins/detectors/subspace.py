@@ -138,7 +138,10 @@ class Subspace:
             "channels": embedding.width,
             "rank": rank,
             "variance_explained": round(explained, 6),
-            "warnings": [] if rank else ["all nominal descriptors are equal: every deviation counts alike"],
+            "warnings": [
+                *embedding.warnings,
+                *([] if rank else ["all nominal descriptors are equal: every deviation counts alike"]),
+            ],
         }
         # Kilobytes as they are: nothing is gained by storing less of them.
         return Bank(arrays, {}, facts)

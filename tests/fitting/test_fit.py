@@ -103,13 +103,21 @@ def test_nineteen_presses_need_no_warning() -> None:
 
 
 def test_copies_of_a_press_are_pointed_out() -> None:
-    """Identical presses give a bundle, with a warning and a threshold above their common score."""
-    frames = np.repeat(tiny.presses(1), 5, axis=0)
-    fitted = fit_files(NominalPresses(frames, ("",) * 5), recipe(), created="")
+    """Some identical presses give a bundle with a warning."""
+    frames = tiny.presses(4)[[0, 0, 0, 1, 2, 3]]
+    fitted = fit_files(NominalPresses(frames, ("",) * 6), recipe(), created="")
     assert any(
-        "4 of 5 presses are exact copies" in warning for warning in fitted.manifest.provenance.warnings
+        "2 of 6 presses are exact copies" in warning for warning in fitted.manifest.provenance.warnings
     )
-    assert Scorer(fitted.bundle()).score(frames[0]).anomaly_score <= fitted.manifest.threshold.value
+
+
+def test_copies_of_one_press_give_no_threshold() -> None:
+    """Of one picture n times no threshold can be learnt: refused, unless one is stated."""
+    frames = np.repeat(tiny.presses(1), 5, axis=0)
+    with pytest.raises(FitError, match=r"all 5 presses are one picture.*state a threshold"):
+        fit_files(NominalPresses(frames, ("",) * 5), recipe(), created="")
+    fitted = fit_files(NominalPresses(frames, ("",) * 5), recipe(threshold=1.0), created="")
+    assert "4 of 5 presses are exact copies" in fitted.manifest.provenance.warnings[0]
 
 
 def test_a_threshold_can_be_given() -> None:

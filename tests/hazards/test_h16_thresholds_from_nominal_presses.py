@@ -17,12 +17,14 @@ from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
+from plugins.detectors.padim import padim
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
+from plugins.detectors.subspace import subspace
 
 
 @pytest.mark.parametrize("mode", ["paper", "corrected"])
-@pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
+@pytest.mark.parametrize("detector", [spade, padim, fapm, inreach, patchcore, subspace], ids=lambda d: d.name)
 def test_a_score_does_not_depend_on_the_other_presses(detector: object, mode: str) -> None:
     """Scored alone or beside a press a hundred times brighter: the same map and score, in oracle and graph."""
     switches = {}

@@ -1,16 +1,24 @@
 """H18: zero padding makes features near the border differ from the same content in the middle.
 
-Guard: PaDiM's mean and span belong to a location, borders included. Checked by removal: with the mean and span of
-all locations averaged at fit, the border scores half as much again as the middle and the test fails.
+Guards: PaDiM's mean and span, FAPM's prototypes and SPADE's window belong to a place; the shared banks of InReaCh,
+PatchCore and the subspace hold patches of the border. Checked by removal: with the mean and span of all of PaDiM's
+locations averaged at fit, or with a border's patches kept from a shared bank, the border scores half as much again as
+the middle.
 """
 
 import numpy as np
+import pytest
 from presses import fitted
 
 from edge.core.detector import Features, Grid, Nominal
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
+from plugins.detectors.fapm import fapm
+from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
+from plugins.detectors.patchcore import patchcore
+from plugins.detectors.spade import spade
+from plugins.detectors.subspace import subspace
 
 STATE = random_state("resnet18")
 
@@ -22,6 +30,10 @@ def flat_frames(n: int, seed: int) -> Features:
     return {tap: value.astype(np.float32) for tap, value in taps.items()}
 
 
+TRAIN, QUERY = flat_frames(10, 0), flat_frames(3, 1)
+GRID = Grid((96, 96), {tap: value.shape[1:] for tap, value in TRAIN.items()}, 15.77)
+
+
 def border_to_middle(score_map: np.ndarray) -> float:
     """The mean of the outermost 8 pixels by the mean of the middle."""
     inside = score_map[:, 24:-24, 24:-24].mean()
@@ -29,18 +41,42 @@ def border_to_middle(score_map: np.ndarray) -> float:
     return float(edge / inside)
 
 
-def test_an_even_surface_has_an_even_map() -> None:
-    """On nominal content the border scores like the middle, though its features differ from those of the middle."""
-    train, query = flat_frames(10, 0), flat_frames(3, 1)
-    grid = Grid((96, 96), {tap: value.shape[1:] for tap, value in train.items()}, 15.77)
-    layer1 = train["layer1"].mean(axis=0)
-    assert np.abs(layer1[:, 0] - layer1[:, 12]).max() > 5 * train["layer1"].std(axis=0).mean()
-    parameters = padim.parameters(grid_tap="layer1")
-    bank = fitted(padim, parameters, Nominal(train), grid)
-    found = padim.reference_score(query, grid, bank, parameters).score_map
-    assert 0.7 < border_to_middle(found) < 1.4
+def test_the_border_differs_from_the_middle() -> None:
+    """The hazard itself: the mean feature of an even grey is another one at the border."""
+    layer1 = TRAIN["layer1"].mean(axis=0)
+    assert np.abs(layer1[:, 0] - layer1[:, 12]).max() > 5 * TRAIN["layer1"].std(axis=0).mean()
 
-    middle = 12 * 24 + 12
-    arrays = {**bank.arrays, "mean": np.broadcast_to(bank.arrays["mean"][middle], bank.arrays["mean"].shape)}
-    shared = padim.reference_score(query, grid, type(bank)(arrays), parameters).score_map
-    assert border_to_middle(shared) > 1.5
+
+@pytest.mark.parametrize("detector", [padim, spade, fapm, inreach, patchcore, subspace], ids=lambda d: d.name)
+def test_an_even_surface_has_an_even_map(detector: object) -> None:
+    """On nominal content the border scores like the middle, though its features differ from those of the middle."""
+    p = detector.parameters()  # type: ignore[attr-defined]
+    bank = fitted(detector, p, Nominal(TRAIN), GRID)
+    found = detector.reference_score(QUERY, GRID, bank, p).score_map  # type: ignore[attr-defined]
+    assert 0.67 < border_to_middle(found) < 1.4
+
+
+def test_one_mean_for_all_places_sees_a_border() -> None:
+    """PaDiM with the mean of a cell in the middle everywhere: the border stands out."""
+    p = padim.parameters()
+    bank = fitted(padim, p, Nominal(TRAIN), GRID)
+    mean = bank.arrays["mean"]
+    arrays = {**bank.arrays, "mean": np.broadcast_to(mean[12 * 24 + 12], mean.shape)}
+    assert border_to_middle(padim.reference_score(QUERY, GRID, type(bank)(arrays), p).score_map) > 1.5
+
+
+@pytest.mark.parametrize("detector", [spade, inreach, patchcore, subspace], ids=lambda d: d.name)
+def test_a_bank_without_the_border_sees_it(detector: object) -> None:
+    """Banks learnt from presses whose border features are those of the middle: the border stands out."""
+    inside = {tap: value.copy() for tap, value in TRAIN.items()}
+    for maps in inside.values():
+        ring = max(1, maps.shape[2] // 8)
+        for edge in range(ring):
+            for here, there in ((edge, ring), (-1 - edge, -1 - ring)):
+                maps[:, :, here] = maps[:, :, there]
+        for edge in range(ring):
+            for here, there in ((edge, ring), (-1 - edge, -1 - ring)):
+                maps[..., here] = maps[..., there]
+    p = detector.parameters()  # type: ignore[attr-defined]
+    bank = fitted(detector, p, Nominal(inside), GRID)
+    assert border_to_middle(detector.reference_score(QUERY, GRID, bank, p).score_map) > 1.5  # type: ignore[attr-defined]

@@ -1,0 +1,13 @@
+"""Every test in this folder carries the marker `hazards`: `pytest -m hazards` runs H1 to H20 and nothing else."""
+
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent == FOLDER:
+            item.add_marker(pytest.mark.hazards)

@@ -1,0 +1,49 @@
+"""H4, stored: where features are large and differ little, half precision of their mean is larger than what is scored.
+
+Guard: PaDiM stores means and projections as float32 where halves would move a press by 5 % of what nominal presses
+differ by (`padim._loses_in_halves`), and says so where a tap differs by less than the floor of its deviation
+(`embedding.learn_embedding`). Checked by removal: with halves always the first test finds 17 to 47 % of the peak; with
+the warnings left out the third fails.
+"""
+
+import numpy as np
+import pytest
+from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
+
+from edge.core.detector import Features, Nominal
+from plugins.detectors.padim import padim
+from plugins.detectors.subspace import subspace
+
+
+def raised(maps: Features, offset: float) -> Features:
+    return {tap: value + np.float32(offset) for tap, value in maps.items()}
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e2, 1e3, 1e4])
+def test_a_stored_bank_keeps_features_far_from_zero(offset: float) -> None:
+    """Features of 0.3 around 1e4: the graph with the stored bank is within 1 % of the oracle with the unstored one."""
+    p = padim.parameters()
+    bank = fitted(padim, p, Nominal(raised(features(20, seed=1), offset)))
+    asked = raised(features(2, seed=7), offset)
+    expected = padim.reference_score(asked, LIKE_RESNET, bank, p)
+    assert largest_error(head_scores(padim, p, asked, stored(bank)), expected) < 0.01
+
+
+@pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
+def test_the_graph_is_the_oracle_far_from_zero(detector: object) -> None:
+    """All features raised by 300, a thousand times what they vary: the graph keeps the oracle's map to 0.1 %."""
+    p = detector.parameters()  # type: ignore[attr-defined]
+    bank = fitted(detector, p, Nominal(raised(features(20, seed=1), 300)))
+    asked = raised(features(2, seed=7), 300)
+    expected = detector.reference_score(asked, LIKE_RESNET, bank, p)  # type: ignore[attr-defined]
+    assert largest_error(head_scores(detector, p, asked, bank), expected) < 1e-3
+
+
+@pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
+def test_a_tap_that_hardly_differs_is_named(detector: object) -> None:
+    """At an offset of 1e4 the floor of the deviation decides, and faint defects are missed: the bank's facts warn."""
+    p = detector.parameters()  # type: ignore[attr-defined]
+    near = fitted(detector, p, Nominal(features(20, seed=1)))
+    assert not near.facts["warnings"]
+    far = fitted(detector, p, Nominal(raised(features(20, seed=1), 1e4)))
+    assert "'layer1' differs between nominal presses by less than 1% of its size" in far.facts["warnings"][0]
