@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
 cli.md from the commands, config.md from the configuration's models and the plugins' options, errors.md from the error
-tree, mqtt.md from the payload models.
+tree, mqtt.md from the payload models, backbone.md from the files about the weights.
 """
 
 import inspect
@@ -15,6 +15,7 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 import typer
 from pydantic import BaseModel
 
+from calibration.benchmark import model_card as card
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
@@ -244,6 +245,14 @@ def _written(value: object) -> str:
     return f'`"{text}"`' if isinstance(value, str) else f"`{text}`"
 
 
+# The backbone
+
+
+def backbone_page() -> str:
+    """How the weights that ship were trained, and what they can and cannot do."""
+    return card.page(FOLDER.parent / "plugins" / "backbones")
+
+
 # Errors
 
 
@@ -299,6 +308,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "config.md": config_page,
     "errors.md": errors_page,
     "mqtt.md": reference,
+    "backbone.md": backbone_page,
 }
 
 if __name__ == "__main__":

@@ -35,17 +35,16 @@ def evaluate_backbone(
     trials: Annotated[int, typer.Option(help="only so many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
     workers: Annotated[int, typer.Option(help="trials at a time", min=1, max=64)] = 1,
-    page: Annotated[
-        Path | None, typer.Option(help="write the model card there too, and this page of the manual")
-    ] = None,
+    page: Annotated[Path | None, typer.Option(help="write this page of the manual")] = None,
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
-    """Compare backbones on presses that training never draws: every table of the model card in one run."""
+    """Compare backbones on presses that training never draws: every table of docs/backbone.md in one run."""
     import os
     import sys
     from json import dumps
 
     from calibration.benchmark.evaluation import DETECTORS, RANDOM, evaluate, random_trunk
+    from calibration.benchmark.model_card import evaluation_tables
     from calibration.fitting.trunks import open_trunk
     from calibration.progress import progress
     from edge.core.errors import StoreError
@@ -80,7 +79,7 @@ def evaluate_backbone(
         raise StoreError(
             f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
         ) from error
-    typer.echo(text if json else _tables(found), nl=not json)
+    typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
 def _chosen_sets(
@@ -134,11 +133,4 @@ def _write(out: Path, text: str, page: Path | None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     (out / f"{card.NAME}_evaluation.json").write_text(text)
     if page is not None:
-        card.write_card(out)
-        page.write_text(card.page(out))
-
-
-def _tables(found: dict[str, Any]) -> str:
-    from calibration.benchmark.model_card import evaluation_tables
-
-    return "\n".join(evaluation_tables(found))
+        page.write_text(card.page(out), encoding="utf-8")

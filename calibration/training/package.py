@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.training import checkpoint as checkpoints
-from calibration.training.recipe import STAGES, Recipe
+from calibration.training.recipe import STAGES
 from edge.core.errors import GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
@@ -26,6 +26,7 @@ __all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package", "quantised"]
 NAME = "tactile_resnet18"
 # What one shipped variant may weigh.
 MOST_BYTES = 6 * 1024 * 1024
+_CALIBRATION_SIDE = 224
 _CALIBRATION_BATCHES = 8
 _CALIBRATION_PAIRS = 8
 _FORMAT = 1
@@ -108,7 +109,7 @@ def calibration_frames(
             purpose,
             number,
             pairs=pairs,
-            side=Recipe.side,
+            side=_CALIBRATION_SIDE,
             device=torch.device("cpu"),
             high_resolution=fine,
         )

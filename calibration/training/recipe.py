@@ -1,13 +1,20 @@
-"""Every setting of a training run. Two runs with equal recipes and seeds learn equal weights on one machine."""
+"""Every setting of a training run. Two runs with equal recipes and seeds learn equal weights on one machine.
 
-import dataclasses
+The values of the run that ships are in `shipped.toml`.
+"""
+
 import hashlib
 import json
-import typing
-from dataclasses import dataclass
-from typing import Literal
+import tomllib
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge.core.errors import ConfigError
+from edge.validation_messages import numbered, sentences
 
 __all__ = ["STAGES", "Distance", "Recipe"]
 
@@ -17,68 +24,74 @@ _BEFORE = {"window_mm": 0.0, "finest_weight": 1.0, "distance": "cosine", "start"
 Distance = Literal["cosine", "euclidean"]
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """Settings of one training run.
+class Recipe(BaseModel):
+    """Settings of one training run."""
 
-    seed: of weights and of every batch. steps, pairs, side: optimiser steps, pairs per step, pixels per side.
-    The weights of the three losses: 0 leaves one out. max_rate: the peak of the one-cycle learning rate.
-    margin: the distance that a changed cell must reach. changed_mm, unchanged_mm: an imprint that differs by
-    more is a change, one that differs by less is none, and what lies between is not judged. window_mm: half width of
-    the window where a cell's partner is looked for, 0 for its own place. finest_weight: of layer1 beside 1 of each
-    other stage. distance: `euclidean` between features as they are, `cosine` between their directions alone.
-    high_resolution: share of batches at the spacing of 1280x720 pictures. precision: of the forward pass; `int8` rounds
-    as the int8 variant does, for a run that begins with other weights. start: SHA-256 of the weights of another run
-    that this one begins with, empty to begin at random.
-    """
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    seed: int = 0
-    steps: int = 1800
-    pairs: int = 64
-    side: int = 224
-    geometry_weight: float = 1.0
-    pair_weight: float = 1.0
-    rank_weight: float = 0.5
-    max_rate: float = 2e-3
-    warm_up: float = 0.15
-    weight_decay: float = 0.02
-    margin: float = 1.0
-    changed_mm: float = 0.02
-    unchanged_mm: float = 0.004
-    window_mm: float = 0.5
-    finest_weight: float = 2.0
-    distance: Distance = "euclidean"
-    high_resolution: float = 0.25
-    precision: Literal["float32", "bfloat16", "int8"] = "bfloat16"
-    start: str = ""
+    seed: int = Field(ge=0, description="of the weights and of every batch")
+    steps: int = Field(ge=1, description="optimiser steps")
+    pairs: int = Field(ge=1, description="pairs of frames per step")
+    side: int = Field(ge=64, multiple_of=32, description="pixels per side of a frame")
+    geometry_weight: float = Field(ge=0, description="of the loss of slopes and depth; 0 leaves it out")
+    pair_weight: float = Field(ge=0, description="of the loss that pulls and pushes pairs; 0 leaves it out")
+    rank_weight: float = Field(ge=0, description="of the loss that ranks changes above 1 %; 0 leaves it out")
+    max_rate: float = Field(gt=0, description="peak of the one-cycle learning rate")
+    warm_up: float = Field(ge=0, lt=1, description="share of the steps until that peak")
+    weight_decay: float = Field(ge=0, description="of AdamW, on weights but not on offsets")
+    margin: float = Field(gt=0, description="the distance that a changed cell must reach")
+    changed_mm: float = Field(description="an imprint that differs by more is a change")
+    unchanged_mm: float = Field(
+        ge=0, description="one that differs by less is none; what lies between is not judged"
+    )
+    window_mm: float = Field(
+        ge=0, description="half width of the window where a cell's partner is looked for; 0: its own place"
+    )
+    finest_weight: float = Field(gt=0, description="of layer1; each other stage has 1")
+    distance: Distance = Field(
+        description="between features as they are, or (cosine) between their directions"
+    )
+    high_resolution: float = Field(
+        ge=0, le=1, description="share of batches at the spacing of 1280x720 pictures"
+    )
+    precision: Literal["float32", "bfloat16", "int8"] = Field(
+        description="of the forward pass; int8 rounds as the int8 variant does, in a run with a start"
+    )
+    start: str = Field(description="SHA-256 of the weights that the run begins with; empty: random ones")
 
-    def __post_init__(self) -> None:
-        if min(self.steps, self.pairs) < 1 or self.seed < 0:
-            raise ConfigError(f"steps and pairs are at least 1 and the seed 0, found {self}")
-        if self.side < 64 or self.side % 32:
-            raise ConfigError(f"side is a multiple of 32 from 64 on, found {self.side}")
-        if min(self.geometry_weight, self.pair_weight, self.rank_weight) < 0 or not self.is_learning:
-            raise ConfigError("loss weights are 0 or more and not all 0")
-        if not 0 <= self.unchanged_mm < self.changed_mm:
-            raise ConfigError(
-                f"unchanged_mm lies below changed_mm, found {self.unchanged_mm} and {self.changed_mm}"
-            )
-        if not (self.window_mm >= 0 and self.finest_weight > 0):
-            raise ConfigError(
-                f"window_mm is at least 0 and finest_weight positive, found {self.window_mm} and {self.finest_weight}"
-            )
-        if self.distance not in ("cosine", "euclidean"):
-            raise ConfigError(f"distance is cosine or euclidean, found '{self.distance}'")
-        if self.precision not in ("float32", "bfloat16", "int8"):
-            raise ConfigError(f"precision is float32, bfloat16 or int8, found '{self.precision}'")
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.geometry_weight + self.pair_weight + self.rank_weight == 0:
+            raise ValueError("the three loss weights are all 0, so that nothing would be learnt")
+        if self.unchanged_mm >= self.changed_mm:
+            raise ValueError(f"unchanged_mm {self.unchanged_mm} is not below changed_mm {self.changed_mm}")
         if self.precision == "int8" and not self.start:
-            raise ConfigError(
-                "precision int8 keeps the batch norms' statistics and needs a run to begin with"
+            raise ValueError(
+                "precision int8 keeps the statistics of the batch norms and needs a run to begin with"
             )
+        return self
 
-    @property
-    def is_learning(self) -> bool:
-        return self.geometry_weight + self.pair_weight + self.rank_weight > 0
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], what: str = "the recipe") -> "Recipe":
+        """A recipe that states every setting. Errors: ConfigError with every fault of `what`."""
+        try:
+            return cls.model_validate(settings)
+        except ValidationError as error:
+            raise ConfigError(numbered(what, sentences(cls, error))) from None
+
+    @classmethod
+    def shipped(cls, **changes: Any) -> "Recipe":
+        """The settings of the weights that ship, with changes. Errors: ConfigError with every fault."""
+        text = files("calibration.training").joinpath("shipped.toml").read_text(encoding="utf-8")
+        return cls.of(tomllib.loads(text) | changes)
+
+    @classmethod
+    def read(cls, path: Path) -> dict[str, Any]:
+        """The settings that a TOML file changes. Errors: ConfigError when it cannot be read."""
+        try:
+            return tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigError(f"the recipe {path} cannot be read: {error}") from error
 
     @property
     def fingerprint(self) -> str:
@@ -86,28 +99,14 @@ class Recipe:
         return hashlib.sha256(self.to_json().encode()).hexdigest()[:12]
 
     def to_json(self) -> str:
-        return json.dumps(dataclasses.asdict(self), sort_keys=True, indent=2)
+        return json.dumps(self.model_dump(), sort_keys=True, indent=2)
 
     @classmethod
     def from_json(cls, text: str) -> "Recipe":
         """Errors: ConfigError for a setting that this program does not know."""
-        given = json.loads(text)
-        unknown = sorted(set(given) - {f.name for f in dataclasses.fields(cls)})
-        if unknown:
-            raise ConfigError(
-                f"a recipe with the unknown settings {', '.join(unknown)}: it is from another version"
-            )
-        return cls(**(_BEFORE | given))
-
-    @classmethod
-    def kinds(cls) -> dict[str, type]:
-        """Setting to the type that a word on the command line becomes."""
-        hints = typing.get_type_hints(cls)
-        return {
-            f.name: hints[f.name] if hints[f.name] in (int, float) else str for f in dataclasses.fields(cls)
-        }
+        return cls.shipped(**(_BEFORE | json.loads(text)))
 
     def differences(self, other: "Recipe") -> list[str]:
         """`name: ours, not theirs` for every setting that differs."""
-        mine, theirs = dataclasses.asdict(self), dataclasses.asdict(other)
+        mine, theirs = self.model_dump(), other.model_dump()
         return [f"{name}: {mine[name]}, not {theirs[name]}" for name in mine if mine[name] != theirs[name]]

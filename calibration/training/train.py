@@ -1,16 +1,15 @@
-"""The training loop: `gelgate train-backbone`, or `python3 -m calibration.training.train` where nothing is installed.
+"""The training loop behind `gelgate train-backbone`.
 
 A step is a function of the recipe and its number, so a run that is cut and resumed equals one that was not: bit for bit
 on a CPU, and within the runtime's own differences on a GPU.
 """
 
-import argparse
 import json
 import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -37,7 +36,7 @@ from calibration.training.recipe import STAGES, Recipe
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["Run", "learning_rate", "main", "train"]
+__all__ = ["Run", "learning_rate", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
@@ -301,7 +300,7 @@ def _entry(learner: _Learner, found: Losses, steps_per_second: float) -> dict[st
     entry["frames_per_second"] = round(2 * learner.recipe.pairs * steps_per_second, 1)
     if not math.isfinite(found.total(learner.recipe).item()):
         raise GelgateError(
-            f"the loss is not finite at step {learner.step}; start again with a lower --max-rate"
+            f"the loss is not finite at step {learner.step}; start again with a lower max_rate"
         )
     return entry
 
@@ -310,44 +309,3 @@ def _line(entry: dict[str, Any], recipe: Recipe) -> str:
     words = [f"{name} {value:.4g}" for name, value in entry.items() if name not in ("step", "rate")]
     left = (recipe.steps - entry["step"]) * 2 * recipe.pairs / max(entry["frames_per_second"], 1e-9) / 60
     return f"step {entry['step']}/{recipe.steps}  {'  '.join(words)}  {left:.0f} min left"
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """The command line without the rest of the product; 0 when done, else the sentence and its exit code."""
-    parser = argparse.ArgumentParser(prog="calibration.training.train", description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--resume", type=Path, help="folder of a run to carry on")
-    parser.add_argument("--minutes", type=float, default=0.0, help="stop and save after so long")
-    parser.add_argument("--save-every", type=int, default=500)
-    parser.add_argument("--log-every", type=int, default=20)
-    parser.add_argument("--validate-every", type=int, default=500)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument(
-        "--ahead", action="store_true", dest="is_drawn_ahead", help="draw in a second process"
-    )
-    parser.add_argument("--start", type=Path, dest="start_run", help="folder of a run to begin with")
-    for name, kind in Recipe.kinds().items():
-        if name == "start":
-            continue
-        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=argparse.SUPPRESS)
-    given = vars(parser.parse_args(words))
-    settings = {name: given.pop(name) for name in Recipe.kinds() if name in given}
-    start = given.pop("start_run")
-    try:
-        if start is not None:
-            settings["start"] = checkpoints.weights_sha256(start)
-        train(Recipe(**settings), Run(folder=given.pop("out"), start=start, **given))
-    except ConfigError as error:
-        _say(f"{error}")
-        return 3
-    except GelgateError as error:
-        _say(f"{error}")
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

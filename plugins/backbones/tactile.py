@@ -1,6 +1,6 @@
 """The backbone made for touch, as it ships: a ResNet-18 up to layer3, trained by this project on simulated presses.
 
-The graphs and what is known of them lie beside this module; `tactile_resnet18.md` is the model card.
+The graphs and what is known of them lie beside this module; docs/backbone.md is the model card.
 """
 
 import json

@@ -77,7 +77,7 @@ def test_brief_sets_compare_what_ships_with_random_weights() -> None:
     }
     found = evaluate(dict.fromkeys(("first", "other", "random"), trunk), sets, ("padim",), replicates=0)
     assert [row["backbone"] for row in found["sets"]["brief"]["rows"]] == ["first", "random"]
-    lines = evaluation_tables(found)
+    lines = evaluation_tables(found).splitlines()
     assert "Not measured: it was not there." in lines
     value = found["sets"]["brief"]["rows"][0]["measures"]["aupro_fpr01"]["value"]
     assert any(line.startswith("| first | padim |") and f"{value:.3f}" in line for line in lines)

@@ -56,7 +56,7 @@ def tracked_files(pattern: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.md", "*.rules", "*.service", "py.typed"]
+    "pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.jinja", "*.rules", "*.service", "py.typed"]
 )
 def test_every_file_of_the_packages_is_in_the_wheel(wheel_names: set[str], pattern: str) -> None:
     """A module or a data file that works from the tree also works when installed."""

@@ -12,7 +12,7 @@ from calibration.training.prefetch import draw_step, drawn_ahead
 from calibration.training.recipe import Recipe
 from edge.core.errors import GelgateError
 
-SMALL = Recipe(steps=4, pairs=1, side=64, high_resolution=0.5)
+SMALL = Recipe.shipped(steps=4, pairs=1, side=64, high_resolution=0.5)
 CPU = torch.device("cpu")
 
 

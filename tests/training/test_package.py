@@ -9,7 +9,7 @@ import onnxruntime as ort
 import pytest
 import torch
 
-from calibration.benchmark.model_card import card, page, write_card
+from calibration.benchmark.model_card import card, page
 from calibration.benchmark.trial import FORMAT
 from calibration.training import package as packaging
 from calibration.training.ablations import joined
@@ -115,7 +115,7 @@ def test_the_card_prints_no_evaluation_of_other_weights() -> None:
 
 def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
     """One row per run: how its settings differ from those that ship, its numbers by method, and the means per set."""
-    save(tmp_path / "run", Checkpoint(Recipe(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
+    save(tmp_path / "run", Checkpoint(Recipe.shipped(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
     rows = [
         {
             "backbone": trunk,
@@ -137,7 +137,7 @@ def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
         },
     }
     tried = joined(found, {"longer": tmp_path / "run"}, {"longer": "on a Tuesday"})
-    facts = {**FACTS, "recipe": json.loads(Recipe(seed=0, steps=5).to_json())}
+    facts = {**FACTS, "recipe": json.loads(Recipe.shipped(seed=0, steps=5, window_mm=0.5).to_json())}
     text = card(facts, None, tried)
     assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
     assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
@@ -158,7 +158,7 @@ def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:
     (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
     found = evaluation({"aupro_fpr01": {"value": 0.7}})
     (tmp_path / "tactile_resnet18_evaluation.json").write_text(json.dumps(found))
-    assert "gelgate train-backbone RUN1 --steps 5 --seed 0 --package plugins/backbones" in page(tmp_path)
+    assert "gelgate train-backbone RUN1 --set steps=5 --package plugins/backbones" in page(tmp_path)
     assert (
         "gelgate evaluate-backbone plugins/backbones trained=tactile_resnet18 trained_int8=tactile_resnet18_int8 "
         "pairs=RUN_pairs/tactile_resnet18.onnx --workers 2"
@@ -166,11 +166,15 @@ def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:
 
 
 def test_the_card_needs_its_facts(tmp_path: Path) -> None:
-    """No facts, no card, one sentence; with facts the card lies beside them."""
+    """No facts, or broken ones, no page: one sentence; with facts alone there is a page."""
     with pytest.raises(ConfigError, match="package the run again"):
-        write_card(tmp_path)
-    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
-    assert write_card(tmp_path).read_text().startswith("# tactile_resnet18")
+        page(tmp_path)
+    file = tmp_path / "tactile_resnet18.json"
+    file.write_text(json.dumps({**FACTS, "variants": {"tactile_resnet18": {}}}))
+    with pytest.raises(ConfigError, match="package the run again"):
+        page(tmp_path)
+    file.write_text(json.dumps(FACTS))
+    assert "# The backbone made for touch" in page(tmp_path)
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -183,13 +187,20 @@ def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 def test_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One small step runs, a second start in the same folder is refused, and a missing torch names the extra."""
-    small = (str(tmp_path / "run"), "--steps", "1", "--pairs", "1", "--side", "64", "--device", "cpu")
+    """A file and --set give the recipe: one small step runs, a second start in the same folder is refused, and a
+    missing torch names the extra.
+    """
+    recipe = tmp_path / "small.toml"
+    recipe.write_text("steps = 1\npairs = 1\nside = 32\n")
+    small = (str(tmp_path / "run"), "--recipe", str(recipe), "--set", "side=64", "--device", "cpu")
+    assert command(monkeypatch, *small, "--set", "side=100") == 3
+    assert "'side' is 100" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
     assert command(monkeypatch, *small) == 0
     assert "step 1/1" in capsys.readouterr().err
     assert command(monkeypatch, *small) == 3
     assert "already holds a run" in capsys.readouterr().err
-    assert command(monkeypatch, *small, "--resume", "--seed", "1") == 3
+    assert command(monkeypatch, *small, "--resume", "--set", "seed=1") == 3
     assert "seed: 1, not 0" in capsys.readouterr().err
     for name in [n for n in sys.modules if n.startswith("calibration.training.t")]:
         monkeypatch.delitem(sys.modules, name)

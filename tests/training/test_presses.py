@@ -113,7 +113,7 @@ def test_changed_and_unchanged_cells_never_meet() -> None:
     """One changed pixel marks its cell; its neighbours are neither changed nor unchanged."""
     change = torch.zeros(1, 32, 32)
     change[0, 9, 9] = 0.1
-    changed, unchanged = changed_cells(change, 8, Recipe())
+    changed, unchanged = changed_cells(change, 8, Recipe.shipped())
     assert changed[0].nonzero().tolist() == [[1, 1]]
     assert unchanged[0].sum() == 16 - 9
     distance = torch.zeros(1, 4, 4)

@@ -54,9 +54,9 @@ def test_values_are_steps_and_gradients_pass() -> None:
 def test_a_run_rounds_and_keeps_the_statistics(tmp_path: Path) -> None:
     """Weights move, the batch norms' means and variances do not; without a start it is refused."""
     small = {"pairs": 2, "side": 64, "precision": "float32"}
-    first = train(Recipe(steps=2, **small), Run(tmp_path / "first")).parent
+    first = train(Recipe.shipped(steps=2, **small), Run(tmp_path / "first")).parent
     start = weights_sha256(first)
-    aware = Recipe(steps=2, start=start, **(small | {"precision": "int8"}))
+    aware = Recipe.shipped(steps=2, start=start, **(small | {"precision": "int8"}))
     train(aware, Run(tmp_path / "second", start=first))
     before, after = (
         packaging.trunk_state(packaging.checkpoints.load(run).weights) for run in (first, tmp_path / "second")
@@ -64,4 +64,4 @@ def test_a_run_rounds_and_keeps_the_statistics(tmp_path: Path) -> None:
     same = {name for name in before if np.array_equal(before[name], after[name])}
     assert same == {name for name in before if "running" in name}
     with pytest.raises(ConfigError, match="a run to begin with"):
-        Recipe(precision="int8")
+        Recipe.shipped(precision="int8")
