@@ -2,7 +2,7 @@
 
 `make docs` writes it, and `gelgate evaluate-backbone --page` does after a new evaluation. `tactile_resnet18.json` comes
 from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from
-`calibration.training.ablations`; the text is `calibration/benchmark/page.md.jinja`.
+`calibration.benchmark.ablations`; the text is `calibration/benchmark/page.md.jinja`.
 """
 
 import json

@@ -9,10 +9,10 @@ import onnxruntime as ort
 import pytest
 import torch
 
+from calibration.benchmark.ablations import joined
 from calibration.benchmark.model_card import card, page
 from calibration.benchmark.trial import FORMAT
 from calibration.training import package as packaging
-from calibration.training.ablations import joined
 from calibration.training.checkpoint import Checkpoint, save
 from calibration.training.network import Trunk, state_arrays
 from calibration.training.recipe import STAGES, Recipe

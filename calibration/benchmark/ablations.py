@@ -2,7 +2,7 @@
 
 `gelgate evaluate-backbone OUT shipped=... NAME=... --set SET ...` measures trunks side by side, and
 
-    python3 -m calibration.training.ablations OUT/tactile_resnet18_evaluation.json FOLDER NAME=RUN ... --note NAME=TEXT
+    python3 -m calibration.benchmark.ablations OUT/tactile_resnet18_evaluation.json FOLDER NAME=RUN ... --note NAME=TEXT
 
 joins its rows with the recipes of their runs into `FOLDER/tactile_resnet18_trials.json`:
 
@@ -70,7 +70,7 @@ def _row(name: str, run: Path, note: str, sets: Mapping[str, Any]) -> dict[str, 
 def main(words: Sequence[str] | None = None) -> int:
     """The command line; 0 when done, else the sentence and its exit code."""
     parser = argparse.ArgumentParser(
-        prog="calibration.training.ablations", description="Write what was tried."
+        prog="calibration.benchmark.ablations", description="Write what was tried."
     )
     parser.add_argument("evaluation", type=Path, help="what evaluate-backbone has written")
     parser.add_argument("folder", type=Path, help="where the trials are written to")
