@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NORM_EPS", "TAPS", "build_trunk", "folded"]
 

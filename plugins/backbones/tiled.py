@@ -13,7 +13,7 @@ from typing import Any
 
 from edge.core.errors import ConfigError
 from edge.core.imaging.tiles import TILES_KEY, Tiles
-from plugins.graph import IR_VERSION
+from plugins.onnx_builder import IR_VERSION
 
 __all__ = ["mosaic_trunk", "tile_trunk"]
 

@@ -35,7 +35,7 @@ from plugins.detectors.maths.prototypes import (
 )
 from plugins.detectors.maths.smoothing import emit_scores
 from plugins.detectors.maths.weighting import emit_first, emit_weighted, softmax_weight
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
 

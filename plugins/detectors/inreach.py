@@ -25,7 +25,7 @@ from plugins.detectors.inreach_parameters import PAPER, REPAIRS, InreachParamete
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.mosaic import layout
 from plugins.detectors.maths.smoothing import emit_scores
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 __all__ = ["InreachParameters", "inreach"]
 

@@ -34,7 +34,7 @@ from plugins.detectors.maths.lowrank import Spectrum, covariance_spectrum, mahal
 from plugins.detectors.maths.mosaic import cell_blocks, layout, neighbourhood
 from plugins.detectors.maths.smoothing import emit_scores
 from plugins.detectors.padim_parameters import PAPER, REPAIRS, PadimParameters
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PadimParameters", "padim"]
 

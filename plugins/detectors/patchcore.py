@@ -28,7 +28,7 @@ from plugins.detectors.maths.smoothing import (
     blur_px,
     emit_scores,
 )
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
 

@@ -13,7 +13,7 @@ from plugins.detectors.maths.rotation import emit_rotation
 from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
 from plugins.detectors.maths.window import Tables, emit_window_nearest
 from plugins.detectors.spade_parameters import CHUNK, SpadeParameters
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["spade_head"]
 

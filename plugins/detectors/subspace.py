@@ -27,7 +27,7 @@ from plugins.detectors.maths.embedding import (
 )
 from plugins.detectors.maths.lowrank import RELATIVE_CUT
 from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from plugins.detectors.maths.distances import emit_nearest, nearest
 from plugins.detectors.maths.shortlist import HalvedBank
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 
 def brute(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from plugins.detectors.maths.patchbank import PatchBank
 from plugins.detectors.maths.rotation import fit_rotation
 from plugins.detectors.maths.smoothing import upsampling_matrix
 from plugins.detectors.patchcore import patchcore
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 MODES = ("paper", "corrected")
 

@@ -15,7 +15,7 @@ from plugins.detectors.maths.smoothing import (
     smoothing_matrix,
     upsampling_matrix,
 )
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 torch = pytest.importorskip(
     "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"

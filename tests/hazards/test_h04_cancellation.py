@@ -10,7 +10,7 @@ import onnxruntime
 import pytest
 
 from plugins.detectors.maths.distances import emit_nearest, nearest
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 
 def graph_distances(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from plugins.detectors.maths.shortlist import HalvedBank, emit_closest, emit_gro
 from plugins.detectors.maths.window import Blocks, Tables, emit_window_nearest
 from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 
 def in_groups(graph: Graph, queries: str, bank: str, width: int) -> str:

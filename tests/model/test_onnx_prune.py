@@ -10,7 +10,7 @@ from calibration.fitting.trunks import open_trunk
 from edge.model.onnx_prune import cut_trunk
 from edge.model.onnx_validation import GraphRefused, output_names
 from plugins.backbones.tactile import tactile_resnet18
-from plugins.graph import Graph
+from plugins.onnx_builder import Graph
 
 FRAMES = np.random.default_rng(0).integers(0, 256, (1, 64, 64, 3), dtype=np.uint8)
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Features, Grid
 from plugins.detectors.maths.mosaic import emit_split, split, tile_grid
 from plugins.detectors.maths.smoothing import upsampling_matrix
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["BINS", "Descriptor", "Kind", "binned_weights", "resampling_matrix"]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Embedding", "EmbeddingChoice", "Projection", "blocks", "learn_embedding", "touched_cells"]
 

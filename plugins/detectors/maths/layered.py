@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plugins.detectors.maths.smoothing import Smoothing, upsampling_matrix
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["emit_layered_scores"]
 

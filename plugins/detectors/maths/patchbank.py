@@ -21,7 +21,7 @@ from plugins.detectors.maths.embedding import touched_cells
 from plugins.detectors.maths.mosaic import emit_join, join, layout, split
 from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, HalvedBank
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PatchBank", "drawn"]
 

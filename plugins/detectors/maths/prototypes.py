@@ -14,7 +14,7 @@ from plugins.detectors.maths.coreset import greedy_from_distances
 from plugins.detectors.maths.distances import nearest
 from plugins.detectors.maths.free_gel import emit_gel_distances, gel_distances
 from plugins.detectors.maths.shortlist import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = [
     "Layout",

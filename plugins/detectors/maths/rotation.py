@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plugins.detectors.maths.lowrank import spectrum
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Rotation", "emit_rotation", "fit_rotation"]
 

@@ -6,7 +6,7 @@ distances never negative, the winners measured again as a sum of squared differe
 and among equals the lowest row wins (ONNX TopK keeps the lower index).
 """
 
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = [
     "FORBIDDEN",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Grid, ScoreMaps
 from edge.core.imaging.tiles import Tiles
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = [
     "PAPER_SIGMA_MM",

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Weighting", "emit_first", "emit_weighted", "softmax_weight"]
 

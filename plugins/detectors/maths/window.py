@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plugins.detectors.maths.shortlist import FORBIDDEN, PRODUCT_LIMIT, emit_range
-from plugins.graph import Graph, Value
+from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]
 

@@ -1,4 +1,4 @@
-"""A pencil for ONNX graphs: every trunk and head of the product is drawn with it.
+"""Builds ONNX graphs: every trunk and head of the product is written with `Graph`.
 
 `Graph` names the values, so that a head reads like the formula it computes:
 
@@ -34,7 +34,7 @@ ElementType = Literal["float32", "float16", "uint8", "int8", "int64", "bool"]
 
 
 class Graph:
-    """An ONNX graph being drawn: inputs, operations and outputs in the order in which they are written."""
+    """An ONNX graph under construction: inputs, operations and outputs in the order of the calls."""
 
     def __init__(self, name: str) -> None:
         self.name = name
