@@ -6,9 +6,9 @@ with a reason, never a number and never a crash.
 
 from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
 from calibration.metrics.pixel import PixelMeasures, pixel_measures
-from calibration.metrics.pro import AUPRO_LIMIT, aupro
+from calibration.metrics.aupro import AUPRO_LIMIT, aupro
 from calibration.metrics.ranking import auroc, average_precision
-from calibration.metrics.recall import AUPIMO_BOUNDS, aupimo, aupimo_means
+from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means
 from calibration.metrics.regions import Regions, label_regions
 from calibration.metrics.summary import REPLICATES, Measure, limit_name, measure
 

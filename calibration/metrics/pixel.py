@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.pro import AUPRO_LIMIT
+from calibration.metrics.aupro import AUPRO_LIMIT
 from calibration.metrics.regions import Maps, Masks, check_pairs, label_regions
 
 __all__ = ["PixelMeasures", "pixel_measures"]
