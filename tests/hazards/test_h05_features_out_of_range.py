@@ -2,7 +2,7 @@
 stronger than the others decides the directions, prototypes and int8 steps of all.
 
 Guard: `choices._check_strength` refuses values below 1e-15 or above 1e12, and a press 100 times as strong as usual.
-Checked by removal: without the first limit a defect scores 0 at 1e-30 (SPADE, FAPM and all of `paper`) and PaDiM ends in
+Checked by removal: without the first limit a defect scores 0 at 1e-30 (SPADE, FAPM, all of `paper`) and PaDiM ends in
 LinAlgError at 1e-40; without the last, a stored bank is wrong by 6 to 79 times the peak (SPADE, FAPM, InReaCh,
 PatchCore).
 """
@@ -13,7 +13,7 @@ from heads import fit, grid, presses_of, run_head, with_spot
 
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
-from edge.packing import pack, unpack
+from edge.model.packing import pack, unpack
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
