@@ -28,7 +28,7 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         3: "a configuration, bundle, recording, dataset or set of nominal presses is wrong",
         4: "a sensor or broker is not available",
         5: "`gelgate verify`: the bundle is not sound",
-        130: "interrupted with Ctrl-C",
+        130: "interrupted with Ctrl-C; `gelgate run` and `gelgate record` end with 0 then: it is how they are ended",
     }
 )
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.gateway.press_pipeline import PressReport
+    from edge.gateway.status import Summary
+    from edge.recorder import PressReport
 
-__all__ = ["EXAMPLE", "check", "press_line", "run"]
+__all__ = ["EXAMPLE", "check", "press_line", "run", "summary_text"]
 
 EXAMPLE = """\
 # A gelgate station. Paths are relative to this file.
@@ -81,8 +82,7 @@ def run(
         signal.signal(number, lambda *_: stop.set())
     with Gateway.open(loaded, SystemClock(), lambda report: typer.echo(press_line(report))) as gateway:
         summary = gateway.run(stop, presses=presses)
-    words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
-    typer.echo(f"{summary.presses} presses: {words}")
+    typer.echo(summary_text(summary))
 
 
 def check(
@@ -105,6 +105,22 @@ def check(
     errors: list[GelgateError] = [finding.error for finding in findings if finding.error is not None]
     if errors:
         raise type(errors[0])(f"{len(errors)} of {len(findings)} parts cannot be used; see above")
+
+
+def summary_text(summary: "Summary") -> str:
+    """What a run did, in one or two lines; frames that were lost are never left out."""
+    words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
+    frames = summary.frames
+    text = (
+        f"{summary.presses} presses: {words}\n{frames.frames} frames: {frames.dropped} dropped, {frames.late} late, "
+        f"{summary.frames_stale} repeated, {summary.frames_corrupt} corrupt"
+    )
+    if frames.interrupted or frames.late_presses:
+        text += (
+            f"; frames were dropped {frames.interrupted} times while the gel was pressed and {frames.late_presses} "
+            "presses were judged too late: this machine is too slow, presses may have been missed"
+        )
+    return text
 
 
 def press_line(report: "PressReport") -> str:

@@ -16,7 +16,7 @@ GelgateError
 │   └── RecordingEnded     nobody · the run ends
 ├── SinkError          broker · the row stays in the outbox and is sent again
 │   ├── SinkUnavailable    broker · sent again when it is back
-│   └── SinkRejected       broker · set aside, told as an alarm, offered again at the next start
+│   └── SinkRejected       broker · set aside, told as an alarm, offered again every hour
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
 └── FitError           operator · give other or more nominal presses

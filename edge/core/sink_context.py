@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from edge.core.ports import Message
 
-__all__ = ["TOPIC_VERSION", "OnCommand", "Station", "topic_level", "topic_root"]
+__all__ = ["TOPIC_VERSION", "OnCommand", "Place", "Station", "topic_level", "topic_root"]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
 TOPIC_VERSION = "v1"
@@ -39,6 +39,18 @@ def topic_root(prefix: str, site: str, line: str, station: str) -> str:
         except ValueError as error:
             raise ValueError(f"the topic level '{level}' is {text!r}: {error}") from None
     return "/".join([*levels.values(), "gel", TOPIC_VERSION])
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in the plant a result comes from."""
+
+    site: str
+    line: str
+    station: str
+
+    def __str__(self) -> str:
+        return f"{self.site}/{self.line}/{self.station}"
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """From a sensor that comes and goes to a steady supply of frames: one reader thread, one bounded queue.
 
-The thread always drains the sensor, so that a slow consumer gets recent frames and not old ones; what does not fit
-is dropped oldest first and counted. It opens the sensor again, with growing pauses, whatever made it go.
+The thread always drains the sensor. A consumer that lags too far behind is given the newest frame and loses those
+before it, all at once and counted: dropping one for each that arrives would leave it behind for ever. It opens the
+sensor again, with growing pauses, whatever made it go.
 """
 
 import random
@@ -27,6 +28,9 @@ _CORRUPT_IN_A_ROW = 38
 _LONGEST_WAIT_NS = 250_000_000
 # Pauses between two attempts to open the sensor.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
+# A consumer this far behind is sent to the newest frame. A frame older than 1 s is refused when it is judged, and the
+# one that a press is judged by may be some frames older than the one that decides.
+_LONGEST_BACKLOG_NS = 800_000_000
 
 
 @runtime_checkable
@@ -74,9 +78,9 @@ class Acquisition:
     """Owns the sensor from `start` to `close`. A context manager, which starts and closes it.
 
     open_device: makes one attempt. on_change: called from the reader thread with the status, once per change of state
-    or fault; it must return soon. depth: frames kept for a consumer that lags. stall_after_s: no new frame for so
-    long, and the sensor is opened again. backoff: the pauses between attempts; by default the first is at most 0.5 s
-    and none is longer than 10 s.
+    or fault; it must return soon. depth: frames kept for a consumer that lags, and never more than 0.8 s of them.
+    stall_after_s: no new frame for so long, and the sensor is opened again. backoff: the pauses between attempts; by
+    default the first is at most 0.5 s and none is longer than 10 s.
 
     A reconnection is to the same sensor: one with another serial is refused as a fault.
     `CameraFrame.sequence` rises over reconnections; a gap means that frames were lost, refused or dropped there.
@@ -239,9 +243,7 @@ class Acquisition:
                 self._changed.wait_for(lambda: len(self._frames) < self._depth or self._closing.is_set())
             self._sequence += 1
             self._frames.append(replace(frame, sequence=self._sequence))
-            dropped = len(self._frames) > self._depth
-            if dropped:
-                self._frames.popleft()
+            dropped = self._shortened()
             self._status = replace(
                 self._status,
                 frames=self._status.frames + 1,
@@ -250,6 +252,16 @@ class Acquisition:
             )
             self._changed.notify_all()
         self._count_stale()
+
+    def _shortened(self) -> int:
+        """Keep the newest frame alone where the consumer is too far behind; gives how many were dropped."""
+        behind_ns = self._frames[-1].timestamp_ns - self._frames[0].timestamp_ns
+        is_live = self._counting is None or not self._counting.on_demand
+        if len(self._frames) <= self._depth and not (is_live and behind_ns > _LONGEST_BACKLOG_NS):
+            return 0
+        dropped = len(self._frames) - 1
+        self._frames = deque([self._frames[-1]])
+        return dropped
 
     def _rate(self) -> float:
         if len(self._times_ns) < 2 or self._times_ns[-1] == self._times_ns[0]:

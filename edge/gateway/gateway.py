@@ -9,6 +9,7 @@ import random
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, Final, Self
 
 from edge.config import Config
@@ -17,21 +18,24 @@ from edge.core.contact.rules import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import QualitySettings
 from edge.core.ports import Clock, DeviceIdentity, Sink
 from edge.core.press_detector import PressDetector
-from edge.core.sink_context import Station, topic_root
+from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.gateway.commands import Commands
 from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.loop_calls import Requests
 from edge.gateway.parts import device_opener, open_plugin, open_store, sink_names
-from edge.gateway.press_pipeline import PressReport, PressTaker, Recorder
+from edge.gateway.press_pipeline import PressTaker
 from edge.gateway.status import Reporter, Summary
 from edge.messaging.payloads import NoArguments, ReplaceGelArguments, StatePayload, state_message
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.retained_state import Announcements
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
+from edge.overload import OverloadRule
+from edge.recorder import PressReport, Recorder
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
 
@@ -42,6 +46,8 @@ log = logging.getLogger(__name__)
 # The loop looks up from waiting for a frame this often, to serve commands and notice faults.
 WAIT_S: Final = 0.2
 STATS_EVERY_S: Final = 10.0
+# A frame older than this when it is looked at could not be judged any more.
+LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
 # How long a store that refuses writes is left alone before it is tried again.
 STORE_RETRY_S: Final = 1.0
 # What is waited for before anything is inspected.
@@ -65,6 +71,9 @@ class Gateway:
         self._parts = ExitStack()
         self._stop = threading.Event()
         self._requests = Requests()
+        self._dropped_before = 0
+        self._overload = OverloadRule()
+        self._was_held_up = False
         self._last_stats_ns = clock.monotonic_ns()
         self._taker: PressTaker | None = None
         self._recorder: Recorder | None = None
@@ -188,7 +197,20 @@ class Gateway:
         taker = self._taker or self._begun()
         if taker is None:
             return
+        self._count(frame, taker)
         self._record_all(taker.feed(frame))
+
+    def _count(self, frame: CameraFrame, taker: PressTaker) -> None:
+        """Note what this machine was too slow for."""
+        counts, dropped = self.summary.frames, self._acquisition.status.dropped
+        age_ns = self._clock.monotonic_ns() - frame.timestamp_ns
+        was_interrupted = dropped > self._dropped_before and taker.tracker.has_contact
+        self._dropped_before = dropped
+        self.summary.frames = replace(
+            counts,
+            late=counts.late + (age_ns > LATE_NS),
+            interrupted=counts.interrupted + was_interrupted,
+        )
 
     def _begun(self) -> PressTaker | None:
         """The first frame: now the sensor is known, and with it the gel that is being worn.
@@ -210,7 +232,9 @@ class Gateway:
         stored = self._references.load(identity.serial, gel.gel_id, "last")
         detector = PressDetector(self._inspector.bundle.profile, settings, stored)
         self._taker = PressTaker(detector, self._inspector, self._clock, self._contact_said)
-        self._recorder = Recorder(self._store, self._inspector, identity.serial, self._clock)
+        table = self._config.station
+        place = Place(table.site, table.line, table.station)
+        self._recorder = Recorder(self._store, self._inspector, identity.serial, place, self._clock)
         self._mounted(gel)
         self._reporter.info(self._inspector.bundle, identity)
         self._reporter.awaits(FREE_GEL)
@@ -232,10 +256,10 @@ class Gateway:
     def _record(self, inspection: Inspection) -> None:
         """Write one press, however long the disk refuses; nothing else is inspected meanwhile."""
         assert self._recorder is not None
-        prepared = self._recorder.prepare(inspection)
+        judged = self._recorder.prepare(inspection)
         while True:
             try:
-                report = self._recorder.record(*prepared)
+                report = self._recorder.record(judged)
                 break
             except StoreError as error:
                 self._store_refuses(error)
@@ -279,6 +303,7 @@ class Gateway:
             self._reporter.fault("device", reason)
 
     def _store_refuses(self, error: StoreError) -> None:
+        self._was_held_up = True
         if self._reporter.fault("store", str(error)):
             log.error("%s", error)
 
@@ -307,6 +332,8 @@ class Gateway:
 
     def _say_stats(self) -> None:
         self._last_stats_ns = self._clock.monotonic_ns()
+        self.summary.see(self._acquisition.status, self._taker.detector.corrupt if self._taker else 0)
+        self._see_load()
         try:
             self._see_gel()
             outbox = self._publisher.outbox_status()
@@ -314,10 +341,16 @@ class Gateway:
             self._store_refuses(error)
             return
         self._reporter.mended("store")
-        corrupt = self._taker.detector.corrupt if self._taker else 0
-        self._reporter.stats(self.summary, self._acquisition.status, outbox, corrupt)
+        self._reporter.stats(self.summary, self._acquisition.status, outbox)
         errors = [c.last_error for c in self._publisher.counters().values() if c.refused]
         self._reporter.refused(outbox.refused, errors)
+
+    def _see_load(self) -> None:
+        """Frames that a refusing store cost have their own alarm."""
+        if self._was_held_up:
+            self._overload.skip(self.summary.frames)
+            self._was_held_up = False
+        self._reporter.overload(self._overload.step(self.summary.frames))
 
     def _see_gel(self) -> None:
         """`gelgate gel replace`, another process, may have recorded a new gel meanwhile."""

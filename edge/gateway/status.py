@@ -3,15 +3,15 @@
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from statistics import median
 from typing import Final, Literal
 
 from edge.core.gel import GelState
+from edge.core.imaging.quality import Reason
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.gateway.acquisition import AcquisitionStatus
-from edge.gateway.press_pipeline import PressReport
 from edge.messaging.payloads import (
     AlarmPayload,
     GelPayload,
@@ -26,6 +26,8 @@ from edge.messaging.payloads import (
     stats_message,
 )
 from edge.model.bundle import Bundle
+from edge.overload import FrameCounts
+from edge.recorder import PressReport
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 
@@ -36,17 +38,34 @@ LATENCIES_KEPT: Final = 1000
 
 @dataclass
 class Summary:
-    """What a run did. verdicts: word to number, `error` for a press without a verdict."""
+    """What a run did. verdicts: word to number, `error` for a press without a verdict.
+
+    latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
+    came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
+    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice.
+    """
 
     presses: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+    frames: FrameCounts = field(default_factory=FrameCounts)
+    frames_corrupt: int = 0
+    frames_stale: int = 0
 
     def add(self, report: PressReport) -> None:
+        result = report.result
         self.presses += 1
-        self.verdicts[report.result.verdict or "error"] += 1
-        if "total" in report.result.latency_ms:
-            self.latencies_ms.append(report.result.latency_ms["total"])
+        self.verdicts[result.verdict or "error"] += 1
+        if result.score is not None and "total" in result.latency_ms:
+            self.latencies_ms.append(result.latency_ms["total"])
+        if (result.reason or "").startswith(f"{Reason.STALE}:"):
+            self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
+
+    def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
+        """Take over what the reader thread counted. undecodable: frames that arrived and could not be decoded."""
+        self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
+        self.frames_corrupt = sensor.corrupt + undecodable
+        self.frames_stale = sensor.stale
 
 
 class Reporter:
@@ -149,17 +168,21 @@ class Reporter:
         )
         self._announce(info_message(payload))
 
-    def stats(self, summary: Summary, sensor: AcquisitionStatus, outbox: OutboxStatus, corrupt: int) -> None:
-        """Counters since the start. corrupt: frames that arrived whole and could not be decoded."""
+    def stats(self, summary: Summary, sensor: AcquisitionStatus, outbox: OutboxStatus) -> None:
+        """Counters since the start."""
         self._dropped(outbox.dropped)
         latencies = summary.latencies_ms
         payload = StatsPayload(
             time_ns=self._clock.time_ns(),
             uptime_s=(self._clock.monotonic_ns() - self._started_ns) / 1e9,
-            frames=sensor.frames,
-            frames_corrupt=sensor.corrupt + corrupt,
+            frames=summary.frames.frames,
+            frames_corrupt=summary.frames_corrupt,
+            frames_stale=summary.frames_stale,
+            frames_dropped=summary.frames.dropped,
+            frames_late=summary.frames.late,
             delivered_fps=sensor.fps,
             presses=summary.presses,
+            presses_interrupted=summary.frames.interrupted,
             verdicts=dict(summary.verdicts),
             reconnects=sensor.reconnects,
             latency_ms_p50=median(latencies) if latencies else None,
@@ -169,6 +192,13 @@ class Reporter:
             dropped=dict(outbox.dropped),
         )
         self._announce(stats_message(payload))
+
+    def overload(self, sentence: str | None) -> None:
+        """An alarm while this machine is too slow for its sensor."""
+        if sentence is None:
+            self.clear("overload")
+        else:
+            self.alarm("overload", sentence)
 
     def refused(self, count: int, errors: list[str]) -> None:
         """An alarm while messages are kept that a receiver would not have."""

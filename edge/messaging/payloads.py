@@ -1,6 +1,7 @@
 """What is published: one pydantic model per payload, and the topic, delivery and retention of each.
 
-Every payload carries `version`, and its moment twice: `time` for people (ISO 8601, UTC) and `time_ns` for programs.
+Every payload carries `version`, and its moment three times: `time` for people (ISO 8601, UTC), `time_ns` for programs
+with 64-bit integers and `time_ms` for those without (JavaScript rounds what lies beyond 2^53).
 Units are in the names. Within version 1 fields may be added; a subscriber ignores those it does not know.
 docs/mqtt.md is printed from this file.
 """
@@ -21,9 +22,11 @@ from edge.store.gel_ledger import GelRecord
 
 __all__ = [
     "ALARMS",
+    "MOST_DEFECTS",
     "AlarmPayload",
     "CommandRequest",
     "CommandResponse",
+    "DefectPlace",
     "GelPayload",
     "InfoPayload",
     "NoArguments",
@@ -44,13 +47,17 @@ __all__ = [
     "stats_message",
 ]
 
+# Parts of one score map that a result describes; the rest is counted in the area alone.
+MOST_DEFECTS: Final = 8
+
 PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
 
 ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or sends broken frames",
     "store": "the database or its disk refuses writes; inspection halts",
     "outbox_full": "unsent messages were dropped for want of room: heatmaps first, passes next, fails last",
-    "refused": "a receiver refused a message; it is kept and offered again at the next start",
+    "refused": "a receiver refused a message; it is kept and offered again every hour and at each start",
+    "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
     "bundle": "a bundle was refused; the one before it stays in use",
 }
@@ -71,19 +78,26 @@ class Payload(BaseModel):
 
     version: Literal[1] = 1
     time_ns: int = Field(ge=0, description="wall clock, nanoseconds since 1970 UTC")
+    time_ms: int = Field(
+        default=-1, ge=0, description="the same moment in milliseconds, exact in JavaScript too"
+    )
     time: str = Field(default="", description="the same moment, ISO 8601 UTC, microseconds")
 
     @model_validator(mode="before")
     @classmethod
     def _fill_time(cls, data: Any) -> Any:
-        if isinstance(data, dict) and isinstance(data.get("time_ns"), int) and not data.get("time"):
-            return {**data, "time": iso_time(data["time_ns"])}
-        return data
+        if not (isinstance(data, dict) and isinstance(data.get("time_ns"), int)):
+            return data
+        time_ns = data["time_ns"]
+        missing = {"time_ms": time_ns // 1_000_000} if "time_ms" not in data else {}
+        return {**data, **missing, "time": data.get("time") or iso_time(time_ns)}
 
     @model_validator(mode="after")
     def _times_agree(self) -> Self:
         if self.time != iso_time(self.time_ns):
             raise ValueError(f"time is {self.time!r}, but time_ns says {iso_time(self.time_ns)!r}")
+        if self.time_ms != self.time_ns // 1_000_000:
+            raise ValueError(f"time_ms is {self.time_ms}, but time_ns says {self.time_ns // 1_000_000}")
         return self
 
     def encode(self) -> bytes:
@@ -119,6 +133,26 @@ class InfoPayload(Payload):
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)
 
 
+Pair = tuple[float, float]
+Box = tuple[float, float, float, float]
+
+
+class DefectPlace(BaseModel):
+    """A connected part of the score map that lies above the threshold.
+
+    Places are counted from the top left corner of the inspected region, which is what the picture shows.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    box_px: tuple[int, int, int, int] = Field(description="left, top, width, height")
+    box_mm: Box = Field(description="the same in millimetres")
+    centroid_px: Pair = Field(description="x, y of its centre of area")
+    centroid_mm: Pair = Field(description="the same in millimetres")
+    area_mm2: float = Field(ge=0, description="its area in square millimetres")
+    score: float = Field(description="the largest score in it")
+
+
 class ResultPayload(Payload):
     """One press, one result. `press_id` is the key: the same result may arrive twice, never with two contents.
 
@@ -129,6 +163,15 @@ class ResultPayload(Payload):
     is_replayed: bool = Field(
         default=False, description="sent late, from the outbox; `time` is that of the press"
     )
+    sequence: int | None = Field(
+        default=None,
+        ge=1,
+        description="rises by one with every press of this station's database; restarts and changes of gel do not "
+        "reset it: a missing number is a missed result",
+    )
+    site: str | None = Field(default=None, description="where it was pressed, as in the topic")
+    line: str | None = None
+    station: str | None = None
     part: str
     position: str | None = None
     verdict: Kind | None = None
@@ -141,6 +184,18 @@ class ResultPayload(Payload):
     tolerance: float | None = Field(
         default=None, ge=0, description="scores this near the threshold are unsure"
     )
+    score_ratio: float | None = Field(
+        default=None, description="score / threshold: above 1 fails, whatever the detector"
+    )
+    defects: list[DefectPlace] | None = Field(
+        default=None,
+        description="where the score map is above the threshold, highest score first, "
+        f"at most {MOST_DEFECTS}; null for a pass and for a press without a score",
+    )
+    defect_area_mm2: float | None = Field(
+        default=None, ge=0, description="all of the map above the threshold, also what `defects` leaves out"
+    )
+    mm_per_pixel: Pair | None = Field(default=None, description="x, y of the picture")
     method: str | None = None
     bundle_id: str | None = None
     sensor_serial: str
@@ -206,14 +261,26 @@ class StatsPayload(Payload):
     """Counters since the start of the process, for dashboards."""
 
     uptime_s: float = Field(ge=0)
-    frames: int = Field(ge=0)
-    frames_corrupt: int = Field(ge=0)
+    frames: int = Field(ge=0, description="delivered by the sensor")
+    frames_corrupt: int = Field(ge=0, description="broken: not delivered, or delivered and not decodable")
+    frames_stale: int = Field(default=0, ge=0, description="came twice: the camera repeats itself")
+    frames_dropped: int = Field(
+        default=0, ge=0, description="delivered, and dropped: this machine was too slow"
+    )
+    frames_late: int = Field(default=0, ge=0, description="looked at too late to be judged")
     delivered_fps: float = Field(ge=0)
     presses: int = Field(ge=0)
+    presses_interrupted: int = Field(
+        default=0,
+        ge=0,
+        description="frames were dropped while the gel was pressed: their presses may be missed",
+    )
     verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
     reconnects: int = Field(default=0, ge=0, description="of the sensor")
-    latency_ms_p50: float | None = None
-    latency_ms_max: float | None = None
+    latency_ms_p50: float | None = Field(
+        default=None, description="frame to verdict, of scored presses alone"
+    )
+    latency_ms_max: float | None = Field(default=None, description="likewise")
     outbox_rows: int = Field(default=0, ge=0)
     outbox_bytes: int = Field(default=0, ge=0)
     dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
@@ -286,12 +353,17 @@ def heatmap_message(press_id: str, png: bytes) -> Message:
 def press_messages(
     result: ResultPayload, gel: GelRecord, heatmap_png: bytes | None = None
 ) -> Sequence[Message]:
-    """All that one press publishes, in order: result, its picture, then the retained `last` and `gel`."""
+    """All that one press publishes, in order: result, its picture, then the retained picture, `last` and `gel`.
+
+    The retained picture is always that of `last`: a press without one empties the topic.
+    """
+    encoded = result.encode()
     heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
     return [
-        Message("result", result.encode(), qos=1),
+        Message("result", encoded, qos=1),
         *heatmap,
-        Message("last", result.encode(), qos=1, retain=True),
+        Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
+        Message("last", encoded, qos=1, retain=True),
         gel_message(GelPayload.of(gel, result.time_ns)),
     ]
 

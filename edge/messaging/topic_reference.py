@@ -6,6 +6,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
+from edge.gateway.heatmap import FULL_SCALE
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
@@ -17,6 +18,7 @@ from edge.messaging.payloads import (
     StatePayload,
     StatsPayload,
 )
+from edge.press_picture import TEXT_KEYWORDS
 
 __all__ = ["COMMANDS", "TOPICS", "reference"]
 
@@ -25,14 +27,15 @@ TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
     ("info", 1, True, InfoPayload, "what is installed"),
     ("result", 1, False, ResultPayload, "one message a press"),
-    (
-        "heatmap/<press id>",
-        1,
-        False,
-        "PNG",
-        "the press with its scores in colour; the id is that of the result",
-    ),
+    ("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
     ("last", 1, True, ResultPayload, "the newest result, for whoever connects later"),
+    (
+        "last/heatmap",
+        1,
+        True,
+        "PNG",
+        "the picture of `last`, on a topic that a dashboard can name; empty without one",
+    ),
     ("gel", 1, True, GelPayload, "wear of the mounted gel"),
     ("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
     ("stats", 0, False, StatsPayload, "counters, for dashboards"),
@@ -59,9 +62,10 @@ This page is printed by `gelgate topics` from the payload models; a test compare
 Every topic is below `<prefix>/<site>/<line>/<station>/gel/{TOPIC_VERSION}/`. The four levels come from the
 configuration: 1 to 64 characters each, without blanks and without `+ # / $`.
 
-Payloads are JSON in UTF-8, except the heatmap. Every field is always there; what may be null says so. Within
-{TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names; times are given twice, `time`
-for people and `time_ns` for programs.
+Payloads are JSON in UTF-8, except the pictures. Every field is always there; what may be null says so. Within
+{TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names. Times are given three times:
+`time` for people, `time_ns` for programs with 64-bit integers, and `time_ms` for the others: JavaScript, and so
+Node-RED, rounds integers beyond 2^53 without an error.
 
 What a subscriber can rely on:
 
@@ -69,7 +73,14 @@ What a subscriber can rely on:
 - **Results keep their order** at one broker. What could not be sent at once is marked `is_replayed`; its `time` is that
   of the press. A refused message is set aside and comes later.
 - **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
+- **`last/heatmap` comes just before its `last`** and is empty for a press without a picture, so the two always belong
+  together. The press id stands in the picture as well.
 - **A press without a score is never a pass**: its `verdict` is null and `error` says why.
+- **No press is missing while `sequence` rises by one.** It is counted in the station's database, in the transaction
+  that records the press. `gel_presses` starts again with every gel.
+- **An empty payload on a retained topic means "nothing here"**: MQTT removes a retained message in this way. On every
+  connection each `alarm/<alarm>` that is not raised is emptied, so that no alarm outlives the process that raised it.
+  Look at the payload's length before you parse it.
 - `state`, `info`, `alarm` and `stats` say what is true now. They are not kept for later, and are said again on every
   connection.
 - MQTT 5 and 3.1.1 carry the same topics and payloads. At level 5 messages also have a content type, a request may name
@@ -79,9 +90,22 @@ What a subscriber can rely on:
 """
 
 
+_PICTURES: Final = f"""
+## Pictures
+
+`heatmap/<press id>` and `last/heatmap` are PNG files of 8-bit RGB. Left is the inspected region as the sensor saw it,
+with a line around what lies above the threshold and nothing painted over it. Right are the scores in colour, from 0 to
+{FULL_SCALE:g} times the threshold, the same on every press and for every detector; the colour map is Inferno, whose
+lightness rises evenly with the score, so that it reads the same in grey and to colour-blind eyes. A scale bar, verdict,
+score and names are written around them. The text chunks (iTXt) hold {{keywords}}.
+"""
+
+
 def reference() -> str:
-    """The whole page, Markdown."""
-    return "\n".join([_HEAD, *_overview(), *_commands(), *_alarms(), *_payloads()]) + "\n"
+    """The complete page, Markdown."""
+    pictures = _PICTURES.format(keywords=", ".join(f"`{keyword}`" for keyword in TEXT_KEYWORDS))
+    parts = [_HEAD, *_overview(), pictures.rstrip(), *_commands(), *_alarms(), *_payloads()]
+    return "\n".join(parts) + "\n"
 
 
 def _overview() -> Iterator[str]:

@@ -20,15 +20,28 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import Bounds
 from edge.store.ulid import is_ulid
 
-__all__ = ["GelRecord", "MakeMessages", "Press", "Store"]
+__all__ = ["GelRecord", "MakeMessages", "Press", "Recorded", "Store"]
 
 VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
 # Rows of the press history that are kept; about 200 bytes each, so 200 MB. The ledger's counts do not depend on them.
 KEPT_PRESSES: Final = 1_000_000
 
-MakeMessages = Callable[[GelRecord], Sequence[Message]]
-"""From the gel's record, this press included, to what is published. Called inside the transaction: quick and pure."""
+
+@dataclass(frozen=True)
+class Recorded:
+    """A press's place in the database.
+
+    gel: the record of its gel, this press included. sequence: 1 for the first press of this database, then one more
+    each; neither a restart nor a change of gel or sensor resets it, so a subscriber who misses a number missed a press.
+    """
+
+    gel: GelRecord
+    sequence: int
+
+
+MakeMessages = Callable[[Recorded], Sequence[Message]]
+"""From a press's place to what is published. Called inside the transaction: quick and pure."""
 
 
 @dataclass(frozen=True)
@@ -81,30 +94,31 @@ class Store:
     def path(self) -> Path:
         return self._database.path
 
-    def record_press(self, press: Press, make_messages: MakeMessages) -> GelRecord:
-        """Count the press and queue its messages, both or neither; gives the gel's record, this press included.
+    def record_press(self, press: Press, make_messages: MakeMessages) -> Recorded:
+        """Number the press, count it and queue its messages, all or nothing.
 
-        Recording the same press again changes nothing and gives the record as it is now, so that a caller who saw an
-        error may simply repeat. Errors: StoreError, also when the id belongs to another press; whatever
+        Recording the same press again changes nothing and gives its number and the gel as it is now, so that a caller
+        who saw an error may simply repeat. Errors: StoreError, also when the id belongs to another press; whatever
         `make_messages` raises, and then nothing is recorded.
         """
         with self._database.writing(f"recording press {press.press_id}") as connection:
             known = connection.execute(
-                "SELECT serial, time_ns, verdict, score FROM presses WHERE press_id = ?", (press.press_id,)
+                "SELECT number, serial, time_ns, verdict, score FROM presses WHERE press_id = ?",
+                (press.press_id,),
             ).fetchone()
             if known is not None:
-                if known != (press.serial, press.time_ns, press.verdict, press.score):
+                if known[1:] != (press.serial, press.time_ns, press.verdict, press.score):
                     raise StoreError(f"press id {press.press_id} was already given to another press")
-                return self._mounted(connection, press.serial)
+                return Recorded(self._mounted(connection, press.serial), known[0])
             self._mount_first(connection, press.serial, press.time_ns)
             if press.wear_index is not None:
                 ledger.set_wear(connection, press.serial, press.wear_index)
             ledger.count_press(connection, press.serial, press.time_ns)
             gel = self._mounted(connection, press.serial)
-            _insert(connection, press, gel.gel_id)
-            outbox.put(connection, make_messages(gel), press.verdict, press.time_ns)
+            recorded = Recorded(gel, _insert(connection, press, gel.gel_id))
+            outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns)
             outbox.enforce(connection, self._bounds, press.time_ns)
-        return gel
+        return recorded
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; one is mounted for a sensor never seen before."""
@@ -124,7 +138,7 @@ class Store:
         gel_id: str | None = None,
         limit_presses: int | None = None,
         note: str = "",
-        make_messages: MakeMessages | None = None,
+        make_messages: Callable[[GelRecord], Sequence[Message]] | None = None,
     ) -> GelRecord:
         """Record that a new gel was mounted; its count starts at 0 and the old gel's stays as history.
 
@@ -180,8 +194,9 @@ class Store:
         return gel
 
 
-def _insert(connection: sqlite3.Connection, press: Press, gel_id: str) -> None:
-    connection.execute(
+def _insert(connection: sqlite3.Connection, press: Press, gel_id: str) -> int:
+    """Add the press to the history and give its number, which SQLite's AUTOINCREMENT never gives twice."""
+    number = connection.execute(
         "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold) "
         "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (
@@ -195,7 +210,8 @@ def _insert(connection: sqlite3.Connection, press: Press, gel_id: str) -> None:
             press.score,
             press.threshold,
         ),
-    )
+    ).lastrowid
     connection.execute(
         "DELETE FROM presses WHERE number <= (SELECT max(number) FROM presses) - ?", (KEPT_PRESSES,)
     )
+    return int(number or 0)

@@ -47,7 +47,7 @@ class JsonlSink:
                 if message.content_type == "application/json":
                     line["payload"] = json.loads(message.payload) if message.payload else None
                 else:
-                    line["file"] = self._picture(message)
+                    line["file"] = self._picture(message) if message.payload else None
                 self._append(line)
         except OSError as error:
             raise SinkUnavailable(

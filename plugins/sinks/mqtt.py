@@ -120,6 +120,8 @@ class MqttSink:
         self._worked: Level | None = None  # the level of the last connection
         self._why_down = f"not yet connected to broker {broker}"
         self._struck: tuple[Message | None, int] = (None, 0)
+        # What the birth of this connection has put on each topic: the publisher has it to say too, and once is enough.
+        self._born: dict[str, Message] = {}
         self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
         self._threads = [
             threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
@@ -135,11 +137,16 @@ class MqttSink:
         return None if connection is None else connection.level
 
     def send(self, message: Message) -> None:
-        """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected."""
+        """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected.
+
+        What the birth of this connection has just published on that topic is not published again.
+        """
         self._tried.wait(self._broker.timeout_s)
         connection = self._connection
         if connection is None:
             raise SinkUnavailable(self._why_down)
+        if self._born.pop(message.topic, None) == message:
+            return
         try:
             connection.publish(self._outgoing(message))
         except SinkUnavailable as error:
@@ -199,8 +206,10 @@ class MqttSink:
         try:
             if self._station.on_command is not None:
                 connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
-            for message in self._station.birth():
+            birth = self._station.birth()
+            for message in birth:
                 connection.publish(self._outgoing(message))
+            self._born = {message.topic: message for message in birth}
         except Exception:
             connection.abandon("its birth failed")
             raise

@@ -10,7 +10,7 @@ import pytest
 
 from edge.core.verdict import Kind
 from edge.messaging.payloads import ResultPayload, press_messages
-from edge.store.press_store import GelRecord, Press, Store
+from edge.store.press_store import Press, Recorded, Store
 from edge.store.ulid import new_ulid
 
 PRESSES = 300
@@ -35,7 +35,8 @@ def test_recording_a_press(tmp_path: Path, heatmap_kb: int) -> None:
         time_ns = time.time_ns()
         press_id = new_ulid(time_ns)
 
-        def messages(gel: GelRecord) -> object:
+        def messages(recorded: Recorded) -> object:
+            gel = recorded.gel
             result = ResultPayload(
                 time_ns=time_ns,
                 press_id=press_id,

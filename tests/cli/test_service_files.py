@@ -23,6 +23,14 @@ def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
         assert f'{{product}}=="{PRODUCT_PREFIX}*"' in line
 
 
+def test_the_unit_starts_without_a_sensor() -> None:
+    """`run` waits for it; nothing is run before that would end with 4 and make systemd start it again for ever."""
+    lines = (NOTES / "gelgate.service").read_text().splitlines()
+    commands = [line.partition("=")[2] for line in lines if line.startswith("Exec")]
+
+    assert [command.split()[1:3] for command in commands] == [["run", "--wait-for-device"]]
+
+
 @pytest.mark.parametrize("error", [ConfigError, BundleError])
 def test_the_unit_does_not_restart_what_cannot_be_mended(error: type[Exception]) -> None:
     """The exit codes of a wrong configuration or bundle are those that the unit excepts from restarting."""

@@ -91,15 +91,27 @@ def test_every_frame_of_a_recording_as_fast_as_read(tmp_path: Path) -> None:
 
 
 def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
-    """A live sensor is drained: the oldest frames go, they are counted, and the gap shows in the sequence."""
+    """Four frames are kept; the fifth makes the queue the newest alone, so the consumer is not left four behind."""
     clock = FakeClock()
     device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock, depth=4) as acquisition:
         wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
         frames = all_frames(acquisition)
-    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (6, 7, 8, 9)]
-    assert [frame.sequence for frame in frames] == [7, 8, 9, 10]
-    assert acquisition.status.dropped == 6
+    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (8, 9)]
+    assert [frame.sequence for frame in frames] == [9, 10]
+    assert acquisition.status.dropped == 8
+
+
+def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> None:
+    """40 frames of 50 ms while nobody takes any: what is kept ends with the newest and spans at most 0.8 s."""
+    clock = FakeClock()
+    device = ScriptedDevice([*(jpeg(seed) for seed in range(40)), RecordingEnded("over")], clock)
+    with Acquisition(lambda: device, clock) as acquisition:
+        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
+        frames = all_frames(acquisition)
+    assert frames[-1].payload == jpeg(39)
+    assert frames[-1].timestamp_ns - frames[0].timestamp_ns <= 800_000_000
+    assert acquisition.status.dropped + len(frames) == acquisition.status.frames == 40
 
 
 def test_faults_are_counted(tmp_path: Path) -> None:

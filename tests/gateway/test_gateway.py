@@ -12,7 +12,7 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch
 from edge.gateway.gateway import Gateway
-from edge.gateway.press_pipeline import PressReport
+from edge.recorder import PressReport
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.press_store import Store
 
@@ -60,30 +60,58 @@ def test_each_press_is_counted_once(finished: tuple[Path, list[PressReport]]) ->
 
 
 def test_a_press_publishes_result_heatmap_last_and_gel(finished: tuple[Path, list[PressReport]]) -> None:
-    """What a subscriber needs arrives once per press, matched by its id."""
+    """What a subscriber needs arrives once per press, matched by its id; the retained picture is that of `last`."""
     config, reports = finished
     topics = Counter(str(line["topic"]).split("/")[0] for line in published(config))
 
-    assert topics["result"] == topics["heatmap"] == topics["last"] == 3
+    assert topics["result"] == topics["heatmap"] == 3
+    assert topics["last"] == 6  # `last` and `last/heatmap`
     for report in reports:
         assert (config.parent / "out" / f"heatmap/{report.result.press_id}.png").is_file()
 
 
-def test_the_heatmap_marks_the_dent(finished: tuple[Path, list[PressReport]]) -> None:
-    """The largest score of the dented press lies at the dent."""
-    import cv2
-    import numpy as np
+def test_a_result_says_where_the_defect_is(finished: tuple[Path, list[PressReport]]) -> None:
+    """The strongest part of the dented press lies at the dent, in pixels and in millimetres; a pass has none."""
+    _, reports = finished
+    assert reports[0].result.defects is None
+    assert reports[1].result.defects
+    strongest = reports[1].result.defects[0]
+
+    # The dent is at (150, 100) of the picture: (102, 92) of the centre region that starts at (48, 8).
+    assert strongest.centroid_px == pytest.approx((102, 92), abs=20)
+    assert strongest.centroid_mm == pytest.approx([0.0634 * px for px in strongest.centroid_px])
+    assert strongest.box_mm == pytest.approx([0.0634 * px for px in strongest.box_px])
+    assert strongest.score == pytest.approx(reports[1].result.score)
+    _, _, width, height = strongest.box_px
+    assert 0 < strongest.area_mm2 <= width * height * 0.0634**2
+    assert reports[1].result.defect_area_mm2 == pytest.approx(
+        sum(defect.area_mm2 for defect in reports[1].result.defects)
+    )
+
+
+def test_a_result_says_where_it_comes_from_and_how_far_it_is(
+    finished: tuple[Path, list[PressReport]],
+) -> None:
+    """Station, sequence, mm per pixel, and the score in units of its threshold: above 1 where it fails."""
+    _, reports = finished
+    results = [report.result for report in reports]
+
+    assert [result.sequence for result in results] == [1, 2, 3]
+    assert {(result.site, result.line, result.station) for result in results} == {("site", "line", "station")}
+    assert results[0].mm_per_pixel == pytest.approx((0.0634, 0.0634))
+    for result in results:
+        assert result.score_ratio == pytest.approx((result.score or 0) / (result.threshold or 0))
+    assert [(result.score_ratio or 0) > 1 for result in results] == [False, True, False]
+
+
+def test_the_picture_names_its_press(finished: tuple[Path, list[PressReport]]) -> None:
+    """A picture that was saved under any name says which press it shows, and the verdict of that press."""
+    from edge import png
 
     _, reports = finished
-    clean, dented = (
-        cv2.imdecode(np.frombuffer(report.heatmap_png or b"", np.uint8), cv2.IMREAD_COLOR).astype(int)
-        for report in reports[:2]
-    )
-    difference = np.abs(dented - clean).sum(axis=2)
-    # The dent is at (150, 100) of the picture: (102, 92) of the centre region that starts at (48, 8).
-    inside = difference[92 - 20 : 92 + 20, 102 - 20 : 102 + 20].mean()
-
-    assert inside > 3 * difference[160:, :40].mean()
+    for report in reports:
+        said = png.texts(report.heatmap_png or b"")
+        assert (said["press_id"], said["verdict"]) == (report.result.press_id, report.result.verdict)
 
 
 def test_latencies_are_told_per_stage(finished: tuple[Path, list[PressReport]]) -> None:

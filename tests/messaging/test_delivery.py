@@ -16,7 +16,7 @@ from edge.messaging.payloads import ResultPayload, StatePayload, press_messages,
 from edge.messaging.publisher import IDLE_S, Lane, Publisher
 from edge.messaging.retained_state import Announcements
 from edge.store.outbox import Outbox
-from edge.store.press_store import GelRecord, Press, Store
+from edge.store.press_store import Press, Recorded, Store
 from edge.store.ulid import new_ulid
 from plugins.sinks.mqtt import MqttSink
 
@@ -30,7 +30,8 @@ def record(store: Store, n: int) -> str:
     time_ns = T0 + n * 10**9
     press_id = new_ulid(time_ns)
 
-    def messages(gel: GelRecord) -> object:
+    def messages(recorded: Recorded) -> object:
+        gel = recorded.gel
         result = ResultPayload(
             time_ns=time_ns,
             press_id=press_id,

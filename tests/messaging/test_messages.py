@@ -15,6 +15,7 @@ from edge.core.sink_context import Station, topic_root
 from edge.core.verdict import Kind
 from edge.gateway.commands import Commands
 from edge.messaging.payloads import (
+    ALARMS,
     AlarmPayload,
     ResultPayload,
     StatePayload,
@@ -58,10 +59,10 @@ def test_the_reference_page_is_the_one_the_models_print() -> None:
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
     """A topic with another QoS or retention than the page says is a fault in one of them."""
-    said = {topic.split("/")[0]: (qos, retained) for topic, qos, retained, *_ in TOPICS}
+    said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
     for message in press_messages(result(), GEL, b"png"):
-        assert said[message.topic.split("/")[0]] == (message.qos, message.retain)
+        assert said[message.topic] == (message.qos, message.retain)
 
 
 def test_the_time_is_given_twice_and_agrees() -> None:
@@ -70,6 +71,16 @@ def test_the_time_is_given_twice_and_agrees() -> None:
     assert json.loads(result().encode())["time"] == "2026-01-31T12:00:00.000250Z"
     with pytest.raises(ValidationError, match="time_ns says"):
         result(time="2026-01-31T12:00:00.000251Z")
+
+
+def test_the_time_is_exact_for_programs_that_round_large_integers() -> None:
+    """`time_ms` is below 2^53, where a double still counts by one; a wrong one is refused."""
+    payload = json.loads(result().encode())
+
+    assert payload["time_ms"] == 1_769_860_800_000
+    assert float(payload["time_ms"]) == payload["time_ms"] < 2**53
+    with pytest.raises(ValidationError, match="time_ms is 1"):
+        result(time_ms=1)
 
 
 def test_a_payload_survives_the_wire() -> None:
@@ -110,11 +121,20 @@ def test_a_press_publishes_result_picture_last_and_gel() -> None:
     assert [(m.topic, m.retain) for m in messages] == [
         ("result", False),
         (f"heatmap/{PRESS_ID}", False),
+        ("last/heatmap", True),
         ("last", True),
         ("gel", True),
     ]
-    assert messages[0].payload == messages[2].payload
-    assert json.loads(messages[3].payload)["state"] == "due"
+    assert messages[0].payload == messages[3].payload
+    assert messages[1].payload == messages[2].payload
+    assert json.loads(messages[4].payload)["state"] == "due"
+
+
+def test_a_press_without_a_picture_empties_that_of_the_last() -> None:
+    """The retained picture is always that of the retained result, so an older one does not stay."""
+    pictures = [m for m in press_messages(result(), GEL) if m.topic == "last/heatmap"]
+
+    assert [(m.payload, m.retain) for m in pictures] == [(b"", True)]
 
 
 def test_being_late_changes_the_mark_alone() -> None:
@@ -136,6 +156,7 @@ def test_being_late_changes_the_mark_alone() -> None:
 def test_alarms_are_known_by_name() -> None:
     """An unknown alarm would never be cleared at the next start, so it cannot be raised."""
     alarm = AlarmPayload(time_ns=0, alarm="gel", text="the gel is due")
+    assert "overload" in ALARMS
     assert alarm_message(alarm).topic == "alarm/gel"
     assert alarm_cleared("gel").payload == b""
     with pytest.raises(ValueError, match="'gle' is not known"):

@@ -80,6 +80,21 @@ def test_birth_is_heard_on_every_connection_and_before_anything_else(
     assert late.heard[0].retain
 
 
+def test_what_the_birth_has_said_is_not_said_twice(
+    any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
+) -> None:
+    """The publisher has the same state to say; only another one, or the same one again later, is published."""
+    broker, protocol = any_broker
+    listener = listen(broker)
+    sink = sink_to(broker, protocol=protocol)
+    for payload in (b'{"state":"ready"}', b'{"state":"halted"}', b'{"state":"ready"}'):
+        sink.send(Message("state", payload, retain=True))
+    sink.send(Message("result", b"end"))
+    listener.wait_for(lambda heard: heard.payloads("result") != [])
+
+    assert listener.payloads("state") == [b'{"state":"ready"}', b'{"state":"halted"}', b'{"state":"ready"}']
+
+
 def test_the_will_is_published_when_the_process_dies(
     any_broker: tuple[LocalBroker, str], listen: Listen
 ) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from edge.core.verdict import Kind
 from edge.messaging.payloads import ResultPayload, press_messages
-from edge.store.press_store import GelRecord, MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, Press, Recorded, Store
 from edge.store.ulid import new_ulid
 
 SERIAL = "2BNN4ZE7"
@@ -32,7 +32,8 @@ def messages_of() -> Callable[..., MakeMessages]:
     """What the gateway publishes for a press, with a heatmap of the given size."""
 
     def of(press: Press, heatmap_bytes: int = 100) -> MakeMessages:
-        def make(gel: GelRecord) -> object:
+        def make(recorded: Recorded) -> object:
+            gel = recorded.gel
             is_error = press.verdict == "error"
             result = ResultPayload(
                 time_ns=press.time_ns,

@@ -72,7 +72,7 @@ def test_numbering_steps_over_ids_that_people_chose(store: Store) -> None:
 def test_the_state_follows_the_limit(path: object, make_press: Callable[..., Press]) -> None:
     """With a limit of 5 and a warning at 80 %: good up to 3, due at 4, replace from 5 on."""
     with Store(path, limit_presses=5, warn_fraction=0.8) as store:  # type: ignore[arg-type]
-        states = [store.record_press(make_press(n), lambda gel: []).state for n in range(6)]
+        states = [store.record_press(make_press(n), lambda recorded: []).gel.state for n in range(6)]
 
     assert states == ["good", "good", "good", "due", "replace", "replace"]
 

@@ -295,7 +295,8 @@ def test_a_new_connection_hears_the_newest_retained_messages(
     record(store, messages_of, make_press(1), make_press(2))
     drain(one)
 
-    said = {m.topic: json.loads(m.payload) for m in announcements.all() if m.payload}
+    said = {m.topic: m.payload for m in announcements.all() if m.payload}
+    said = {topic: json.loads(payload) for topic, payload in said.items() if topic != "last/heatmap"}
 
     assert said["gel"]["presses"] == 2
     assert said["last"]["press_id"] == make_press(2).press_id

@@ -32,16 +32,17 @@ def contents(path: Path) -> tuple[int, int, int]:
 def test_a_press_is_counted_and_its_messages_wait(
     store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """One press: one row, one count, and result, heatmap, last and gel in this order."""
+    """One press: one row, one count, and result, heatmap, the retained picture, last and gel in this order."""
     press = make_press(1)
 
-    gel = store.record_press(press, messages_of(press))
+    gel = store.record_press(press, messages_of(press)).gel
 
     assert (gel.presses, gel.gel_id, gel.state) == (1, "2BNN4ZE7-1", GelState.GOOD)
     with Outbox(path) as outbox:
         assert [row.message.topic for row in outbox.pending("mqtt")] == [
             "result",
             f"heatmap/{press.press_id}",
+            "last/heatmap",
             "last",
             "gel",
         ]
@@ -153,7 +154,7 @@ def test_a_full_database_refuses_the_press_and_keeps_what_it_has(
     assert contents(path) == (1, 1, 1)
 
     connection.execute("PRAGMA max_page_count = 1000000")
-    assert store.record_press(make_press(2), messages_of(make_press(2), 100_000)).presses == 2
+    assert store.record_press(make_press(2), messages_of(make_press(2), 100_000)).gel.presses == 2
     assert contents(path) == (2, 2, 2)
 
 
@@ -182,7 +183,7 @@ def test_a_disk_that_refuses_the_write_is_a_store_error(
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 42
     assert contents(path) == (1, 1, 1)
     with Store(path) as store:
-        assert store.record_press(make_press(2), messages_of(make_press(2))).presses == 2
+        assert store.record_press(make_press(2), messages_of(make_press(2))).gel.presses == 2
 
 
 def test_a_database_held_by_another_program_is_a_store_error(
@@ -198,7 +199,7 @@ def test_a_database_held_by_another_program_is_a_store_error(
 
     other.execute("ROLLBACK")
     other.close()
-    assert store.record_press(make_press(1), messages_of(make_press(1))).presses == 1
+    assert store.record_press(make_press(1), messages_of(make_press(1))).gel.presses == 1
 
 
 def test_two_threads_share_a_store(

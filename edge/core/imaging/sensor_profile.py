@@ -28,6 +28,13 @@ class SensorProfile:
     pixels_per_mm: float
     controls: Mapping[str, int] = field(default_factory=dict)
 
+    @property
+    def mm_per_pixel(self) -> tuple[float, float]:
+        """(x, y) of the picture. They differ where the profile squeezes one axis, as mini_hr does."""
+        along_x = 1 / self.pixels_per_mm
+        cut_w, cut_h = (side * (1 - 2 * cut) for side, cut in zip(self.native, self.border, strict=True))
+        return along_x, along_x * (cut_h / self.size[1]) / (cut_w / self.size[0])
+
     def __post_init__(self) -> None:
         if self.decode_scale not in (1, 2, 4, 8):
             raise ValueError(f"decode_scale is 1, 2, 4 or 8, found {self.decode_scale}")

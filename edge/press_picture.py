@@ -1,0 +1,183 @@
+"""The picture of one press for people: as the sensor saw it, beside its scores in colour.
+
+The picture itself is never painted over: left is the press with the threshold's contour around a defect, right the
+score map with a legend. Verdict, score, scale in mm and the press's names are written around them, and the same facts
+stand in the file's text chunks, so that a picture that was saved somewhere still says what it shows.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge import png
+from edge.gateway.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+
+__all__ = ["TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
+
+TEXT_KEYWORDS: Final = (
+    "press_id",
+    "verdict",
+    "score",
+    "threshold",
+    "mm_per_pixel",
+    "station",
+    "part",
+    "time",
+)
+"""Of the PNG's text chunks. mm_per_pixel is `x y` of the inspected region, not of the enlarged panel."""
+
+# The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
+_SMALLEST_PANEL: Final = 384
+_LARGEST_PANEL: Final = 800
+
+_HEADER: Final = 40
+_FOOTER: Final = 28
+_GAP: Final = 8
+_LEGEND: Final = 112
+_BAR: Final = 18
+
+_PAPER: Final = (250, 250, 250)
+_INK: Final = (25, 25, 25)
+_VERDICT_COLOURS: Final = {"pass": (20, 120, 50), "fail": (185, 25, 30), "unsure": (175, 105, 0)}
+
+# Lengths that a scale bar may have; the longest that fits into a third of the panel is drawn.
+_BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class PressCaption:
+    """What is written on a picture. mm_per_pixel: (x, y) of the region. station: site/line/station."""
+
+    press_id: str
+    verdict: str
+    score: float
+    threshold: float
+    mm_per_pixel: tuple[float, float]
+    station: str
+    part: str
+    time: str
+
+    def texts(self) -> dict[str, str]:
+        """Keyword to text, as they stand in the PNG."""
+        x, y = self.mm_per_pixel
+        numbers = {
+            "score": f"{self.score:.9g}",
+            "threshold": f"{self.threshold:.9g}",
+            "mm_per_pixel": f"{x:.6g} {y:.6g}",
+        }
+        return {keyword: numbers.get(keyword) or str(getattr(self, keyword)) for keyword in TEXT_KEYWORDS}
+
+
+def press_png(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> bytes:
+    """`draw_press` as a PNG whose text chunks say the same as the caption."""
+    return png.encode(draw_press(rgb, score_map, caption), caption.texts())
+
+
+def draw_press(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> U8:
+    """uint8 (height, width, 3) RGB. rgb: uint8 (h, w, 3), the inspected region. score_map: raw, (h, w) of the same.
+
+    Both panels have square millimetres, also where the profile squeezes one axis. Errors: ValueError for other shapes,
+    a map that is not finite, a threshold that is not positive.
+    """
+    if rgb.dtype != np.uint8 or rgb.shape != (*score_map.shape, 3):
+        raise ValueError(f"the picture must be uint8 {(*score_map.shape, 3)}, found {rgb.dtype} {rgb.shape}")
+    relative = relative_scores(score_map, caption.threshold)
+    width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel)
+    relative = np.asarray(cv2.resize(relative, (width, height), interpolation=_how(rgb, width)), np.float32)
+    press, heat = _press_panel(rgb, width, height), coloured(relative)
+    for panel in (press, heat):
+        draw_contour(panel, relative)
+    _draw_scale_bar(press, caption.mm_per_pixel[0] * rgb.shape[1] / width)
+    sheet = np.full((_HEADER + height + _FOOTER, 2 * width + _GAP + _LEGEND, 3), _PAPER, np.uint8)
+    sheet[_HEADER : _HEADER + height, :width] = press
+    sheet[_HEADER : _HEADER + height, width + _GAP : 2 * width + _GAP] = heat
+    _draw_legend(sheet[_HEADER : _HEADER + height, 2 * width + 2 * _GAP :], caption.threshold)
+    _draw_header(sheet, caption)
+    foot = f"{caption.part}   {caption.station}   {caption.time}   {caption.press_id}"
+    _write(sheet, foot, 6, sheet.shape[0] - 9, 0.42)
+    return sheet
+
+
+def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float]) -> tuple[int, int]:
+    """(width, height) of a panel in which x and y have one scale."""
+    true_h = h * mm_per_pixel[1] / mm_per_pixel[0]
+    longest = max(w, true_h)
+    factor = float(max(1, -(-_SMALLEST_PANEL // round(longest))))
+    if longest > _LARGEST_PANEL:
+        factor = _LARGEST_PANEL / longest
+    return max(1, round(w * factor)), max(1, round(true_h * factor))
+
+
+def _press_panel(rgb: U8, width: int, height: int) -> U8:
+    """The press at that size; enlarged by whole pixels where it can be: the file is a third smaller, and honest."""
+    if width % rgb.shape[1] == 0 and height % rgb.shape[0] == 0:
+        return rgb.repeat(height // rgb.shape[0], axis=0).repeat(width // rgb.shape[1], axis=1)
+    return np.asarray(cv2.resize(rgb, (width, height), interpolation=_how(rgb, width)), np.uint8)
+
+
+def _how(rgb: U8, width: int) -> int:
+    return cv2.INTER_AREA if width < rgb.shape[1] else cv2.INTER_LINEAR
+
+
+def _draw_header(sheet: U8, caption: PressCaption) -> None:
+    colour = _VERDICT_COLOURS.get(caption.verdict, _INK)
+    word = caption.verdict.upper()
+    width = cv2.getTextSize(word, cv2.FONT_HERSHEY_DUPLEX, 0.75, 1)[0][0] + 20
+    cv2.rectangle(sheet, (0, 0), (width, _HEADER - 5), colour, cv2.FILLED)
+    cv2.putText(sheet, word, (10, 25), cv2.FONT_HERSHEY_DUPLEX, 0.75, (255, 255, 255), 1, cv2.LINE_AA)
+    ratio = caption.score / caption.threshold
+    text = f"{ratio:.2f} x threshold   (score {caption.score:.4g}, threshold {caption.threshold:.4g})"
+    _write(sheet, text, width + 12, 24, 0.55)
+
+
+def _draw_legend(area: U8, threshold: float) -> None:
+    """The colour bar, with the threshold's line in its middle, like the contour; numbers are score / threshold."""
+    height = area.shape[0]
+    top, bottom = 10, height - 10
+    rise = np.linspace(FULL_SCALE, 0.0, bottom - top, dtype=np.float32)
+    area[top:bottom, :_BAR] = coloured(np.repeat(rise[:, None], _BAR, axis=1))
+    for value, text in ((FULL_SCALE, f"{FULL_SCALE:g} or more"), (1.5, "1.5"), (0.5, "0.5"), (0.0, "0")):
+        _write(area, text, _BAR + 6, _at(value, top, bottom) + 4, 0.42)
+    middle = _at(1.0, top, bottom)
+    cv2.rectangle(area, (0, middle - 2), (_BAR - 1, middle + 1), (0, 0, 0), cv2.FILLED)
+    cv2.rectangle(area, (0, middle - 1), (_BAR - 1, middle), (255, 255, 255), cv2.FILLED)
+    _write(area, "1 threshold", _BAR + 6, middle + 4, 0.42)
+    _write(area, f"= {threshold:.4g}", _BAR + 6, middle + 20, 0.42)
+
+
+def _at(value: float, top: int, bottom: int) -> int:
+    return round(bottom - 1 - (bottom - 1 - top) * value / FULL_SCALE)
+
+
+def _draw_scale_bar(panel: U8, mm_per_pixel: float) -> None:
+    width = panel.shape[1]
+    fitting = [mm for mm in _BAR_LENGTHS_MM if mm / mm_per_pixel <= width / 3]
+    if not fitting:
+        return
+    length_mm = fitting[-1]
+    pixels = round(length_mm / mm_per_pixel)
+    x, y = 10, panel.shape[0] - 12
+    cv2.rectangle(panel, (x - 2, y - 4), (x + pixels + 1, y + 1), (0, 0, 0), cv2.FILLED)
+    cv2.rectangle(panel, (x, y - 2), (x + pixels - 1, y - 1), (255, 255, 255), cv2.FILLED)
+    for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+        cv2.putText(
+            panel,
+            f"{length_mm:g} mm",
+            (x, y - 9),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.45,
+            colour,
+            thickness,
+            cv2.LINE_AA,
+        )
+
+
+def _write(picture: U8, text: str, x: int, y: int, scale: float) -> None:
+    """OpenCV's letters are ASCII; others become question marks on the picture (the text chunks keep them)."""
+    plain = text.encode("ascii", "replace").decode()
+    cv2.putText(picture, plain, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

@@ -1,0 +1,166 @@
+"""From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from edge.core.defects import Defect, find_defects
+from edge.core.ports import Clock
+from edge.core.sink_context import Place
+from edge.core.verdict import Kind
+from edge.gateway.inspector import Inspection, Inspector
+from edge.messaging.payloads import MOST_DEFECTS, DefectPlace, ResultPayload, iso_time, press_messages
+from edge.press_picture import PressCaption, press_png
+from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import Press, Recorded, Store
+from edge.store.ulid import new_ulid
+
+__all__ = ["JudgedPress", "PressReport", "Recorder"]
+
+
+@dataclass(frozen=True)
+class JudgedPress:
+    """One press with everything that is known before it is counted, made once: a repeated write is the same press.
+
+    result: fields of the ResultPayload but those of its place in the ledger.
+    """
+
+    press: Press
+    result: dict[str, Any]
+    heatmap_png: bytes | None
+
+
+@dataclass(frozen=True)
+class PressReport:
+    """One press as it was recorded and as it will be published."""
+
+    result: ResultPayload
+    gel: GelRecord
+    heatmap_png: bytes | None
+
+
+class Recorder:
+    """Writes presses of one sensor, judged with one bundle at one place in the plant, into the store.
+
+    wear_index: the gel's optical wear when it was last seen free, noted with every press; None until measured.
+    """
+
+    wear_index: float | None = None
+
+    def __init__(self, store: Store, inspector: Inspector, serial: str, place: Place, clock: Clock) -> None:
+        self._store = store
+        self._bundle = inspector.bundle
+        self._serial = serial
+        self._place = place
+        self._clock = clock
+
+    def prepare(self, inspection: Inspection) -> JudgedPress:
+        """Everything of a press but its place in the ledger."""
+        time_ns = self._clock.time_ns()
+        manifest, verdict = self._bundle.manifest, inspection.verdict
+        press = Press(
+            press_id=new_ulid(time_ns),
+            time_ns=time_ns,
+            serial=self._serial,
+            part=manifest.part,
+            position=manifest.position,
+            verdict="error" if verdict is None else verdict.kind.value,
+            score=verdict.score if verdict else None,
+            threshold=manifest.threshold.value,
+            wear_index=self.wear_index,
+        )
+        heatmap = self._heatmap(press, inspection)
+        rejection = verdict.rejection if verdict else None
+        result = {
+            "press_id": press.press_id,
+            "time_ns": time_ns,
+            "site": self._place.site,
+            "line": self._place.line,
+            "station": self._place.station,
+            "part": press.part,
+            "position": press.position,
+            "verdict": None if verdict is None else verdict.kind,
+            "reason": f"{rejection.reason.value}: {rejection.text}" if rejection else None,
+            "error": inspection.error if verdict is None else None,
+            "score": press.score,
+            "threshold": press.threshold,
+            "tolerance": verdict.tolerance if verdict else None,
+            "score_ratio": _ratio(press),
+            "mm_per_pixel": self._bundle.profile.mm_per_pixel,
+            "method": manifest.method,
+            "bundle_id": self._bundle.digest,
+            "sensor_serial": self._serial,
+            "latency_ms": inspection.latency_ms,
+            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
+            **self._defects(inspection),
+        }
+        return JudgedPress(press, result, heatmap)
+
+    def record(self, judged: JudgedPress) -> PressReport:
+        """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
+        made: list[ResultPayload] = []
+
+        def messages(recorded: Recorded) -> Any:
+            made.append(_result(judged, recorded))
+            return press_messages(made[-1], recorded.gel, judged.heatmap_png)
+
+        recorded = self._store.record_press(judged.press, messages)
+        # No messages are made for a press that the database already has.
+        result = made[-1] if made else _result(judged, recorded)
+        return PressReport(result, recorded.gel, judged.heatmap_png)
+
+    def _heatmap(self, press: Press, inspection: Inspection) -> bytes | None:
+        if inspection.rgb is None or inspection.score_map is None or press.score is None:
+            return None
+        caption = PressCaption(
+            press_id=press.press_id,
+            verdict=press.verdict,
+            score=press.score,
+            threshold=self._bundle.manifest.threshold.value,
+            mm_per_pixel=self._bundle.profile.mm_per_pixel,
+            station=str(self._place),
+            part="/".join(word for word in (press.part, press.position) if word),
+            time=iso_time(press.time_ns),
+        )
+        return press_png(inspection.rgb, inspection.score_map, caption)
+
+    def _defects(self, inspection: Inspection) -> dict[str, Any]:
+        """The fields `defects` and `defect_area_mm2`; none for a pass and for a press without a score."""
+        if inspection.score_map is None or inspection.verdict is None or inspection.verdict.kind is Kind.PASS:
+            return {}
+        found = find_defects(inspection.score_map, self._bundle.manifest.threshold.value)
+        x_mm, y_mm = self._bundle.profile.mm_per_pixel
+        return {
+            "defects": [_defect_place(defect, x_mm, y_mm) for defect in found[:MOST_DEFECTS]],
+            "defect_area_mm2": sum(defect.area_px for defect in found) * x_mm * y_mm,
+        }
+
+
+def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
+    gel = recorded.gel
+    return ResultPayload(
+        **judged.result,
+        sequence=recorded.sequence,
+        gel_id=gel.gel_id,
+        gel_presses=gel.presses,
+        gel_limit_presses=gel.limit_presses,
+    )
+
+
+def _ratio(press: Press) -> float | None:
+    """None where there is no such scale."""
+    if press.score is None or press.threshold is None or press.threshold <= 0:
+        return None
+    return press.score / press.threshold
+
+
+def _defect_place(defect: Defect, x_mm: float, y_mm: float) -> DefectPlace:
+    left, top, width, height = defect.box_px
+    x, y = defect.centroid_px
+    return DefectPlace(
+        box_px=defect.box_px,
+        box_mm=(left * x_mm, top * y_mm, width * x_mm, height * y_mm),
+        centroid_px=defect.centroid_px,
+        centroid_mm=(x * x_mm, y * y_mm),
+        area_mm2=defect.area_px * x_mm * y_mm,
+        score=defect.score,
+    )

@@ -1,0 +1,77 @@
+"""The number of a press: counted once, in the transaction that records it, whatever happens to gels and programs."""
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from edge.core.errors import StoreError
+from edge.store.press_store import MakeMessages, Press, Store
+
+MakePress = Callable[..., Press]
+MessagesOf = Callable[..., MakeMessages]
+
+
+def no_messages(recorded: object) -> list[object]:
+    return []
+
+
+@pytest.fixture
+def old_database(path: Path) -> Path:
+    """One that a program wrote which published no sequence numbers: three presses on two gels."""
+    script = (Path(__file__).parent / "data" / "gelgate_v1.sql").read_text(encoding="utf-8")
+    connection = sqlite3.connect(path)
+    connection.executescript(script)
+    connection.close()
+    return path
+
+
+def test_a_change_of_gel_or_sensor_and_a_restart_do_not_reset_it(path: Path, make_press: MakePress) -> None:
+    """1, 2, 3, 4 while the gel's own count begins again."""
+    seen = []
+    with Store(path) as store:
+        seen.append(store.record_press(make_press(1), no_messages))  # type: ignore[arg-type]
+        store.replace_gel("2BNN4ZE7", make_press(2).time_ns)
+        seen.append(store.record_press(make_press(2), no_messages))  # type: ignore[arg-type]
+    with Store(path) as store:
+        seen.append(store.record_press(make_press(3), no_messages))  # type: ignore[arg-type]
+        seen.append(store.record_press(make_press(4, serial="OTHER"), no_messages))  # type: ignore[arg-type]
+
+    assert [one.sequence for one in seen] == [1, 2, 3, 4]
+    assert [one.gel.presses for one in seen] == [1, 1, 2, 1]
+
+
+def test_a_repeated_press_keeps_its_number(store: Store, make_press: MakePress) -> None:
+    """Whoever saw an error and repeats gets the number that was published."""
+    store.record_press(make_press(1), no_messages)  # type: ignore[arg-type]
+    store.record_press(make_press(2), no_messages)  # type: ignore[arg-type]
+
+    assert store.record_press(make_press(1), no_messages).sequence == 1  # type: ignore[arg-type]
+
+
+def test_a_press_that_was_not_recorded_takes_no_number(store: Store, make_press: MakePress) -> None:
+    """No gap appears for a press that was refused."""
+
+    def broken(recorded: object) -> list[object]:
+        raise StoreError("no room")
+
+    with pytest.raises(StoreError):
+        store.record_press(make_press(1), broken)  # type: ignore[arg-type]
+
+    assert store.record_press(make_press(2), no_messages).sequence == 1  # type: ignore[arg-type]
+
+
+def test_a_database_of_the_version_before_goes_on_counting(old_database: Path, make_press: MakePress) -> None:
+    """Its three presses are 1 to 3, so the next one is 4; its gels and waiting messages are still there."""
+    with Store(old_database) as store:
+        store.check()
+        gels = [(gel.gel_id, gel.presses) for gel in store.gels()]
+        recorded = store.record_press(make_press(9), no_messages)  # type: ignore[arg-type]
+
+    connection = sqlite3.connect(old_database)
+    waiting = connection.execute("SELECT count(*) FROM outbox WHERE topic = 'result'").fetchone()[0]
+    connection.close()
+    assert gels == [("2BNN4ZE7-1", 2), ("2BNN4ZE7-2", 1)]
+    assert (recorded.sequence, recorded.gel.presses) == (4, 2)
+    assert waiting == 3
