@@ -25,7 +25,7 @@ def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
 
 def test_the_unit_starts_without_a_sensor() -> None:
     """`run` waits for it; nothing is run before that would end with 4 and make systemd start it again for ever."""
-    lines = (NOTES / "gelgate.service").read_text().splitlines()
+    lines = (SERVICE / "gelgate.service").read_text().splitlines()
     commands = [line.partition("=")[2] for line in lines if line.startswith("Exec")]
 
     assert [command.split()[1:3] for command in commands] == [["run", "--wait-for-device"]]
