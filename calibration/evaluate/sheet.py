@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.evaluate.scoring import Evaluation, ScoredPress
-from edge.gateway.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
 
 __all__ = ["draw_sheet"]
 

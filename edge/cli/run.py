@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from edge.gateway.recorder import PressReport
     from edge.gateway.status import Summary
-    from edge.recorder import PressReport
 
 __all__ = ["EXAMPLE", "check", "press_line", "run", "summary_text"]
 

@@ -26,16 +26,16 @@ from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionS
 from edge.gateway.commands import Commands
 from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.loop_calls import Requests
+from edge.gateway.overload import OverloadRule
 from edge.gateway.parts import device_opener, open_plugin, open_store, sink_names
 from edge.gateway.press_pipeline import PressTaker
+from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import Reporter, Summary
 from edge.messaging.payloads import NoArguments, ReplaceGelArguments, StatePayload, state_message
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.retained_state import Announcements
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from edge.overload import OverloadRule
-from edge.recorder import PressReport, Recorder
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
 

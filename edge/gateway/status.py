@@ -12,6 +12,8 @@ from edge.core.gel import GelState
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.overload import FrameCounts
+from edge.gateway.recorder import PressReport
 from edge.messaging.payloads import (
     AlarmPayload,
     GelPayload,
@@ -26,8 +28,6 @@ from edge.messaging.payloads import (
     stats_message,
 )
 from edge.model.bundle import Bundle
-from edge.overload import FrameCounts
-from edge.recorder import PressReport
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 

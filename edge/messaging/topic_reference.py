@@ -6,7 +6,6 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
-from edge.gateway.heatmap import FULL_SCALE
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
@@ -18,7 +17,8 @@ from edge.messaging.payloads import (
     StatePayload,
     StatsPayload,
 )
-from edge.press_picture import TEXT_KEYWORDS
+from edge.pictures.heatmap import FULL_SCALE
+from edge.pictures.press_picture import TEXT_KEYWORDS
 
 __all__ = ["COMMANDS", "TOPICS", "reference"]
 

@@ -12,7 +12,7 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import GelgateError
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 
 Refusals = (GelgateError, ValueError)
 

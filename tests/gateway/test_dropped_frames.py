@@ -10,7 +10,7 @@ from station import Motion, press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 from edge.recording.format import Recording
 
 

@@ -12,7 +12,7 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.press_store import Store
 
@@ -106,7 +106,7 @@ def test_a_result_says_where_it_comes_from_and_how_far_it_is(
 
 def test_the_picture_names_its_press(finished: tuple[Path, list[PressReport]]) -> None:
     """A picture that was saved under any name says which press it shows, and the verdict of that press."""
-    from edge import png
+    from edge.pictures import png
 
     _, reports = finished
     for report in reports:

@@ -18,7 +18,7 @@ from edge.config import load_config
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 from edge.recording.format import Recording, RecordingWriter
 
 PROFILE = profile("cropped_lr")

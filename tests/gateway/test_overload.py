@@ -10,10 +10,10 @@ from edge.cli.run import summary_text
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.overload import FrameCounts, OverloadRule
+from edge.gateway.recorder import PressReport
 from edge.gateway.status import Reporter, Summary
 from edge.messaging.payloads import ResultPayload
-from edge.overload import FrameCounts, OverloadRule
-from edge.recorder import PressReport
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 

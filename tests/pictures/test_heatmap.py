@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edge.gateway.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
 
 
 def lightness(rgb: np.ndarray) -> np.ndarray:

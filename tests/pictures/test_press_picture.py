@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from edge import png
-from edge.press_picture import TEXT_KEYWORDS, PressCaption, draw_press, press_png
+from edge.pictures import png
+from edge.pictures.press_picture import TEXT_KEYWORDS, PressCaption, draw_press, press_png
 
 CAPTION = PressCaption(
     press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",

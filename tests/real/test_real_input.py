@@ -24,7 +24,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 from edge.recording.from_images import CopyNoise, PressLift, record_images
 from edge.store.press_store import Store
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
-from edge.recorder import PressReport
+from edge.gateway.recorder import PressReport
 
 FREE = resource.RLIM_INFINITY
 # More than the announcements of a halt, less than the heatmap of one press (some 60 kB).

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge import png
-from edge.gateway.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures import png
+from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
 
 __all__ = ["TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
 

@@ -9,7 +9,7 @@ from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.inspector import Inspection, Inspector
 from edge.messaging.payloads import MOST_DEFECTS, DefectPlace, ResultPayload, iso_time, press_messages
-from edge.press_picture import PressCaption, press_png
+from edge.pictures.press_picture import PressCaption, press_png
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import Press, Recorded, Store
 from edge.store.ulid import new_ulid
