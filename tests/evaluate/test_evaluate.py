@@ -132,7 +132,19 @@ def test_reports(tmp_path: Path, dataset: Path) -> None:
     assert str(tmp_path) not in as_json(evaluation)
     sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)
     assert sheet is not None
-    assert sheet.shape == (4 * 274, 8 * 224, 3)
+    assert sheet.shape == (4 * 274 + 52, 8 * 224, 3)
+
+
+def test_the_sheet_has_the_colours_of_the_published_pictures(tmp_path: Path, dataset: Path) -> None:
+    """Its legend is the ramp from nothing to twice the threshold in the station's colour map."""
+    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
+    sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+
+    expected = coloured(np.linspace(0, FULL_SCALE, 448, dtype=np.float32)[None])[0]
+    ramp = sheet[4 * 274 + 12, 8 : 8 + 448]
+    ticks = (ramp != expected).any(axis=1)
+    assert ticks.sum() <= 10  # five ticks of two pixels
+    assert not ticks[100:110].any()
 
 
 def test_only_good_presses_give_reasons(tmp_path: Path, dataset: Path) -> None:
