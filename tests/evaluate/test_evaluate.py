@@ -17,6 +17,7 @@ from edge import cli
 from edge.core.errors import DatasetError, GelgateError
 from edge.model.bundle import write_bundle
 from edge.model.manifest import Provenance, ToleranceEntry
+from edge.pictures.heatmap import FULL_SCALE, coloured
 
 
 def frame(path: Path, square: bool, rng: np.random.Generator) -> None:
