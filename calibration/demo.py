@@ -116,7 +116,7 @@ def _fitted(nominal: Path, path: Path) -> Path:
     from edge.core.imaging.known_profiles import profile
     from edge.core.imaging.region import Region
 
-    detector, sensor = registry.load("detectors", "padim"), profile("mini_lr")
+    detector, sensor = registry.detector("padim"), profile("mini_lr")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     region = Region.centre(sensor.size)
     typer.echo(f"fitting PaDiM on the backbone {trunk.id}")

@@ -13,7 +13,6 @@ from types import NoneType
 from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import typer
-from pydantic import BaseModel
 
 from calibration.benchmark import model_card as card
 from edge import registry
@@ -39,7 +38,7 @@ def cli_page() -> str:
 def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
     """Every command with its words, such as `gelgate gel show`."""
     for name in registry.names("commands"):
-        verb = registry.load("commands", name)
+        verb = registry.command(name)
         if isinstance(verb, typer.Typer):
             for one in verb.registered_commands:
                 if one.callback is not None:
@@ -167,7 +166,7 @@ def _tables(schema: Mapping[str, Any]) -> dict[str, str]:
 
 def _plugins(kind: str, key: str) -> Iterator[str]:
     for name in registry.names(kind):
-        options: type[BaseModel] = registry.load(kind, name).Options
+        options = registry.options(kind, name)
         schema = options.model_json_schema()
         yield f"## {key}: {name}\n\n{_paragraphs(schema['description'])}\n"
         if schema["properties"]:

@@ -133,7 +133,7 @@ def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
     faults: list[str] = []
     for kind, where, plugin in _named_plugins(table):
         try:
-            model = registry.load(kind, str(plugin["plugin"])).Options
+            model = registry.options(kind, str(plugin["plugin"]))
         except ConfigError as error:
             faults.append(f"'{where}.plugin': {error}")
             continue
@@ -141,7 +141,7 @@ def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
     return faults
 
 
-def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGroup, str, Mapping[str, Any]]]:
     device = table.get("device")
     if isinstance(device, dict) and "plugin" in device:
         yield "devices", "device", device
@@ -162,8 +162,8 @@ def _with_paths_from(folder: Path, config: Config) -> Config:
     )
 
 
-def _with_options_from(folder: Path, kind: str, table: PluginTable) -> PluginTable:
-    model = registry.load(kind, table.plugin).Options
+def _with_options_from(folder: Path, kind: registry.PluginGroup, table: PluginTable) -> PluginTable:
+    model = registry.options(kind, table.plugin)
     return table.model_copy(update={"options": _rooted(folder, model, table.options)})
 
 

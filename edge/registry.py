@@ -1,37 +1,145 @@
-"""Names to plugins, through entry points; built-ins and visitors come through the same door.
+"""Names to plugins, through entry points; built-ins and plugins by others come through the same door.
 
-A plugin is loaded only when it is named, so an unused one costs nothing and cannot run.
+A plugin is loaded only when it is named, so an unused one costs nothing and cannot run. What does not meet its
+group's protocol (`edge.core.plugins`) is refused here, so that nobody else has to look.
 """
 
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 
-__all__ = ["load", "names"]
+if TYPE_CHECKING:
+    import typer
+    from pydantic import BaseModel
+
+    from edge.core.detector import Detector
+    from edge.core.plugins import Backbone, DevicePlugin, SinkPlugin
+
+__all__ = [
+    "Group",
+    "PluginGroup",
+    "Verb",
+    "backbone",
+    "command",
+    "detector",
+    "device",
+    "names",
+    "options",
+    "sink",
+]
+
+Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "commands"]
+"""The last part of an entry point group's name, `gelgate.<group>`."""
+
+PluginGroup: TypeAlias = Literal["devices", "sinks"]
+"""The groups whose plugins have a table in the configuration."""
+
+Verb: TypeAlias = "typer.Typer | Callable[..., None]"
+
+
+def names(group: Group) -> list[str]:
+    """The names that can be chosen in a group."""
+    return sorted(_points(group))
+
+
+def device(name: str) -> "DevicePlugin[BaseModel]":
+    """The device plugin of that name.
+
+    Errors, here and below: ConfigError for a name that nobody has or two packages have, with the nearest known one;
+    for a plugin that cannot be loaded; and for an object that is no plugin of this group.
+    """
+    from edge.core.plugins import DevicePlugin
+
+    found = _load("devices", name)
+    if isinstance(found, DevicePlugin):
+        return found
+    raise _no_plugin("devices", name, found, DevicePlugin)
+
+
+def sink(name: str) -> "SinkPlugin[BaseModel]":
+    """The sink plugin of that name. Errors: as `device`."""
+    from edge.core.plugins import SinkPlugin
+
+    found = _load("sinks", name)
+    if isinstance(found, SinkPlugin):
+        return found
+    raise _no_plugin("sinks", name, found, SinkPlugin)
+
+
+def detector(name: str) -> "Detector":
+    """The detector of that name. Errors: as `device`."""
+    from edge.core.detector import Detector
+
+    found = _load("detectors", name)
+    if isinstance(found, Detector):
+        return found
+    raise _no_plugin("detectors", name, found, Detector)
+
+
+def backbone(name: str) -> "Backbone":
+    """The backbone of that name. Errors: as `device`."""
+    from edge.core.plugins import Backbone
+
+    found = _load("backbones", name)
+    if isinstance(found, Backbone):
+        return found
+    raise _no_plugin("backbones", name, found, Backbone)
+
+
+def command(name: str) -> Verb:
+    """The verb of that name: a function, or a group of them. Errors: as `device`."""
+    found = _load("commands", name)
+    if callable(found):
+        return found
+    raise ConfigError(f"the entry point '{name}' of gelgate.commands is no function; correct its package")
+
+
+def options(group: PluginGroup, name: str) -> "type[BaseModel]":
+    """The model of a plugin's TOML table. Errors: as `device`."""
+    return device(name).Options if group == "devices" else sink(name).Options
 
 
 @cache
-def _group(kind: str) -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=f"gelgate.{kind}")}
+def _points(group: Group) -> Mapping[str, list[EntryPoint]]:
+    found: dict[str, list[EntryPoint]] = {}
+    for point in entry_points(group=f"gelgate.{group}"):
+        known = found.setdefault(point.name, [])
+        if point.value not in [one.value for one in known]:
+            known.append(point)
+    return found
 
 
-def names(kind: str) -> list[str]:
-    """The names that can be chosen for a kind: devices, sinks, triggers, actuators, detectors, backbones, commands."""
-    return sorted(_group(kind))
-
-
-def load(kind: str, name: str) -> Any:
-    """The object behind a plugin's name. Errors: ConfigError with the nearest known name, or why it cannot load."""
-    point = _group(kind).get(name)
-    if point is None:
-        raise ConfigError(f"no {kind} plugin is named '{name}'; {suggestion(name, names(kind))}")
+def _load(group: Group, name: str) -> object:
+    points = _points(group).get(name, [])
+    if not points:
+        raise ConfigError(f"no {group} plugin is named '{name}'; {suggestion(name, names(group))}")
+    if len(points) > 1:
+        rivals = " and ".join(f"{point.value} ({_package(point)})" for point in points)
+        raise ConfigError(
+            f"the {group} plugin '{name}' is claimed by {rivals}; uninstall one of the packages"
+        )
     try:
-        return point.load()
+        loaded: object = points[0].load()
     except (ImportError, AttributeError) as error:
         raise ConfigError(
-            f"the {kind} plugin '{name}' ({point.value}) cannot be loaded: {error}; "
-            "install the extra it belongs to, such as pip install 'gelgate[oak]'"
+            f"the {group} plugin '{name}' ({points[0].value}) cannot be loaded: {error}; "
+            f"pip install what it needs, such as the extras of {_package(points[0])}"
         ) from error
+    return loaded
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "an unknown package"
+
+
+def _no_plugin(group: Group, name: str, found: object, protocol: type) -> ConfigError:
+    members = {*vars(protocol), *vars(protocol).get("__annotations__", {})}
+    lacking = sorted(one for one in members if not one.startswith("_") and not hasattr(found, one))
+    return ConfigError(
+        f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
+        f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
+    )

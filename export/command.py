@@ -75,7 +75,7 @@ def tiles(
     if not trunk.is_file() and str(trunk) not in registry.names("backbones"):
         known = ", ".join(registry.names("backbones"))
         raise ConfigError(f"{trunk} is neither a file nor an installed backbone ({known})")
-    plain = trunk.read_bytes() if trunk.is_file() else registry.load("backbones", str(trunk)).trunk()
+    plain = trunk.read_bytes() if trunk.is_file() else registry.backbone(str(trunk)).trunk()
     output.write_bytes(tile_trunk(plain, layout))
     typer.echo(
         f"{output}: {len(layout)} tiles of {size} over {frame}, rows {layout.rows}, columns {layout.columns}"

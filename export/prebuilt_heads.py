@@ -17,23 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge import registry
-from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.detector import Bank, Features, Grid, HasPrebuiltHeads, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.model.session import open_session
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.detectors.shipped import FORMAT, INDEX, identity, written_grid, written_parameters
 
-__all__ = ["FRAMES", "METHODS", "Authored", "Situation", "authored", "invented", "main", "shipped_grid"]
+__all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "shipped_grid"]
 
-METHODS = ("padim", "spade", "fapm", "inreach", "subspace", "patchcore")
-# The default region at low resolution, and the whole picture: (h, w).
-FRAMES = ((224, 224), (240, 320))
 HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "heads"
 # Enough that no number of presses limits anything that a graph could fix.
 _PRESSES = 4
 
 Authored = tuple[dict[str, Any], bytes]
 """An entry of the index without its file, and the graph."""
+
+
+def prebuilt() -> dict[str, tuple[tuple[int, int], ...]]:
+    """The installed detectors whose heads ship, each with the frames (h, w) that it names."""
+    detectors = {name: registry.detector(name) for name in registry.names("detectors")}
+    return {name: one.prebuilt_frames for name, one in detectors.items() if isinstance(one, HasPrebuiltHeads)}
 
 
 def shipped_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
@@ -77,7 +80,7 @@ def _disc(frame: tuple[int, int], part: float) -> NDArray[np.bool_]:
 
 def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
     """The different heads of one method's default settings on one frame."""
-    detector: Detector = registry.load("detectors", method)
+    detector = registry.detector(method)
     parameters = detector.parameters()
     grid = shipped_grid(frame, detector.taps(parameters))
     seen: list[Authored] = []
@@ -117,8 +120,8 @@ def main(home: Path = HOME) -> None:
     """Write every head and the index, and remove heads that are no longer any."""
     entries = []
     home.mkdir(exist_ok=True)
-    for method in METHODS:
-        for frame in FRAMES:
+    for method, frames in prebuilt().items():
+        for frame in frames:
             for number, (entry, graph) in enumerate(authored(method, frame)):
                 name = f"{method}_{frame[1]}x{frame[0]}_{number + 1}.onnx"
                 (home / name).write_bytes(graph)

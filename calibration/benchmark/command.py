@@ -43,7 +43,7 @@ def evaluate_backbone(
     import sys
     from json import dumps
 
-    from calibration.benchmark.evaluation import DETECTORS, RANDOM, evaluate, random_trunk
+    from calibration.benchmark.evaluation import RANDOM, compared_detectors, evaluate, random_trunk
     from calibration.benchmark.model_card import evaluation_tables
     from calibration.fitting.trunks import open_trunk
     from calibration.progress import progress
@@ -65,7 +65,7 @@ def evaluate_backbone(
         found = evaluate(
             graphs,
             sets,
-            methods or DETECTORS,
+            methods or compared_detectors(),
             replicates=replicates,
             workers=workers,
             say=(lambda _: None) if is_terminal or json else lambda line: typer.echo(line, err=True),

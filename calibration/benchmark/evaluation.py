@@ -25,9 +25,9 @@ from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 
 __all__ = [
-    "DETECTORS",
     "RANDOM",
     "Column",
+    "compared_detectors",
     "evaluate",
     "random_trunk",
     "scored_columns",
@@ -35,7 +35,6 @@ __all__ = [
     "used_settings",
 ]
 
-DETECTORS = ("padim", "spade", "fapm", "inreach")
 RANDOM = "random"
 """The name of the column with random weights."""
 
@@ -48,6 +47,11 @@ Column = NDArray[np.float64]
 
 Scored = dict[tuple[str, str], dict[str, Column]]
 """(backbone, detector) to the measures of one trial."""
+
+
+def compared_detectors() -> list[str]:
+    """The detectors that backbones are compared with by default: every installed one that is no baseline."""
+    return [name for name in registry.names("detectors") if not registry.detector(name).is_baseline]
 
 
 def random_trunk() -> bytes:
@@ -77,7 +81,7 @@ class _Task:
 def evaluate(
     trunks: Mapping[str, bytes],
     sets: Mapping[str, EvaluationSet],
-    detectors: Sequence[str] = DETECTORS,
+    detectors: Sequence[str],
     *,
     replicates: int = 200,
     workers: int = 1,
@@ -132,20 +136,20 @@ def scored_columns(
     for trunk, graph in trunks.items():
         taken = _features(graph, trial, _taps(detectors))
         for method in detectors:
-            detector = registry.load("detectors", method)
+            detector = registry.detector(method)
             scored[trunk, method] = trial_columns(detector, taken, trial, replicates)
     return scored
 
 
 def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
     """Every tap that one of the detectors reads."""
-    loaded = [registry.load("detectors", method) for method in detectors]
+    loaded = [registry.detector(method) for method in detectors]
     return tuple(sorted({tap for detector in loaded for tap in detector.taps(detector.parameters())}))
 
 
 def used_settings(method: str) -> dict[str, Any]:
     """Every parameter of the method that the rows are of."""
-    return dict(dataclasses.asdict(registry.load("detectors", method).parameters()))
+    return dict(dataclasses.asdict(registry.detector(method).parameters()))
 
 
 def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:

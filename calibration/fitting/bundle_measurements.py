@@ -10,6 +10,8 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.fitting.nominal_presses import NominalPresses
+from edge import registry
+from edge.core.detector import Detector
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame
@@ -106,8 +108,6 @@ def cost_card(
     )
 
 
-# Methods that have nothing to hold on to where the part lies anywhere.
-PLACE_BY_PLACE = ("padim", "spade", "fapm")
 # Measured: up to 1.8 mm on simulated parts placed by hand, where their contacts are wide and shallow; 4.2 mm and more
 # on balls pressed anywhere, where these methods find a fifth of what inreach does.
 SCATTERED_MM = 3.0
@@ -161,13 +161,13 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
 
 
 def scatter_warnings(
-    presses: NominalPresses, profile: SensorProfile, detector: str, is_scattered: bool = False
+    presses: NominalPresses, profile: SensorProfile, detector: Detector, is_scattered: bool = False
 ) -> list[str]:
     """Whether a method that compares place with place is fitted to contacts that lie anywhere.
 
     Errors: FitError where it is; a warning instead where `is_scattered` says that it is meant.
     """
-    if detector not in PLACE_BY_PLACE or not presses.touches:
+    if not detector.compares_places or not presses.touches:
         return []
     middles = (
         np.array([(touch.x, touch.y) for touch in presses.touches]) * profile.size / profile.pixels_per_mm
@@ -176,12 +176,18 @@ def scatter_warnings(
     if scatter <= SCATTERED_MM:
         return []
     found = (
-        f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector} compares place with "
-        "place and will pass damage; hold the part at one place, or fit inreach"
+        f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector.name} compares place "
+        f"with place and will pass damage; hold the part at one place, or fit {' or '.join(_indifferent())}"
     )
     if not is_scattered:
-        raise FitError(f"{found}; --scattered fits {detector} all the same")
+        raise FitError(f"{found}; --scattered fits {detector.name} all the same")
     return [found]
+
+
+def _indifferent() -> list[str]:
+    """The methods that score a press wherever it lies."""
+    methods = (registry.detector(name) for name in registry.names("detectors"))
+    return [one.name for one in methods if not (one.compares_places or one.is_baseline)]
 
 
 def given_threshold(value: float, alpha: float) -> ThresholdEntry:

@@ -61,6 +61,7 @@ def fit(
     from calibration.progress import Stages
     from edge import registry
     from edge.cli.named_values import named_values
+    from edge.core.detector import Mode
     from edge.core.errors import ConfigError
     from edge.core.imaging.region import Region
 
@@ -68,9 +69,10 @@ def fit(
     if mode not in ("corrected", "paper"):
         raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
     sensor = chosen_profile(profile, sources)
-    detector = registry.load("detectors", method)
+    chosen: Mode = "paper" if mode == "paper" else "corrected"
+    detector = registry.detector(method)
     overrides = named_values("--set", settings or ())
-    parameters = detector.parameters(mode, **overrides)
+    parameters = detector.parameters(chosen, **overrides)
     recipe = Recipe(
         part=part,
         position=position,
@@ -78,7 +80,7 @@ def fit(
         region=Region.parse(region, sensor.size),
         detector=detector,
         trunk=open_trunk(backbone, detector.taps(parameters)),
-        mode="paper" if mode == "paper" else "corrected",
+        mode=chosen,
         overrides=overrides,
         alpha=alpha,
         threshold=threshold,

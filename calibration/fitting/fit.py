@@ -143,7 +143,7 @@ class _Fit:
             )  # refuses too few before any work is done
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
-        self.warnings += scatter_warnings(presses, recipe.profile, self.detector.name, recipe.is_scattered)
+        self.warnings += scatter_warnings(presses, recipe.profile, self.detector, recipe.is_scattered)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
 

@@ -49,6 +49,8 @@ def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
 
 
 def _whole(name: str, taps: Sequence[str]) -> Trunk:
+    from edge.core.plugins import HasFacts  # at use: the command line imports this module for its help
+
     if name.endswith(".onnx") or "/" in name:
         try:
             return Trunk(Path(name).stem, Path(name).read_bytes(), {"file": Path(name).name})
@@ -61,13 +63,12 @@ def _whole(name: str, taps: Sequence[str]) -> Trunk:
         raise ConfigError(
             f"no backbone is named '{name}'; known: {_known()}, or a path to a trunk .onnx file"
         )
-    backbone = registry.load("backbones", name)
-    facts = dict(backbone.facts()) if hasattr(backbone, "facts") else {}
-    usual: bytes = backbone.trunk()
+    backbone = registry.backbone(name)
+    facts = dict(backbone.facts()) if isinstance(backbone, HasFacts) else {}
+    usual = backbone.trunk()
     if set(taps) <= set(output_names(usual)):
         return Trunk(name, usual, facts)
-    asked: bytes = backbone.trunk(tuple(taps))
-    return Trunk(name, asked, {**facts, "taps": list(taps)})
+    return Trunk(name, backbone.trunk(tuple(taps)), {**facts, "taps": list(taps)})
 
 
 def _known() -> str:

@@ -4,11 +4,11 @@ A score is raw and higher is more anomalous. A measure that is undefined (no def
 with a reason, never a number and never a crash.
 """
 
+from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means
+from calibration.metrics.aupro import AUPRO_LIMIT, aupro
 from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
 from calibration.metrics.pixel import PixelMeasures, pixel_measures
-from calibration.metrics.aupro import AUPRO_LIMIT, aupro
 from calibration.metrics.ranking import auroc, average_precision
-from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means
 from calibration.metrics.regions import Regions, label_regions
 from calibration.metrics.summary import REPLICATES, Measure, limit_name, measure
 

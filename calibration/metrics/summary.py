@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
+from calibration.metrics.aupro import AUPRO_LIMIT
 from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
 from calibration.metrics.pixel import pixel_measures
-from calibration.metrics.aupro import AUPRO_LIMIT
 from calibration.metrics.ranking import auroc
-from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
 from calibration.metrics.regions import Maps, Masks
 
 __all__ = ["REPLICATES", "Measure", "limit_name", "measure"]

@@ -59,7 +59,7 @@ def build() -> typer.Typer:
     )
     app.callback()(_options)
     for name in registry.names("commands"):
-        verb = registry.load("commands", name)
+        verb = registry.command(name)
         if isinstance(verb, typer.Typer):
             app.add_typer(verb, name=name)
         else:

@@ -28,7 +28,7 @@ def devices(
     if reset and device is not None:
         _reset(device, option or [])
     if device is not None:
-        registry.load("devices", device)  # a wrong name is refused; a plugin that cannot look is reported
+        registry.device(device)  # a wrong name is refused; a plugin that cannot look is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
     if as_json:
         import json
@@ -48,7 +48,7 @@ def _report(name: str, given: list[str]) -> dict[str, Any]:
     from edge.core.errors import GelgateError
 
     try:
-        plugin = registry.load("devices", name)
+        plugin = registry.device(name)
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
             return {"plugin": name, "seen": [], "note": f"needs --option {missing[0]}=..."}
@@ -83,8 +83,9 @@ def _reset(name: str, given: list[str]) -> None:
     from edge import registry
     from edge.cli.plugin_options import plugin_options
     from edge.core.errors import ConfigError
+    from edge.core.plugins import Resettable
 
-    plugin = registry.load("devices", name)
-    if not hasattr(plugin, "reset"):
+    plugin = registry.device(name)
+    if not isinstance(plugin, Resettable):
         raise ConfigError(f"the device plugin '{name}' has nothing to reset")
     typer.echo(f"reset {plugin.reset(plugin_options('devices', name, plugin.Options, given))}")

@@ -104,7 +104,7 @@ def _from_device(
     from edge.recording.format import RecordingHeader, RecordingWriter
 
     clock = SystemClock()
-    plugin = registry.load("devices", name)
+    plugin = registry.device(name)
     sensor = plugin.open(plugin_options("devices", name, plugin.Options, given), clock)
     try:
         who = sensor.identity

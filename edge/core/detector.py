@@ -1,4 +1,4 @@
-"""What a detector is: parameters, a fit, a float64 oracle, and a graph. See docs/architecture.md.
+"""What a detector is: parameters, a fit, and a graph. See docs/architecture.md and docs/plugins.md.
 
 A detector never touches a file and knows no runtime. Its ONNX head takes the taps of the trunk and one input per
 bank array (same name, unpacked dtype) and gives
@@ -12,14 +12,26 @@ per-method code.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.imaging.tiles import Tiles
 
-__all__ = ["Bank", "Detector", "Features", "Grid", "Mode", "Nominal", "Packing", "Progress", "ScoreMaps"]
+__all__ = [
+    "Bank",
+    "Detector",
+    "Features",
+    "Grid",
+    "HasPrebuiltHeads",
+    "HasReference",
+    "Mode",
+    "Nominal",
+    "Packing",
+    "Progress",
+    "ScoreMaps",
+]
 
 Features = Mapping[str, NDArray[np.float32]]
 """Tap name to feature map, float32 (n, c, h, w), as the trunk gives them."""
@@ -94,14 +106,27 @@ class ScoreMaps:
     score: NDArray[np.float64]
 
 
+@runtime_checkable
 class Detector(Protocol):
-    """One file in `plugins/detectors/`, one object under the entry points `gelgate.detectors`.
+    """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `HasPrebuiltHeads`.
 
-    Parameters are a frozen dataclass of plain values; the same ones go to `fit`, `reference_score` and `head`, and
-    into the manifest.
+    Parameters are a frozen dataclass of plain values; the same ones go to `fit` and `head`, and into the manifest.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """The method's name in manifests and messages; that of the entry point."""
+        ...
+
+    @property
+    def compares_places(self) -> bool:
+        """Whether a press is compared with the same place of the nominal ones, so that parts must lie alike."""
+        ...
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether it is there to be compared with; such are left out where methods are compared by default."""
+        ...
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> Any:
         """The mode's parameters with overrides. Errors: FitError for an unknown name or a value out of range."""
@@ -117,10 +142,25 @@ class Detector(Protocol):
         """Learn the bank. Errors: FitError (no presses, non-finite features, nothing left after filtering)."""
         ...
 
-    def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
-        """The float64 oracle: readable NumPy that the graph is held against."""
-        ...
-
     def head(self, grid: Grid, bank: Bank, parameters: Any) -> bytes:
         """The serialised ONNX graph for this grid. Imports onnx at use."""
+        ...
+
+
+@runtime_checkable
+class HasReference(Protocol):
+    """A detector with a float64 oracle, which `plugins.conformance.check_detector` compares the graph with."""
+
+    def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
+        """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`."""
+        ...
+
+
+@runtime_checkable
+class HasPrebuiltHeads(Protocol):
+    """A detector of this product whose heads are stored with it, so that a fit needs no onnx package."""
+
+    @property
+    def prebuilt_frames(self) -> tuple[tuple[int, int], ...]:
+        """The (h, w) of the frames for which `make heads` stores heads with the default parameters."""
         ...

@@ -1,12 +1,20 @@
-"""The ports: what a plugin must answer. Each has one or two verbs; everything else is the plugin's own affair."""
+"""The ports: what plugins open. Each has one or two verbs; optional abilities are protocols of their own."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from edge.core.imaging.frames import CameraFrame
 
-__all__ = ["Clock", "Device", "DeviceIdentity", "Message", "PluginOptions", "Sighting", "Sink"]
+__all__ = [
+    "Clock",
+    "CountsStale",
+    "Device",
+    "DeviceIdentity",
+    "Message",
+    "OnDemand",
+    "Sighting",
+    "Sink",
+]
 
 
 class Clock(Protocol):
@@ -47,7 +55,10 @@ class Sighting:
 
 @runtime_checkable
 class Device(Protocol):
-    """A source of camera frames. A frame is new or it is an error; nothing is ever delivered twice."""
+    """A source of camera frames. A frame is new or it is an error; nothing is ever delivered twice.
+
+    Optional: `OnDemand`, `CountsStale`.
+    """
 
     @property
     def identity(self) -> DeviceIdentity: ...
@@ -63,6 +74,22 @@ class Device(Protocol):
     def close(self) -> None:
         """Give everything back; harmless when repeated."""
         ...
+
+
+@runtime_checkable
+class OnDemand(Protocol):
+    """A device that may make frames as fast as they are read; then the reader waits instead of dropping."""
+
+    @property
+    def on_demand(self) -> bool: ...
+
+
+@runtime_checkable
+class CountsStale(Protocol):
+    """A device that counts the frames which came a second time and were left out."""
+
+    @property
+    def stale(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -88,7 +115,3 @@ class Sink(Protocol):
     def close(self) -> None:
         """Say goodbye properly; harmless when repeated."""
         ...
-
-
-PluginOptions = Mapping[str, object]
-"""The TOML table of a plugin, validated by the plugin's own `Options` model."""

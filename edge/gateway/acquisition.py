@@ -12,14 +12,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Self
 
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
-from edge.core.ports import Clock, Device, DeviceIdentity
+from edge.core.ports import Clock, CountsStale, Device, DeviceIdentity, OnDemand
 
-__all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus", "OnDemand"]
+__all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
 
 # Frames over which the delivered rate is taken: two seconds at 18.75 fps.
 _RATE_FRAMES = 38
@@ -31,19 +31,6 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
 # A consumer this far behind is sent to the newest frame. A frame older than 1 s is refused when it is judged, and the
 # one that a press is judged by may be some frames older than the one that decides.
 _LONGEST_BACKLOG_NS = 800_000_000
-
-
-@runtime_checkable
-class OnDemand(Protocol):
-    """A device may say that it makes frames as fast as they are read: then the reader waits instead of dropping.
-
-    It may also count, in `stale`, the frames that came twice.
-    """
-
-    on_demand: bool
-
-    @property
-    def stale(self) -> int: ...
 
 
 class AcquisitionState(Enum):
@@ -109,7 +96,8 @@ class Acquisition:
         self._ending: BaseException | None = None
         self._sequence = -1
         self._stale_before = 0
-        self._counting: OnDemand | None = None
+        self._counting: CountsStale | None = None
+        self._is_waiting = False  # for the consumer, instead of dropping
         self._openings = 0
         self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
 
@@ -226,7 +214,8 @@ class Acquisition:
                 "back, or restart to go on with the other: wear is counted for each sensor's own gel"
             )
         self._openings += 1
-        self._counting = device if isinstance(device, OnDemand) else None
+        self._counting = device if isinstance(device, CountsStale) else None
+        self._is_waiting = isinstance(device, OnDemand) and device.on_demand
         self._times_ns.clear()
         self._sequence += 1  # whatever passed while it was away leaves a gap
         self._set(
@@ -239,7 +228,7 @@ class Acquisition:
     def _deliver(self, frame: CameraFrame) -> None:
         self._times_ns.append(frame.timestamp_ns)
         with self._changed:
-            if self._counting is not None and self._counting.on_demand:
+            if self._is_waiting:
                 self._changed.wait_for(lambda: len(self._frames) < self._depth or self._closing.is_set())
             self._sequence += 1
             self._frames.append(replace(frame, sequence=self._sequence))

@@ -27,7 +27,7 @@ from edge.gateway.commands import Commands
 from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.loop_calls import Requests
 from edge.gateway.overload import OverloadRule
-from edge.gateway.parts import device_opener, open_plugin, open_store, sink_names
+from edge.gateway.parts import device_opener, open_sink, open_store, sink_names
 from edge.gateway.press_pipeline import PressTaker
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import Reporter, Summary
@@ -175,7 +175,7 @@ class Gateway:
         names = sink_names(self._config.sinks)
         sinks: dict[str, Sink] = {}
         for name, chosen in zip(names, self._config.sinks, strict=True):
-            sinks[name] = sink = open_plugin("sinks", chosen, station)
+            sinks[name] = sink = open_sink(chosen, station)
             self._parts.callback(sink.close)  # harmless after the publisher's own closing
         return sinks
 

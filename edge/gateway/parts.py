@@ -2,15 +2,15 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from edge import registry
 from edge.config import Config, PluginTable
-from edge.core.ports import Clock, Device
+from edge.core.ports import Clock, Device, Sink
+from edge.core.sink_context import Station
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
-__all__ = ["device_opener", "open_plugin", "open_store", "sink_names"]
+__all__ = ["device_opener", "open_sink", "open_store", "sink_names"]
 
 
 def open_store(config: Config) -> Store:
@@ -18,9 +18,9 @@ def open_store(config: Config) -> Store:
     return Store(config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction)
 
 
-def open_plugin(kind: str, table: PluginTable, *context: object) -> Any:
-    plugin = registry.load(kind, table.plugin)
-    return plugin.open(plugin.Options.model_validate(table.options), *context)
+def open_sink(table: PluginTable, station: Station) -> Sink:
+    plugin = registry.sink(table.plugin)
+    return plugin.open(plugin.Options.model_validate(table.options), station)
 
 
 def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:
@@ -28,17 +28,13 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
 
     Camera controls are those of the bundle's sensor profile; the configuration may set some of them otherwise.
     """
-    plugin = registry.load("devices", table.plugin)
+    plugin = registry.device(table.plugin)
     given = dict(table.options)
     if "controls" in plugin.Options.model_fields:
         given["controls"] = {**controls, **given.get("controls", {})}
     options = plugin.Options.model_validate(given)
 
-    def opened() -> Device:
-        device: Device = plugin.open(options, clock)
-        return device
-
-    return opened
+    return lambda: plugin.open(options, clock)
 
 
 def sink_names(tables: list[PluginTable]) -> list[str]:

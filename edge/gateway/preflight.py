@@ -9,7 +9,7 @@ from edge import registry
 from edge.clock import SystemClock
 from edge.config import Config, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
-from edge.core.ports import Device
+from edge.core.plugins import HasAddress
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -63,7 +63,7 @@ def _bundle(config: Config) -> str:
 
 
 def _sensor(config: Config) -> str:
-    plugin = registry.load("devices", config.device.plugin)
+    plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     if not plugin.find(options):
         seen = "; ".join(one.refusal for one in plugin.survey(options) if one.refusal)
@@ -72,7 +72,7 @@ def _sensor(config: Config) -> str:
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")
         )
     # Found is not enough: another process may hold it.
-    device: Device = plugin.open(options, SystemClock())
+    device = plugin.open(options, SystemClock())
     sensor = device.identity
     device.close()
     native = Bundle.load(config.inspection.bundle).profile.native
@@ -95,8 +95,8 @@ def _database(config: Config) -> str:
 
 def _reachable(table: PluginTable, key: str) -> str:
     """Errors: ConfigError for an address that does not exist, or files that cannot be used."""
-    options = registry.load("sinks", table.plugin).Options.model_validate(table.options)
-    if not hasattr(options, "address"):
+    options = registry.options("sinks", table.plugin).model_validate(table.options)
+    if not isinstance(options, HasAddress):
         return "needs no connection"
     host, port = options.address()
     later = "results will wait in the outbox"

@@ -59,7 +59,6 @@ ALARMS: Final[Mapping[str, str]] = {
     "refused": "a receiver refused a message; it is kept and offered again every hour and at each start",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
-    "bundle": "a bundle was refused; the one before it stays in use",
 }
 """Alarm id to meaning. All are cleared at start, so that none outlives the process that raised it."""
 

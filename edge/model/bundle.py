@@ -312,7 +312,7 @@ def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | 
     if backbone.id not in registry.names("backbones"):
         return None
     try:
-        whole: bytes = registry.load("backbones", backbone.id).trunk()
+        whole = registry.backbone(backbone.id).trunk()
         candidates = (whole, cut_trunk(whole, taps))
     except (GelgateError, GraphRefused, ImportError):
         return None

@@ -35,6 +35,7 @@ from plugins.detectors.maths.prototypes import (
 )
 from plugins.detectors.maths.smoothing import emit_scores
 from plugins.detectors.maths.weighting import emit_first, emit_weighted, softmax_weight
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
@@ -56,6 +57,9 @@ class Fapm:
     """FAPM under the entry points `gelgate.detectors`."""
 
     name = "fapm"
+    compares_places = True
+    is_baseline = False
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> FapmParameters:
         """The mode's parameters with overrides. Errors: FitError."""

@@ -25,6 +25,7 @@ from plugins.detectors.inreach_parameters import PAPER, REPAIRS, InreachParamete
 from plugins.detectors.maths.coreset import k_centre
 from plugins.detectors.maths.mosaic import layout
 from plugins.detectors.maths.smoothing import emit_scores
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["InreachParameters", "inreach"]
@@ -34,6 +35,9 @@ class Inreach:
     """InReaCh under the entry points `gelgate.detectors`."""
 
     name = "inreach"
+    compares_places = False
+    is_baseline = False
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> InreachParameters:
         """The mode's parameters with overrides. Errors: FitError."""

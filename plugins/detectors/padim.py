@@ -34,6 +34,7 @@ from plugins.detectors.maths.lowrank import Spectrum, covariance_spectrum, mahal
 from plugins.detectors.maths.mosaic import cell_blocks, layout, neighbourhood
 from plugins.detectors.maths.smoothing import emit_scores
 from plugins.detectors.padim_parameters import PAPER, REPAIRS, PadimParameters
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PadimParameters", "padim"]
@@ -43,6 +44,9 @@ class Padim:
     """The detector. A press's score is the maximum of its smoothed map."""
 
     name = "padim"
+    compares_places = True
+    is_baseline = False
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PadimParameters:
         """See PadimParameters. Errors: FitError."""

@@ -28,6 +28,7 @@ from plugins.detectors.maths.smoothing import (
     blur_px,
     emit_scores,
 )
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
@@ -131,6 +132,9 @@ class Patchcore:
     """PatchCore under the entry points `gelgate.detectors`."""
 
     name = "patchcore"
+    compares_places = False
+    is_baseline = True
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PatchcoreParameters:
         """The mode's parameters with overrides. Errors: FitError."""

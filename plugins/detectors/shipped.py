@@ -17,6 +17,7 @@ from edge.core.detector import Bank, Detector, Grid
 
 __all__ = [
     "INDEX",
+    "PREBUILT_FRAMES",
     "ShippedHead",
     "identity",
     "load_index",
@@ -26,6 +27,9 @@ __all__ = [
 ]
 
 INDEX = "index.json"
+PREBUILT_FRAMES = ((224, 224), (240, 320))
+"""(h, w) of the frames that heads ship for: the default region at low resolution, and the whole picture."""
+
 FORMAT = 1
 _HEADS = resources.files("plugins.detectors").joinpath("heads")
 

@@ -31,6 +31,7 @@ from plugins.detectors.maths.free_gel import (
 from plugins.detectors.maths.mosaic import join, layout, split, stacked
 from plugins.detectors.maths.rotation import Rotation, fit_rotation
 from plugins.detectors.maths.window import Tables, window_nearest
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.detectors.spade_head import spade_head
 from plugins.detectors.spade_parameters import PAPER, REPAIRS, SpadeParameters
 
@@ -50,6 +51,9 @@ class Spade:
     """SPADE under the entry points `gelgate.detectors`."""
 
     name = "spade"
+    compares_places = True
+    is_baseline = False
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SpadeParameters:
         """The mode's parameters with overrides. Errors: FitError."""

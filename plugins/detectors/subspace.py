@@ -27,6 +27,7 @@ from plugins.detectors.maths.embedding import (
 )
 from plugins.detectors.maths.lowrank import RELATIVE_CUT
 from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
+from plugins.detectors.shipped import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
@@ -95,6 +96,9 @@ class Subspace:
     """The detector. A press's score is the maximum of its smoothed map."""
 
     name = "subspace"
+    compares_places = False
+    is_baseline = True
+    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SubspaceParameters:
         """See SubspaceParameters. Errors: FitError."""

@@ -46,7 +46,7 @@ class GelsightMiniOptions(BaseModel):
 
 
 class GelsightMini:
-    """The plugin (see `edge.plugin.DevicePlugin`)."""
+    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
 
     Options = GelsightMiniOptions
 

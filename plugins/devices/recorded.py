@@ -100,7 +100,7 @@ class RecordedSensor:
 
 
 class Recorded:
-    """The plugin (see `edge.plugin.DevicePlugin`)."""
+    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
 
     Options = RecordedOptions
 

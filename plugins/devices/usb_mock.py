@@ -93,7 +93,7 @@ class Bench:
 
 
 class UsbMock:
-    """The plugin (see `edge.plugin.DevicePlugin`)."""
+    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
 
     Options = UsbMockOptions
 

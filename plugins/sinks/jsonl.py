@@ -17,12 +17,12 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 
-__all__ = ["JsonlSink", "Options", "open"]
+__all__ = ["Jsonl", "JsonlOptions", "JsonlSink", "plugin"]
 
 _SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
-class Options(BaseModel):
+class JsonlOptions(BaseModel):
     """Every message becomes a line of a file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -79,6 +79,14 @@ class JsonlSink:
                 raise
 
 
-def open(options: Options, station: Station) -> JsonlSink:
-    """The folder's sink. Birth messages are not written: they say nothing that the log does not."""
-    return JsonlSink(options.folder, station.root)
+class Jsonl:
+    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+
+    Options = JsonlOptions
+
+    def open(self, options: JsonlOptions, station: Station) -> JsonlSink:
+        """The folder's sink. Birth messages are not written: they say nothing that the log does not."""
+        return JsonlSink(options.folder, station.root)
+
+
+plugin = Jsonl()

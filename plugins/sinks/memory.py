@@ -10,10 +10,10 @@ from pydantic import BaseModel, ConfigDict
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 
-__all__ = ["MemorySink", "Options", "open"]
+__all__ = ["Memory", "MemoryOptions", "MemorySink", "plugin"]
 
 
-class Options(BaseModel):
+class MemoryOptions(BaseModel):
     """It has no options."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -39,9 +39,17 @@ class MemorySink:
         """Nothing to give back; the messages stay readable."""
 
 
-def open(options: Options, station: Station) -> MemorySink:
-    """An empty sink, which hears the station's birth messages at once."""
-    sink = MemorySink()
-    for message in station.birth():
-        sink.send(message)
-    return sink
+class Memory:
+    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+
+    Options = MemoryOptions
+
+    def open(self, options: MemoryOptions, station: Station) -> MemorySink:
+        """An empty sink, which hears the station's birth messages at once."""
+        sink = MemorySink()
+        for message in station.birth():
+            sink.send(message)
+        return sink
+
+
+plugin = Memory()

@@ -27,7 +27,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.mqtt_connection import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
 
-__all__ = ["MqttSink", "Options", "TlsOptions", "open"]
+__all__ = ["Mqtt", "MqttOptions", "MqttSink", "TlsOptions", "plugin"]
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +57,7 @@ class TlsOptions(BaseModel):
         return self
 
 
-class Options(BaseModel):
+class MqttOptions(BaseModel):
     """Where the broker is. The password stands in a file of its own, so that the configuration can be shown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -272,10 +272,18 @@ class MqttSink:
                 log.warning("a response was not delivered: %s", error)
 
 
-def open(options: Options, station: Station) -> MqttSink:
-    """A sink that begins to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
-    backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
-    return MqttSink(options.broker(station.client_id), station, backoff)
+class Mqtt:
+    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+
+    Options = MqttOptions
+
+    def open(self, options: MqttOptions, station: Station) -> MqttSink:
+        """A sink that begins to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
+        backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
+        return MqttSink(options.broker(station.client_id), station, backoff)
+
+
+plugin = Mqtt()
 
 
 def _password(path: Path) -> str:

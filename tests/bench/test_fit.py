@@ -61,7 +61,7 @@ def test_fit_beside_extraction(name: str, presses: int) -> None:
     print(f"\n{name}, {presses} presses, processor time")
     known = {}
     for method in METHODS:
-        detector = registry.load("detectors", method)
+        detector = registry.detector(method)
         parameters = detector.parameters()
         last = max(detector.taps(parameters))
         if last not in known:

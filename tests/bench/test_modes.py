@@ -34,7 +34,7 @@ def test_published_and_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
             detector = load("detectors", method)
             chosen = Chosen(detector, "paper", changes) if mode == "paper" else detector
             with monkeypatch.context() as patch:
-                patch.setattr(registry, "load", lambda kind, name, chosen=chosen: chosen)
+                patch.setattr(registry, "detector", lambda name, chosen=chosen: chosen)
                 rows = [scored_columns(trunks, trial, [method], 0)["shipped", method] for trial in trials]
             pro, auroc = (np.mean([row[name][0] for row in rows]) for name in ("aupro_fpr01", "image_auroc"))
             print(f"\n{method:10s} {mode:10s} AU-PRO {pro:.3f}  image AUROC {auroc:.3f}", end="")

@@ -63,8 +63,8 @@ def test_operating_point(
 ) -> None:
     """Prints the line of one setting."""
     method, changes = POINTS[name]
-    chosen = Chosen(registry.load("detectors", method), "corrected", changes)
-    monkeypatch.setattr(registry, "load", lambda kind, name: chosen)
+    chosen = Chosen(registry.detector(method), "corrected", changes)
+    monkeypatch.setattr(registry, "detector", lambda name: chosen)
     rows = [scored_columns(trunks, trial, [method], 0) for trial in trials]
     found = []
     for trunk in trunks:

@@ -70,7 +70,7 @@ def heading() -> None:
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_score_against_bare_trunk(row: Row) -> None:
     """Frame to score map takes its trunk's time and a little more: medians in ms, bank in MB, fit in s."""
-    detector = registry.load("detectors", row.method)
+    detector = registry.detector(row.method)
     parameters = detector.parameters(row.mode, **row.overrides)
     trunk = open_trunk(row.backbone, detector.taps(parameters))
     h, w = row.frame

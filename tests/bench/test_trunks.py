@@ -195,7 +195,7 @@ def test_the_shipped_backbone_in_each_precision() -> None:
         f"{'':12s}{'precision':>12s}{'trunk':>8s}{'head':>8s}{'both':>8s}{'x trunk':>9s}{'x whole trunk':>15s}"
     )
     for method in METHODS:
-        detector = registry.load("detectors", method)
+        detector = registry.detector(method)
         parameters = detector.parameters()
         taps = detector.taps(parameters)
         grid = Grid((224, 224), {tap: features[tap].shape[1:] for tap in taps}, 15.77)

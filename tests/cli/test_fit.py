@@ -24,9 +24,9 @@ def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
     )
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "site")])
-    registry._group.cache_clear()
+    registry._points.cache_clear()
     yield
-    registry._group.cache_clear()
+    registry._points.cache_clear()
 
 
 @pytest.fixture

@@ -237,6 +237,6 @@ def test_a_plugin_that_cannot_be_imported_says_what_to_install(
     from importlib.metadata import EntryPoint
 
     broken = EntryPoint("lamp", value, "gelgate.devices")
-    monkeypatch.setattr(registry, "_group", lambda kind: {"lamp": broken})
+    monkeypatch.setattr(registry, "_points", lambda group: {"lamp": [broken]})
     with pytest.raises(ConfigError, match=r"'lamp' .* cannot be loaded: .*no_such_p.*pip install"):
-        registry.load("devices", "lamp")
+        registry.device("lamp")

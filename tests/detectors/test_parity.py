@@ -58,7 +58,7 @@ def test_every_method_is_compared() -> None:
 
 def error(method: str, mode: str, topology: str, touched: np.ndarray | None = None) -> float:
     """The largest relative error of map and score; the press with the defect scores higher in the oracle."""
-    detector = registry.load("detectors", method)
+    detector = registry.detector(method)
     nominal, asked, grid = seen(topology)
     parameters = detector.parameters(mode, **CHOICES.get((method, mode, topology), {}))
     bank = fitted(detector, parameters, Nominal(nominal, touched), grid)

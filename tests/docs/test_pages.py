@@ -75,7 +75,7 @@ def test_every_key_of_the_configuration_is_in_the_manual() -> None:
         for name in registry.names(kind):
             section = page.partition(f"## {place}: {name}\n")[2].partition("\n## ")[0]
             assert section, name
-            options = registry.load(kind, name).Options
+            options = registry.options(kind, name)
             missing += [
                 f"{name}.{key}" for key in keys(options) if not re.search(rf"`(\w+\.)?{key}`", section)
             ]

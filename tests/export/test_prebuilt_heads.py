@@ -14,9 +14,9 @@ from edge import registry
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
-from export.prebuilt_heads import FRAMES, METHODS, Situation, authored, invented, shipped_grid
+from export.prebuilt_heads import Situation, authored, invented, prebuilt, shipped_grid
 from plugins.detectors import shipped
-from plugins.detectors.shipped import load_index, shipped_head
+from plugins.detectors.shipped import PREBUILT_FRAMES, load_index, shipped_head
 
 
 def described(graph: bytes) -> tuple[list[str], list[np.ndarray]]:
@@ -34,11 +34,11 @@ def assert_same_head(found: bytes, expected: bytes) -> None:
         np.testing.assert_allclose(constant, number, rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", prebuilt())
 def test_what_ships_is_what_the_detector_writes(method: str) -> None:
     """File for file and entry for entry; after a change to a detector `make heads` writes them again."""
     stored = {(head.file, str(head.grid)): head for head in load_index() if head.file.startswith(method)}
-    written = [(entry, graph) for frame in FRAMES for entry, graph in authored(method, frame)]
+    written = [(entry, graph) for frame in PREBUILT_FRAMES for entry, graph in authored(method, frame)]
     assert len(stored) == len(written), "run `make heads`"
     for head, (entry, graph) in zip(stored.values(), written, strict=True):
         assert dict(head.parameters) == entry["parameters"], "run `make heads`"
@@ -50,14 +50,14 @@ def test_what_ships_is_what_the_detector_writes(method: str) -> None:
 
 
 def bank_of(method: str, nominal: Nominal, grid: Grid) -> Bank:
-    detector = registry.load("detectors", method)
+    detector = registry.detector(method)
     bank: Bank = detector.fit(
         nominal, grid, detector.parameters(), np.random.default_rng(3), lambda fraction: None
     )
     return bank
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", prebuilt())
 @pytest.mark.parametrize(
     ("presses", "touched", "has_free_gel"),
     [(1, None, False), (2, 0.4, False), (3, 0.1, True), (7, 0.3, True), (4, 9.0, True)],
@@ -66,8 +66,8 @@ def test_a_head_that_fits_is_the_head_of_that_bank(
     method: str, presses: int, touched: float | None, has_free_gel: bool
 ) -> None:
     """Whatever the presses a shipped head is found, and the detector would have written the same for this bank."""
-    detector = registry.load("detectors", method)
-    grid = shipped_grid(FRAMES[0], detector.taps(detector.parameters()))
+    detector = registry.detector(method)
+    grid = shipped_grid(PREBUILT_FRAMES[0], detector.taps(detector.parameters()))
     bank = bank_of(method, invented(grid, presses, Situation(touched, has_free_gel)), grid)
     found = shipped_head(detector, grid, bank, detector.parameters())
     assert found is not None
@@ -76,9 +76,9 @@ def test_a_head_that_fits_is_the_head_of_that_bank(
 
 def test_another_frame_setting_trunk_or_plugin_has_no_shipped_head() -> None:
     """Everything that a graph depends on is compared: parameters, grid, the bank's arrays and the class itself."""
-    padim = registry.load("detectors", "padim")
+    padim = registry.detector("padim")
     p = padim.parameters()
-    grid = shipped_grid(FRAMES[0], padim.taps(p))
+    grid = shipped_grid(PREBUILT_FRAMES[0], padim.taps(p))
     bank = bank_of("padim", invented(grid, 4, Situation(0.25, True)), grid)
     assert shipped_head(padim, grid, bank, p) is not None
     assert shipped_head(padim, grid, bank, replace(p, ridge=2 * p.ridge)) is None
@@ -102,7 +102,7 @@ def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(shipped, "INDEX", "nothing.json")
     load_index.cache_clear()
     try:
-        subspace = registry.load("detectors", "subspace")
+        subspace = registry.detector("subspace")
         p = subspace.parameters()
         grid = shipped_grid((64, 64), subspace.taps(p))
         bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
@@ -141,7 +141,7 @@ presses = NominalPresses(frames, tuple("abcd"), touched=touched, no_contact=fram
 sensor = profile("mini_lr")
 
 def fit(method, **overrides):
-    detector = registry.load("detectors", method)
+    detector = registry.detector(method)
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters(**overrides)))
     region = Region.centre(sensor.size)
     recipe = Recipe("bolt", "top", sensor, region, detector, trunk, overrides=overrides, alpha=0.5, folds=2)
@@ -169,7 +169,7 @@ def test_every_method_is_fitted_where_onnx_is_missing() -> None:
 
 def test_a_missing_package_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     """The extra to install, and what needs none."""
-    subspace = registry.load("detectors", "subspace")
+    subspace = registry.detector("subspace")
     p = subspace.parameters(sigma=1.0)
     grid = shipped_grid((64, 64), subspace.taps(p))
     bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)

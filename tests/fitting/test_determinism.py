@@ -27,7 +27,7 @@ def frames(n: int, seed: int) -> np.ndarray:
 
 @pytest.fixture(scope="module", params=registry.names("detectors"))
 def bundle(request: pytest.FixtureRequest) -> Bundle:
-    detector = registry.load("detectors", request.param)
+    detector = registry.detector(request.param)
     recipe = Recipe(
         part="pin",
         position="top",

@@ -314,7 +314,7 @@ class Resnet18:
 def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """The usual trunk is kept where it has the taps, so that parts which read equally deep share one file."""
     monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
-    monkeypatch.setattr(registry, "load", lambda kind, name: Resnet18())
+    monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
     usual = open_trunk("mine")
     assert open_trunk("mine", ("layer2",)).sha256 == usual.sha256
     deep = open_trunk("mine", ("layer2.0",))
@@ -329,20 +329,21 @@ def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> Non
 
     class Padim(tiny.TinyDetector):
         name = "padim"
+        compares_places = True
 
     wide = dataclasses.replace(tiny.PROFILE, pixels_per_mm=2.0)
     anywhere, fixed = (
         presses(4, touches=tuple(Touch(0.2, 0.5 + side * mm / 48, 0.5) for side in (-1, 1, -1, 1)))
         for mm in (8.0, 1.0)
     )
-    (said,) = scatter_warnings(anywhere, wide, "padim", is_scattered=True)
+    (said,) = scatter_warnings(anywhere, wide, Padim(), is_scattered=True)
     assert said.startswith(
         "half of the contacts lie more than 4.0 mm from their common middle: padim compares"
     )
     assert "fit inreach" in said
     with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
         fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test")
-    for given, method in ((anywhere, "inreach"), (fixed, "padim"), (presses(4), "padim")):
+    for given, method in ((anywhere, tiny.TINY), (fixed, Padim()), (presses(4), Padim())):
         assert scatter_warnings(given, wide, method) == []
     meant = recipe(detector=Padim(), profile=wide, is_scattered=True)
     warned = fit_files(anywhere, meant, created="test").manifest

@@ -33,7 +33,7 @@ def scorer(gelslam: Path) -> Scorer:
     folders = [gelslam / "6.310mm" / str(k) for k in range(24)]
     presses = read_presses(folders, PROFILE, REGION, no_contact=[gelslam / "background.png"])
     assert len(presses.touches) == 24
-    detector = registry.load("detectors", "subspace")
+    detector = registry.detector("subspace")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     recipe = Recipe("ball", "any", PROFILE, REGION, detector, trunk)
     return Scorer(fit_files(presses, recipe, created="test").bundle())

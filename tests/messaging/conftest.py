@@ -9,8 +9,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_connection import Broker, Connection, Received
-from plugins.sinks.mqtt import MqttSink, Options
-from plugins.sinks.mqtt import open as open_sink
+from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
 
@@ -101,8 +100,10 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
             birth=lambda: [Message("state", b'{"state":"ready"}', retain=True)],
             on_command=on_command,
         )
-        chosen = Options.model_validate({"host": broker.host, "port": broker.port, "retry_s": 1.0, **options})
-        opened.append(open_sink(chosen, station))
+        chosen = MqttOptions.model_validate(
+            {"host": broker.host, "port": broker.port, "retry_s": 1.0, **options}
+        )
+        opened.append(plugin.open(chosen, station))
         return opened[-1]
 
     yield make

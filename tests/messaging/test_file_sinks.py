@@ -26,7 +26,7 @@ def lines(folder: Path) -> list[dict[str, object]]:
 @pytest.mark.parametrize("name", ["jsonl", "memory", "mqtt"])
 def test_each_is_found_by_its_name(name: str) -> None:
     """Through the same door as a visitor's plugin: options, and open."""
-    plugin = registry.load("sinks", name)
+    plugin = registry.sink(name)
 
     assert plugin.Options.model_config["extra"] == "forbid"
     assert callable(plugin.open)
@@ -34,7 +34,7 @@ def test_each_is_found_by_its_name(name: str) -> None:
 
 def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
     """Birth first, then what was sent."""
-    sink = memory.open(memory.Options(), STATION)
+    sink = memory.plugin.open(memory.MemoryOptions(), STATION)
     sink.send(Message("result", b"1"))
     sink.close()
     sink.close()
@@ -45,7 +45,7 @@ def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
 
 def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
     """JSON stays JSON, an empty payload is null, a picture lies beside under its topic."""
-    sink = jsonl.open(jsonl.Options(folder=tmp_path / "log"), STATION)
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path / "log"), STATION)
     sink.send(Message("result", '{"part":"Bügel"}'.encode()))
     sink.send(Message("heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV", b"png", content_type="image/png"))
     sink.send(Message("alarm/gel", b"", retain=True))
@@ -63,7 +63,7 @@ def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
     """The outbox keeps the row; the sentence names the folder."""
     (tmp_path / "file").write_text("")
-    sink = jsonl.open(jsonl.Options(folder=tmp_path / "file" / "log"), STATION)
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path / "file" / "log"), STATION)
 
     with pytest.raises(SinkUnavailable, match=r"file/log cannot be written"):
         sink.send(Message("result", b"{}"))
@@ -71,7 +71,7 @@ def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
 
 def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
     """What did not fit is taken back, so the next line can be read when there is room again."""
-    sink = jsonl.open(jsonl.Options(folder=tmp_path), STATION)
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
     sink.send(Message("result", b'{"n":1}'))
     child = os.fork()
     if child == 0:

@@ -18,8 +18,7 @@ from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message, Sink
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_connection import Broker, Connection, Outgoing
-from plugins.sinks.mqtt import MqttSink, Options
-from plugins.sinks.mqtt import open as open_sink
+from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
 
 from .conftest import ROOT, Listener, require
 
@@ -105,10 +104,10 @@ def test_the_will_is_published_when_the_process_dies(
 import time
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from plugins.sinks.mqtt import Options, open
+from plugins.sinks.mqtt import MqttOptions, plugin
 will, birth = Message("state", b"lost", retain=True), Message("state", b"ready", retain=True)
-options = Options(host="127.0.0.1", port={broker.port}, protocol={protocol!r})
-sink = open(options, Station({ROOT!r}, "dying", will=will, birth=lambda: [birth]))
+options = MqttOptions(host="127.0.0.1", port={broker.port}, protocol={protocol!r})
+sink = plugin.open(options, Station({ROOT!r}, "dying", will=will, birth=lambda: [birth]))
 time.sleep(60)
 """
     process = subprocess.Popen([sys.executable, "-c", program])
@@ -402,7 +401,7 @@ def test_what_is_no_broker_or_refuses_is_said_in_a_sentence(answer: bytes | None
 def test_options_refuse_nonsense(options: dict[str, Any]) -> None:
     """Unknown keys, impossible ports, a password without a name, a key without its certificate."""
     with pytest.raises(ValueError, match="validation error"):
-        Options.model_validate(options)
+        MqttOptions.model_validate(options)
 
 
 def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> None:
@@ -411,6 +410,6 @@ def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> N
 
     station = Station(ROOT, "x")
     with pytest.raises(ConfigError, match="password file /nowhere/p cannot be read"):
-        open_sink(Options(username="u", password_file=Path("/nowhere/p")), station)
+        plugin.open(MqttOptions(username="u", password_file=Path("/nowhere/p")), station)
     with pytest.raises(ConfigError, match=r"TLS files /nowhere/ca\.pem cannot be used"):
-        open_sink(Options.model_validate({"tls": {"ca": "/nowhere/ca.pem"}}), station)
+        plugin.open(MqttOptions.model_validate({"tls": {"ca": "/nowhere/ca.pem"}}), station)

@@ -6,8 +6,7 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
-from plugins.sinks.mqtt import Options
-from plugins.sinks.mqtt import open as open_sink
+from plugins.sinks.mqtt import MqttOptions, plugin
 
 from .conftest import ROOT
 
@@ -24,7 +23,7 @@ def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever() -> None
 
     with LocalBroker() as broker:
         station = Station(ROOT, client_id="unforeseen", birth=birth)
-        sink = open_sink(Options(host=broker.host, port=broker.port, retry_s=1.0), station)
+        sink = plugin.open(MqttOptions(host=broker.host, port=broker.port, retry_s=1.0), station)
         try:
             deadline = time.monotonic() + 20
             while True:

@@ -47,7 +47,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     By InReaCh: methods that compare place with place pass the thread here, and a fit of theirs warns.
     """
     folder = tmp_path_factory.mktemp("real")
-    detector = registry.load("detectors", "inreach")
+    detector = registry.detector("inreach")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
@@ -99,8 +99,8 @@ def test_a_fit_of_another_method_is_refused(unit: Path) -> None:
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
     for method in ("padim", "spade", "fapm"):
         with pytest.raises(FitError, match="hold the part at one place, or fit inreach"):
-            scatter_warnings(presses, PROFILE, method)
-    assert scatter_warnings(presses, PROFILE, "inreach") == []
+            scatter_warnings(presses, PROFILE, registry.detector(method))
+    assert scatter_warnings(presses, PROFILE, registry.detector("inreach")) == []
 
 
 def test_every_real_press_is_seen_and_counted_once(station: Path, reports: list[PressReport]) -> None:

@@ -93,6 +93,8 @@ class TinyDetector:
     """score_map: gain times the distance of each layer1 cell to its nominal mean, spread over its 8x8 pixels."""
 
     name = "tiny"
+    compares_places = False
+    is_baseline = False
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> TinyParameters:
         try:

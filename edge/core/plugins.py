@@ -1,0 +1,109 @@
+"""What an entry point names: one protocol for each group, and the abilities that a plugin may have besides.
+
+An entry point is always `package.module:value`, and the value is an object that meets the group's protocol:
+
+    gelgate.devices    DevicePlugin
+    gelgate.sinks      SinkPlugin
+    gelgate.detectors  Detector, in edge.core.detector
+    gelgate.backbones  Backbone
+
+A plugin has an optional ability by having its attributes; the program asks `isinstance(plugin, Resettable)`. What
+`open` returns is in `edge.core.ports`. docs/plugins.md shows plugins by somebody else.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
+
+from edge.core.ports import Clock, Device, DeviceIdentity, Sighting, Sink
+from edge.core.sink_context import Station
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+__all__ = ["Backbone", "DevicePlugin", "HasAddress", "HasFacts", "Resettable", "SinkPlugin"]
+
+OptionsT = TypeVar("OptionsT", bound="BaseModel")
+AnyOptions = TypeVar("AnyOptions", bound="BaseModel", contravariant=True)
+
+
+@runtime_checkable
+class DevicePlugin(Protocol[OptionsT]):
+    """Finds and opens sensors of one kind. Optional: `Resettable`.
+
+    `Options` validates the plugin's TOML table and refuses unknown keys. The same options value is passed to every
+    `open`, so a device that is opened again after a fault is the same one. Options with a field `controls`, a
+    mapping of V4L2 names to values, are given those of the bundle's sensor profile.
+    """
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def survey(self, options: OptionsT) -> Sequence[Sighting]:
+        """Everything in reach that is, or looks like, this plugin's sensor."""
+        ...
+
+    def find(self, options: OptionsT) -> Sequence[DeviceIdentity]:
+        """The sensors that `open` could open, in a fixed order."""
+        ...
+
+    def open(self, options: OptionsT, clock: Clock) -> Device:
+        """The one sensor that the options mean. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
+        ...
+
+
+@runtime_checkable
+class Resettable(Protocol[AnyOptions]):
+    """A device plugin that can reset its sensor, as unplugging and plugging in would."""
+
+    def reset(self, options: AnyOptions) -> str:
+        """Reset the sensor that the options mean, and say which. Errors: as `DevicePlugin.open`."""
+        ...
+
+
+@runtime_checkable
+class SinkPlugin(Protocol[OptionsT]):
+    """Opens receivers of messages. Optional, for `Options`: `HasAddress`."""
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def open(self, options: OptionsT, station: Station) -> Sink:
+        """A sink that speaks for the station. It returns at once: a receiver that is away is no error.
+
+        Errors: ConfigError for options that can never work, such as a certificate that is not there.
+        """
+        ...
+
+
+@runtime_checkable
+class HasAddress(Protocol):
+    """Options of a sink that connects to a network address, which `gelgate check` tries."""
+
+    def address(self) -> tuple[str, int]:
+        """(host, port). Errors: ConfigError for options that can never work."""
+        ...
+
+
+@runtime_checkable
+class Backbone(Protocol):
+    """Gives trunks: frames in, named feature maps out. Optional: `HasFacts`."""
+
+    @property
+    def name(self) -> str: ...
+
+    def trunk(self, taps: Sequence[str] = ...) -> bytes:
+        """The serialised ONNX graph with at least these taps; without an argument, with its usual ones.
+
+        Input `frames` uint8 RGB (n, h, w, 3); every tap an output float32 (n, c, h', w'). Errors: ConfigError for a
+        tap that it does not have.
+        """
+        ...
+
+
+@runtime_checkable
+class HasFacts(Protocol):
+    """A backbone that knows what its weights were made from."""
+
+    def facts(self) -> Mapping[str, object]:
+        """Plain JSON, for the manifest of every bundle that is fitted on it."""
+        ...

@@ -1,0 +1,77 @@
+"""Names to plugins: one shape of entry point, and a sentence for whatever has another."""
+
+from importlib.metadata import EntryPoint, entry_points
+
+import pytest
+
+from edge import registry
+from edge.core.detector import Detector
+from edge.core.errors import ConfigError
+from edge.core.plugins import Backbone, DevicePlugin, SinkPlugin
+
+PROTOCOLS = {
+    "devices": (registry.device, DevicePlugin),
+    "sinks": (registry.sink, SinkPlugin),
+    "detectors": (registry.detector, Detector),
+    "backbones": (registry.backbone, Backbone),
+}
+
+
+def install(monkeypatch: pytest.MonkeyPatch, group: str, name: str, *values: str) -> None:
+    """Entry points of that name, as packages by others bring them."""
+    points = [EntryPoint(name, value, f"gelgate.{group}") for value in values]
+    monkeypatch.setattr(registry, "_points", lambda asked: {name: points} if asked == group else {})
+
+
+@pytest.mark.parametrize("group", PROTOCOLS)
+def test_every_installed_plugin_meets_its_protocol(group: str) -> None:
+    """The registry gives an object of the group's type for every name."""
+    get, protocol = PROTOCOLS[group]
+
+    assert registry.names(group)
+    assert all(isinstance(get(name), protocol) for name in registry.names(group))
+
+
+@pytest.mark.parametrize("group", [*PROTOCOLS, "commands"])
+def test_every_entry_point_names_a_value_in_a_module(group: str) -> None:
+    """One shape for all groups: `package.module:value`."""
+    values = [point.value for point in entry_points(group=f"gelgate.{group}")]
+
+    assert values
+    assert [value for value in values if value.count(":") != 1] == []
+
+
+@pytest.mark.parametrize("group", PROTOCOLS)
+def test_an_object_of_another_shape_is_refused_with_what_it_lacks(
+    group: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module, as sinks once were, is no plugin."""
+    install(monkeypatch, group, "odd", "types:SimpleNamespace")
+    get, _ = PROTOCOLS[group]
+
+    with pytest.raises(ConfigError, match=rf"the {group} plugin 'odd' is a type without .*docs/plugins.md"):
+        get("odd")
+
+
+def test_a_verb_is_something_that_can_be_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A value is refused by its name."""
+    install(monkeypatch, "commands", "odd", "math:pi")
+
+    with pytest.raises(ConfigError, match=r"'odd' of gelgate.commands is no function"):
+        registry.command("odd")
+
+
+def test_a_name_that_two_packages_claim_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which of them would run is not left to chance."""
+    install(monkeypatch, "sinks", "lamp", "plugins.sinks.memory:plugin", "plugins.sinks.jsonl:plugin")
+
+    with pytest.raises(
+        ConfigError, match=r"'lamp' is claimed by plugins.sinks.memory:plugin .* uninstall one"
+    ):
+        registry.sink("lamp")
+
+
+def test_an_unknown_name_is_refused_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sentence."""
+    with pytest.raises(ConfigError, match=r"no detectors plugin is named 'padmi'; did you mean 'padim'"):
+        registry.detector("padmi")
