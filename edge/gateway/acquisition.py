@@ -245,8 +245,7 @@ class Acquisition:
     def _shortened(self) -> int:
         """Keep the newest frame alone where the consumer is too far behind; gives how many were dropped."""
         behind_ns = self._frames[-1].timestamp_ns - self._frames[0].timestamp_ns
-        is_live = self._counting is None or not self._counting.on_demand
-        if len(self._frames) <= self._depth and not (is_live and behind_ns > _LONGEST_BACKLOG_NS):
+        if len(self._frames) <= self._depth and (self._is_waiting or behind_ns <= _LONGEST_BACKLOG_NS):
             return 0
         dropped = len(self._frames) - 1
         self._frames = deque([self._frames[-1]])
