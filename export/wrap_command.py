@@ -1,9 +1,24 @@
 """`gelgate wrap`: a third party's graph in, a bundle out."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from calibration.fitting.options import (
+    Alpha,
+    NoContact,
+    Output,
+    Overwrite,
+    Part,
+    Position,
+    Profile,
+    RegionText,
+    Resize,
+    Threads,
+    Threshold,
+)
 
 __all__ = ["wrap"]
 
@@ -16,33 +31,28 @@ def wrap(
         list[Path],
         typer.Argument(metavar="SOURCE...", help="Nominal presses that it was not trained on, as for `fit`."),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The bundle: a folder, or a name ending in .zip.")
-    ],
-    part: Annotated[str, typer.Option(help="Which part is pressed.")],
-    position: Annotated[str, typer.Option(help="Where on the part.")] = "default",
+    output: Output,
+    part: Part = None,
+    position: Position = None,
     method: Annotated[str, typer.Option(help="The name that results carry.")] = "external",
-    profile: Annotated[
-        str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
-    ] = "",
-    region: Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")] = "centre",
-    alpha: Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")] = 0.05,
-    threshold: Annotated[
-        float | None, typer.Option(help="Use this threshold instead of finding one.")
-    ] = None,
-    no_contact: Annotated[
-        list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")
-    ] = None,
-    resize: Annotated[bool, typer.Option(help="Scale pictures of any size to the profile's.")] = False,
-    threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
+    profile: Profile = "",
+    region: RegionText = "centre",
+    alpha: Alpha = 0.05,
+    threshold: Threshold = None,
+    no_contact: NoContact = None,
+    resize: Resize = False,
+    threads: Threads = 2,
+    overwrite: Overwrite = False,
 ) -> None:
     """Make a bundle of someone else's detector; the threshold comes from nominal presses."""
-    import datetime
-
-    from calibration.fitting.command import chosen_profile, counted, refuse_existing, summary, write
-    from calibration.fitting.nominal_presses import read_presses
-    from calibration.progress import Stages
+    from calibration.fitting.command import (
+        chosen_profile,
+        counted,
+        found_sources,
+        make,
+        nominal_presses,
+        refuse_existing,
+    )
     from edge.core.errors import ConfigError
     from edge.core.imaging.region import Region
     from export.external_graph import WrapRecipe, wrap_files
@@ -56,12 +66,8 @@ def wrap(
         ) from error
     sensor = chosen_profile(profile, sources)
     inspected = Region.parse(region, sensor.size)
-    recipe = WrapRecipe(part, position, sensor, inspected, method, alpha, threshold, threads)
-    presses = read_presses(sources, sensor, inspected, no_contact=no_contact or (), resize=resize)
+    found = found_sources(sources, part, position, sensor)
+    recipe = WrapRecipe(found.part, found.position, sensor, inspected, method, alpha, threshold, threads)
+    presses = nominal_presses(found, sensor, inspected, no_contact, resize)
     typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
-    with Stages() as report:
-        fitted = wrap_files(
-            content, presses, recipe, created=datetime.date.today().isoformat(), report=report
-        )
-    write(fitted, output, overwrite)
-    summary(fitted, output)
+    make(partial(wrap_files, content, presses, recipe), output, overwrite)

@@ -4,8 +4,8 @@ Everything that is missing, misnamed, wrongly sized or unreadable is listed in o
 """
 
 from calibration.dataset.files import pool_mask
-from calibration.dataset.layouts import SIZES, Resolution
-from calibration.dataset.opening import Dataset, open_dataset
+from calibration.dataset.layouts import SIZES, Resolution, resolution_of
+from calibration.dataset.opening import Dataset, layout_of, open_dataset
 from calibration.dataset.press import Press, Split, split_by_specimen
 
 __all__ = [
@@ -14,7 +14,9 @@ __all__ = [
     "Press",
     "Resolution",
     "Split",
+    "layout_of",
     "open_dataset",
     "pool_mask",
+    "resolution_of",
     "split_by_specimen",
 ]

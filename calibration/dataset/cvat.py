@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from calibration.dataset.files import Faults, picture_size, pictures_in
+from calibration.dataset.files import Faults, pictures_in, size_of
 from calibration.dataset.press import Press, parse_name
 from calibration.dataset.shapes import Polygon, Runs, Shape
 from edge.core.errors import DatasetError
@@ -63,7 +63,7 @@ def _parse(path: Path) -> ElementTree.Element:
 def _annotated(
     root: Path, path: Path, image: ElementTree.Element, annotations: Path, faults: Faults
 ) -> Press | None:
-    size = picture_size(path)
+    size = size_of(path)
     if size is None:
         faults.add(path, "is listed in annotations.xml, but is missing or unreadable")
         return None
@@ -128,12 +128,12 @@ def read_cvat_masks(root: Path, faults: Faults) -> list[Press]:
     presses = []
     for name, path in pictures_in(folder, faults).items():
         mask_file = masks.pop(Path(name).stem, None)
-        size = picture_size(path)
+        size = size_of(path)
         if size is None:
             faults.add(path, "is unreadable")
         elif mask_file is None:
             faults.add(path, "has no mask in SegmentationClass")
-        elif picture_size(mask_file) != size:
+        elif size_of(mask_file) != size:
             faults.add(mask_file, f"is unreadable or not {size[0]}x{size[1]} as its frame")
         else:
             is_defective = bool(np.any(read_mask(mask_file, size)))

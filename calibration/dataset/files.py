@@ -1,6 +1,6 @@
 """Picture files: sizes without decoding, reading, and the list of everything that is wrong with a dataset."""
 
-import struct
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,15 +8,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.errors import DatasetError
+from edge.core.errors import DatasetError, FrameCorrupt
+from edge.core.imaging.decode import decode
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import damage, kind, picture_size
+from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["SUFFIXES", "Faults", "picture_size", "pictures_in", "pool_mask", "read_mask", "read_rgb"]
+__all__ = ["SUFFIXES", "Faults", "pictures_in", "pool_mask", "read_mask", "read_rgb", "size_of"]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
-# PNG specification, sections 5.2 and 11.2.2: signature, then IHDR with width and height; the file ends with IEND.
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND\xaeB`\x82"
+# PNG specification, sections 5.2 and 11.2.2: the size is in the first 24 bytes, the last chunk has 12.
+_PNG_HEAD, _PNG_TAIL = 24, 12
 
 
 class Faults:
@@ -53,27 +56,65 @@ def pictures_in(folder: Path, faults: Faults) -> dict[str, Path]:
     return found
 
 
-def picture_size(path: Path) -> tuple[int, int] | None:
-    """(width, height), or None when it cannot be read. A PNG is judged by its header and its end, not decoded."""
+def size_of(path: Path) -> tuple[int, int] | None:
+    """(width, height) of a whole picture, or None when it cannot be read. A PNG is judged by its two ends alone."""
     try:
         with path.open("rb") as file:
-            head = file.read(24)
-            if head.startswith(_PNG_SIGNATURE):
-                file.seek(-len(_PNG_END), 2)
-                if len(head) < 24 or file.read() != _PNG_END:
-                    return None
-                width, height = struct.unpack(">II", head[16:24])
-                return (width, height) if width and height else None
-        picture = _decode(path, cv2.IMREAD_COLOR)
+            payload = file.read(_PNG_HEAD)
+            if kind(payload) == "png":
+                file.seek(-min(_PNG_TAIL, path.stat().st_size), os.SEEK_END)
+            payload += file.read()
     except OSError:
         return None
-    return None if picture is None else (picture.shape[1], picture.shape[0])
+    if kind(payload) is not None:
+        size = None if damage(payload) else picture_size(payload)
+        return size if size and all(size) else None
+    pixels = _decoded(payload, cv2.IMREAD_COLOR)
+    return None if pixels is None else (pixels.shape[1], pixels.shape[0])
 
 
-def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """The picture, uint8 (h, w, 3), red green blue. Errors: DatasetError when it is not a whole picture."""
-    bgr = _read(path, cv2.IMREAD_COLOR)
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool = False) -> NDArray[np.uint8]:
+    """The picture, uint8 (h, w, 3), red green blue: in its own size, or as a profile shows it.
+
+    With a profile, a picture of the camera's size is cut and scaled as the profile says, and one of the profile's own
+    size is taken as it is; resize scales any other. Errors: DatasetError with the file and what is wrong with it.
+    """
+    try:
+        payload = _jpeg_or_png(path.read_bytes())
+        size = picture_size(payload)
+        if size is None or profile is None:
+            profile = _as_it_is(size or (1, 1), size or (1, 1))
+        elif size != profile.native:
+            if size != profile.size and not resize:
+                raise ValueError(_other_size(size, profile))
+            profile = _as_it_is(size, profile.size)
+        return decode(CameraFrame(payload, 0, 0), profile).rgb
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
+    except (FrameCorrupt, ValueError) as error:
+        raise DatasetError(f"{path}: {error}") from error
+
+
+def _as_it_is(native: tuple[int, int], size: tuple[int, int]) -> SensorProfile:
+    """A profile that cuts nothing: the camera's checks (whole, decodable) hold for every picture."""
+    return SensorProfile("picture", native, (0.0, 0.0), size, 1, 1.0)
+
+
+def _other_size(size: tuple[int, int], profile: SensorProfile) -> str:
+    return (
+        f"is {size[0]}x{size[1]}, profile '{profile.name}' takes {profile.native[0]}x{profile.native[1]} (camera) "
+        f"or {profile.size[0]}x{profile.size[1]}; choose another profile, or allow resizing"
+    )
+
+
+def _jpeg_or_png(payload: bytes) -> bytes:
+    """The same pixels in a format that a camera sends. Errors: ValueError for bytes that are no picture."""
+    if kind(payload) is not None:
+        return payload
+    pixels = _decoded(payload, cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise ValueError("is neither a JPEG nor a PNG, nor another picture that can be decoded")
+    return cv2.imencode(".png", pixels)[1].tobytes()
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -102,14 +143,13 @@ def pool_mask(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.boo
 
 def _read(path: Path, flags: int) -> NDArray[Any]:
     try:
-        picture = _decode(path, flags)
+        picture = _decoded(path.read_bytes(), flags)
     except OSError as error:
-        raise DatasetError(f"picture '{path}' cannot be opened: {error.strerror}") from error
+        raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
     if picture is None:
-        raise DatasetError(f"picture '{path}' is truncated or not a picture; export it again")
+        raise DatasetError(f"{path}: is truncated or not a picture; export it again")
     return picture
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any] | None:
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    return cv2.imdecode(data, flags) if data.size else None
+def _decoded(payload: bytes, flags: int) -> NDArray[Any] | None:
+    return cv2.imdecode(np.frombuffer(payload, np.uint8), flags) if payload else None

@@ -7,16 +7,30 @@ The paper's layout holds `rgb` (1280x720) and `rgb_320x240` per position, and th
 from pathlib import Path
 from typing import Literal
 
-from calibration.dataset.files import Faults, picture_size, pictures_in
+from calibration.dataset.files import Faults, pictures_in, size_of
 from calibration.dataset.press import Press, parse_name
 
-__all__ = ["SIZES", "Resolution", "is_mvtec", "is_paper", "positions", "read_mvtec", "read_paper"]
+__all__ = [
+    "SIZES",
+    "Resolution",
+    "is_mvtec",
+    "is_paper",
+    "positions",
+    "read_mvtec",
+    "read_paper",
+    "resolution_of",
+]
 
 Resolution = Literal["lr", "hr"]
 
 # The paper: low resolution 320x240, high resolution 1280x720.
 SIZES: dict[Resolution, tuple[int, int]] = {"lr": (320, 240), "hr": (1280, 720)}
 _SUFFIX: dict[Resolution, str] = {"lr": "_320x240", "hr": ""}
+
+
+def resolution_of(size: tuple[int, int]) -> Resolution:
+    """Which of the paper's two resolutions pictures of this size are taken from."""
+    return "hr" if size == SIZES["hr"] else "lr"
 
 
 def is_paper(root: Path) -> bool:
@@ -81,7 +95,7 @@ def _masks(folder: Path, resolution: Resolution, faults: Faults) -> dict[str, Pa
 
 
 def _is_sound(path: Path, expected: tuple[int, int], faults: Faults) -> bool:
-    size = picture_size(path)
+    size = size_of(path)
     if size is None:
         faults.add(path, "is unreadable or truncated")
     elif size != expected:
@@ -94,7 +108,7 @@ def _has_mask(path: Path, mask_file: Path | None, size: tuple[int, int], faults:
     if mask_file is None:
         faults.add(path, "has no mask of the same name")
         return False
-    found = picture_size(mask_file)
+    found = size_of(mask_file)
     if found is None:
         faults.add(mask_file, "is unreadable or truncated")
     elif found[0] % size[0] or found[1] % size[1]:
@@ -133,7 +147,7 @@ def _category_frames(category: Path, folder: Path, faults: Faults) -> list[Press
     by_stem = {path.stem.removesuffix("_mask"): path for path in masks.values()}
     presses = []
     for path in pictures_in(folder, faults).values():
-        size = picture_size(path)
+        size = size_of(path)
         mask_file = by_stem.pop(path.stem, None)
         if size is None:
             faults.add(path, "is unreadable or truncated")

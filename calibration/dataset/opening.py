@@ -12,7 +12,15 @@ from calibration.dataset.layouts import Resolution, is_mvtec, is_paper, read_mvt
 from calibration.dataset.press import Press
 from edge.core.errors import DatasetError
 
-__all__ = ["DATASET_VERSION", "SPECIMENS_FILE", "SUMMARY_FILE", "Dataset", "Layout", "open_dataset"]
+__all__ = [
+    "DATASET_VERSION",
+    "SPECIMENS_FILE",
+    "SUMMARY_FILE",
+    "Dataset",
+    "Layout",
+    "layout_of",
+    "open_dataset",
+]
 
 Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
 
@@ -72,17 +80,30 @@ def open_dataset(root: Path, resolution: Resolution = "lr") -> Dataset:
     return Dataset(root, layout, tuple(sorted(presses, key=lambda p: p.path)))
 
 
+def layout_of(root: Path) -> Layout | None:
+    """How a folder is laid out, None when it is no dataset."""
+    if (root / "annotations.xml").is_file():
+        return "cvat_xml"
+    if (root / "SegmentationClass").is_dir():
+        return "cvat_masks"
+    if is_mvtec(root):
+        return "mvtec"
+    return "paper" if is_paper(root) else None
+
+
 def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, list[Press]]:
     if not root.is_dir():
         raise DatasetError(f"dataset '{root}' is not a folder; give the folder that holds the parts")
-    if (root / "annotations.xml").is_file():
-        return "cvat_xml", read_cvat_xml(root, faults)
-    if (root / "SegmentationClass").is_dir():
-        return "cvat_masks", read_cvat_masks(root, faults)
-    if is_mvtec(root):
-        return "mvtec", read_mvtec(root, faults)
-    if is_paper(root):
-        return "paper", read_paper(root, resolution, faults)
+    layout = layout_of(root)
+    match layout:
+        case "cvat_xml":
+            return layout, read_cvat_xml(root, faults)
+        case "cvat_masks":
+            return layout, read_cvat_masks(root, faults)
+        case "mvtec":
+            return layout, read_mvtec(root, faults)
+        case "paper":
+            return layout, read_paper(root, resolution, faults)
     raise DatasetError(
         f"dataset '{root}' has no known layout; expected <part>/<position>/rgb[_320x240], train/good with test/, "
         "annotations.xml with images/, or SegmentationClass/"

@@ -13,7 +13,7 @@ from calibration.dataset.files import read_mask, read_rgb
 from calibration.dataset.shapes import Shape, rasterise
 from edge.core.errors import DatasetError
 
-__all__ = ["Press", "Split", "parse_name", "split_by_specimen"]
+__all__ = ["Press", "Split", "numbered", "parse_name", "split_by_specimen"]
 
 # <part>_<position>_s<specimen>_p<press>, as `gelgate simulate` writes it: at least three digits and two.
 _NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
@@ -59,17 +59,31 @@ class Split(NamedTuple):
     held_out: tuple[Press, ...]
 
 
+class Numbered(NamedTuple):
+    """What a name such as `PZ3_pos1_s004_p02` says; the specimen is its digits."""
+
+    where: str
+    specimen: str
+    press: int
+
+
+def numbered(stem: str) -> Numbered | None:
+    """The parts of a file's stem as `gelgate simulate` writes it, None for any other name."""
+    match = _NAME.fullmatch(stem)
+    return Numbered(match["where"], match["specimen"], int(match["press"])) if match else None
+
+
 def parse_name(stem: str, part: str, position: str) -> tuple[str | None, int | None, bool]:
     """(specimen, press, is_misnamed) of a file's stem; a name in no known pattern is not misnamed, only unknown.
 
     A specimen's id carries its part, so that one specimen keeps its id at every position it is pressed at.
     """
-    match = _NAME.fullmatch(stem)
-    if match is None:
+    name = numbered(stem)
+    if name is None:
         return None, None, False
-    if match["where"] != f"{part}_{position}":
+    if name.where != f"{part}_{position}":
         return None, None, True
-    return f"{part}_s{match['specimen']}", int(match["press"]), False
+    return f"{part}_s{name.specimen}", name.press, False
 
 
 def split_by_specimen(presses: Sequence[Press], held_out: float, seed: int = 0) -> Split:

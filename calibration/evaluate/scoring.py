@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import SIZES, Dataset, Press, Resolution, open_dataset
+from calibration.dataset import Dataset, Press, open_dataset, resolution_of
 from calibration.metrics import Measure, measure
 from calibration.progress import Advance
 from edge.core.errors import DatasetError, NotScorable
@@ -101,7 +101,7 @@ def evaluate_bundle(
     Errors: BundleError, DatasetError (the dataset lacks the part or position; nothing is left to score).
     """
     bundle = Bundle.load(bundle_path)
-    dataset = _chosen(open_dataset(dataset_path, _resolution(bundle)), bundle, part, position)
+    dataset = _chosen(open_dataset(dataset_path, resolution_of(bundle.profile.size)), bundle, part, position)
     fitted = _fitted(dataset.presses, bundle.manifest.provenance.presses)
     presses = tuple(p for p in dataset.presses if p.path not in fitted)
     if not presses:
@@ -125,10 +125,6 @@ def evaluate_bundle(
         replicates=replicates,
         seed=seed,
     )
-
-
-def _resolution(bundle: Bundle) -> Resolution:
-    return "hr" if bundle.profile.size == SIZES["hr"] else "lr"
 
 
 def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:

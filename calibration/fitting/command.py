@@ -1,87 +1,87 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calibration.fitting.options import (
+    Alpha,
+    Holdout,
+    NoContact,
+    Output,
+    Overwrite,
+    Part,
+    Position,
+    Profile,
+    RegionText,
+    Resize,
+    Seed,
+    Threads,
+    Threshold,
+)
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
+    from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.sources import Sources
+    from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["chosen_profile", "counted", "fit", "refuse_existing", "summary", "write"]
+__all__ = ["chosen_profile", "counted", "fit", "found_sources", "make", "nominal_presses", "refuse_existing"]
 
 
 def fit(
     sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="Recordings, folders of pictures, or pictures.")
+        list[Path],
+        typer.Argument(metavar="SOURCE...", help="Recordings, datasets, folders of pictures, or pictures."),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The bundle: a folder, or a name ending in .zip.")
-    ],
-    part: Annotated[str, typer.Option(help="Which part is pressed.")],
-    position: Annotated[str, typer.Option(help="Where on the part.")] = "default",
+    output: Output,
+    part: Part = None,
+    position: Position = None,
     method: Annotated[str, typer.Option(help="The detector.")] = "padim",
     mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
     backbone: Annotated[
         str, typer.Option(help="An installed backbone, or a trunk .onnx file.")
     ] = DEFAULT_BACKBONE,
-    profile: Annotated[
-        str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
-    ] = "",
-    region: Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")] = "centre",
-    alpha: Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")] = 0.05,
-    threshold: Annotated[
-        float | None, typer.Option(help="Use this threshold instead of finding one.")
-    ] = None,
-    no_contact: Annotated[
-        list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")
-    ] = None,
-    resize: Annotated[bool, typer.Option(help="Scale pictures of any size to the profile's.")] = False,
+    profile: Profile = "",
+    region: RegionText = "centre",
+    alpha: Alpha = 0.05,
+    threshold: Threshold = None,
+    no_contact: NoContact = None,
+    resize: Resize = False,
+    holdout: Holdout = 0.0,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the detector.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Fixes every random choice.")] = 0,
+    seed: Seed = 0,
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
-    threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
+    threads: Threads = 2,
     scattered: Annotated[
         bool, typer.Option("--scattered", help="Fit padim, spade or fapm also to parts that lie anywhere.")
     ] = False,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Learn a bundle from nominal presses: features, bank, threshold, golden frames."""
-    import datetime
+    """Learn a bundle from nominal presses: features, bank, threshold, golden frames.
 
+    Of a dataset (the paper's layout, MVTec's, CVAT's) the sound presses of one part and position are learnt.
+    """
     from calibration.fitting.fit import Recipe, fit_files
-    from calibration.fitting.nominal_presses import read_presses
-    from calibration.fitting.trunks import open_trunk
-    from calibration.progress import Stages
-    from edge import registry
-    from edge.cli.named_values import named_values
-    from edge.core.detector import Mode
-    from edge.core.errors import ConfigError
     from edge.core.imaging.region import Region
 
     refuse_existing(output, overwrite)
-    if mode not in ("corrected", "paper"):
-        raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
     sensor = chosen_profile(profile, sources)
-    chosen: Mode = "paper" if mode == "paper" else "corrected"
-    detector = registry.detector(method)
-    overrides = named_values("--set", settings or ())
-    parameters = detector.parameters(chosen, **overrides)
+    found = found_sources(sources, part, position, sensor, holdout, seed)
     recipe = Recipe(
-        part=part,
-        position=position,
+        part=found.part,
+        position=found.position,
         profile=sensor,
         region=Region.parse(region, sensor.size),
-        detector=detector,
-        trunk=open_trunk(backbone, detector.taps(parameters)),
-        mode=chosen,
-        overrides=overrides,
+        **_detection(method, mode, settings or [], backbone),
         alpha=alpha,
         threshold=threshold,
         seed=seed,
@@ -90,10 +90,70 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
     )
-    presses = read_presses(sources, sensor, recipe.region, no_contact=no_contact or (), resize=resize)
+    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")
+    make(partial(fit_files, presses, recipe), output, overwrite)
+
+
+def _detection(method: str, mode: str, settings: list[str], backbone: str) -> dict[str, Any]:
+    """The detector, its parameters and its trunk, as a recipe takes them. Errors: ConfigError, FitError."""
+    from calibration.fitting.trunks import open_trunk
+    from edge import registry
+    from edge.cli.named_values import named_values
+    from edge.core.detector import Mode
+    from edge.core.errors import ConfigError
+
+    if mode not in ("corrected", "paper"):
+        raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
+    chosen: Mode = "paper" if mode == "paper" else "corrected"
+    detector = registry.detector(method)
+    overrides = named_values("--set", settings)
+    trunk = open_trunk(backbone, detector.taps(detector.parameters(chosen, **overrides)))
+    return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
+
+
+def found_sources(
+    sources: Sequence[Path],
+    part: str | None,
+    position: str | None,
+    sensor: "SensorProfile",
+    holdout: float = 0.0,
+    seed: int = 0,
+) -> "Sources":
+    """The sources with datasets resolved; what is held out is said. Errors: as `find_sources`; BadParameter."""
+    from calibration.fitting.sources import find_sources, is_dataset
+
+    if part is None and not any(map(is_dataset, sources)):
+        raise typer.BadParameter("Missing option '--part': only a dataset knows what is pressed.")
+    found = find_sources(sources, part, position, sensor.size, holdout=holdout, seed=seed)
+    if found.held_out:
+        typer.echo(f"held out for evaluation: {', '.join(found.held_out)}")
+    return found
+
+
+def nominal_presses(
+    found: "Sources",
+    sensor: "SensorProfile",
+    region: "Region",
+    no_contact: Sequence[Path] | None,
+    resize: bool,
+) -> "NominalPresses":
+    """The presses of all sources. Errors: as `read_presses`."""
+    from calibration.fitting.nominal_presses import read_presses
+
+    return read_presses(
+        found.paths, sensor, region, no_contact=no_contact or (), resize=resize, specimens=found.specimens
+    )
+
+
+def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
+    """Do the work under progress bars, write the bundle and say what was made. work: takes created and report."""
+    import datetime
+
+    from calibration.progress import Stages
+
     with Stages() as report:
-        fitted = fit_files(presses, recipe, created=datetime.date.today().isoformat(), report=report)
+        fitted = work(created=datetime.date.today().isoformat(), report=report)
     write(fitted, output, overwrite)
     summary(fitted, output)
 

@@ -4,24 +4,25 @@ From a recording the contact tracker takes the settled frame of every press, exa
 of the free gel. Pictures are presses already; with a picture of the free gel their touched area is known too.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.files import SUFFIXES, read_rgb
+from calibration.dataset.press import numbered
 from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
-from edge.core.errors import DatasetError, FitError, FrameCorrupt
+from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import VIEW_SIZE, decode
 from edge.core.imaging.frames import CameraFrame
-from edge.core.imaging.image_bytes import picture_size
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press_detector import PressDetector
@@ -29,13 +30,8 @@ from edge.recording.format import Recording
 
 __all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
 
-PICTURES = frozenset({".png", ".jpg", ".jpeg"})
-
 # Frames of the free gel that are kept: the detectors want its mean and its noise, not a film of it.
 MAX_NO_CONTACT = 16
-
-# `<part>_<position>_s<specimen>_p<press>`, as `gelgate simulate` names its pictures.
-SPECIMEN = re.compile(r"_s(?P<specimen>\d{3,})_p\d{2,}$")
 
 # A new press lies a little beside the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
 TOUCHED_MARGIN_MM = 1.0
@@ -113,11 +109,13 @@ def read_presses(
     *,
     no_contact: Sequence[Path] = (),
     resize: bool = False,
+    specimens: Mapping[Path, str | None] = MappingProxyType({}),
 ) -> NominalPresses:
     """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
 
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
-    other. no_contact: pictures, or folders of them, of the free gel. Errors: RecordingError, DatasetError listing
+    other. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
+    say it. Errors: RecordingError, DatasetError listing
     every picture at fault, FitError when there is no press.
     """
     gathered = _Gathered(profile, region)
@@ -129,7 +127,7 @@ def read_presses(
             _read_recording(source, gathered)
     files = _listed([source for source in sources if not is_recording(source)])
     for path, picture in _pictures(files, profile, resize):
-        _add_picture(picture, _name(path), reference, gathered)
+        _add_picture(picture, _name(path), specimens.get(path) or _specimen(path), reference, gathered)
     if not gathered.frames:
         raise FitError(
             f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
@@ -149,16 +147,24 @@ def named_presses(
     gathered = _Gathered(profile, region, free=[region.crop(picture) for picture in no_contact])
     reference = _reference(no_contact)
     for name, picture in pictures.items():
-        _add_picture(picture, name, reference, gathered)
+        _add_picture(picture, name, _specimen(Path(name)), reference, gathered)
     return gathered.presses()
 
 
 def _add_picture(
-    picture: NDArray[np.uint8], name: str, reference: Reference | None, gathered: _Gathered
+    picture: NDArray[np.uint8],
+    name: str,
+    specimen: str | None,
+    reference: Reference | None,
+    gathered: _Gathered,
 ) -> None:
-    match = SPECIMEN.search(Path(name).stem)
     mask = None if reference is None else touched_mask(reference.difference(_view(picture)))
-    gathered.add(picture, name, match["specimen"] if match else None, mask)
+    gathered.add(picture, name, specimen, mask)
+
+
+def _specimen(path: Path) -> str | None:
+    name = numbered(path.stem)
+    return name.specimen if name else None
 
 
 def _read_recording(folder: Path, gathered: _Gathered) -> None:
@@ -192,10 +198,10 @@ def _listed(sources: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for source in sources:
         if source.is_dir():
-            found = sorted(p for p in source.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
+            found = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
             if not found:
                 raise FitError(
-                    f"{source} is neither a recording nor a folder with pictures ({', '.join(sorted(PICTURES))}) "
+                    f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
                     "directly inside; name the folder that holds them"
                 )
             files += found
@@ -213,32 +219,15 @@ def _pictures(
     found: list[tuple[Path, NDArray[np.uint8]]] = []
     for path in files:
         try:
-            found.append((path, _picture(path.read_bytes(), profile, resize)))
-        except (FrameCorrupt, ValueError, OSError) as error:
-            faults.append(f"{path}: {error}")
+            found.append((path, read_rgb(path, profile, resize=resize)))
+        except DatasetError as error:
+            faults.append(str(error))
     if faults:
         raise DatasetError(
             f"{len(faults)} of {len(files)} pictures cannot be used; repair or remove:\n  "
             + "\n  ".join(faults)
         )
     return found
-
-
-def _picture(payload: bytes, profile: SensorProfile, resize: bool) -> NDArray[np.uint8]:
-    """uint8 (h, w, 3) RGB in the profile's size. Errors: FrameCorrupt, ValueError saying what is wrong."""
-    size = picture_size(payload)
-    if size is None:
-        raise ValueError("is neither a JPEG nor a PNG")
-    if size == profile.native:
-        return decode(CameraFrame(payload, 0, 0), profile).rgb
-    if size != profile.size and not resize:
-        raise ValueError(
-            f"is {size[0]}x{size[1]}, profile '{profile.name}' takes {profile.native[0]}x{profile.native[1]} (camera) "
-            f"or {profile.size[0]}x{profile.size[1]}; choose another profile, or allow resizing"
-        )
-    # The same checks as for a camera's frame (whole, decodable), with the picture's own size as the native one.
-    own = SensorProfile(profile.name, size, (0.0, 0.0), profile.size, 1, profile.pixels_per_mm)
-    return decode(CameraFrame(payload, 0, 0), own).rgb
 
 
 def _view(picture: NDArray[np.uint8]) -> View:

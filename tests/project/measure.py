@@ -1,7 +1,8 @@
 """The shape of the source in figures: `make measure`, or `python tests/project/measure.py [FOLDER OF A CHECKOUT]`.
 
-Prints files per folder, imports between folders, circles of modules and of folders, the length of functions, and
-lines in all. Only `ast` is needed, so that any commit can be measured. `test_shape.py` holds the limits.
+Prints files per folder, imports between rooms, circles of modules and of rooms, the length of functions, and lines in
+all. A room is what is directly in a package: a folder with all that is in it, or a file. Only `ast` is needed, so that
+any commit can be measured. `test_shape.py` holds the limits.
 """
 
 import ast
@@ -36,11 +37,11 @@ class Shape:
 
     @property
     def rooms(self) -> Graph:
-        """Folder -> the other folders that its files import from."""
+        """Room -> the other rooms that its files import from."""
         rooms: Graph = {}
-        for module, others in self.imports.items():
-            rooms.setdefault(_folder(module), set()).update(
-                _folder(other) for other in others if _folder(other) != _folder(module)
+        for file, others in self.imports.items():
+            rooms.setdefault(_room(file), set()).update(
+                _room(other) for other in others if _room(other) != _room(file)
             )
         return rooms
 
@@ -99,6 +100,11 @@ def _folder(file: str) -> str:
     return file.rpartition("/")[0]
 
 
+def _room(file: str) -> str:
+    """The folder or file directly in a package that a file is, or is in."""
+    return "/".join(file.split("/")[:2])
+
+
 def report(shape: Shape) -> str:
     """The figures as text."""
     lengths = sorted(one.lines for one in shape.functions)
@@ -111,9 +117,9 @@ def report(shape: Shape) -> str:
             f"functions {len(lengths)}: median {median(lengths):.0f}, p90 {lengths[len(lengths) * 9 // 10]}, "
             f"max {lengths[-1]}",
             *(f"  {one.lines:4} {one.name}" for one in longest),
-            f"imports between folders {sum(map(len, rooms.values()))}",
+            f"rooms {len(rooms)}, imports between rooms {sum(map(len, rooms.values()))}",
             f"circle of modules: {' > '.join(circle(shape.imports)) or 'none'}",
-            f"circle of folders: {' > '.join(circle(rooms)) or 'none'}",
+            f"circle of rooms: {' > '.join(circle(rooms)) or 'none'}",
             "files per folder",
             *(f"  {count:4} {folder}" for folder, count in sorted(per_folder.items())),
         ]

@@ -1,0 +1,51 @@
+"""The options that `fit` and `wrap` have in common, each with its help."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = [
+    "Alpha",
+    "Holdout",
+    "NoContact",
+    "Output",
+    "Overwrite",
+    "Part",
+    "Position",
+    "Profile",
+    "RegionText",
+    "Resize",
+    "Seed",
+    "Threads",
+    "Threshold",
+]
+
+Output = Annotated[
+    Path, typer.Option("--output", "-o", help="The bundle: a folder, or a name ending in .zip.")
+]
+Part = Annotated[
+    str | None,
+    typer.Option(help="Which part is pressed; only a dataset of one part does without.", show_default=False),
+]
+Position = Annotated[
+    str | None,
+    typer.Option(
+        help="Where on the part; default: the dataset's only one, else 'default'.", show_default=False
+    ),
+]
+Profile = Annotated[
+    str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
+]
+RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
+Alpha = Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")]
+Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
+NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]
+Resize = Annotated[bool, typer.Option(help="Scale pictures of any size to the profile's.")]
+Holdout = Annotated[
+    float,
+    typer.Option(help="Share of a dataset's specimens that is kept for `gelgate evaluate`.", min=0, max=0.9),
+]
+Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
+Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
+Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]

@@ -1,0 +1,92 @@
+"""What `fit` and `wrap` learn from: recordings, folders of pictures, pictures, and the nominal presses of datasets."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from calibration.dataset import Dataset, Press, layout_of, open_dataset, resolution_of, split_by_specimen
+from edge.core.errors import ConfigError, DatasetError
+
+__all__ = ["Sources", "find_sources", "is_dataset"]
+
+DEFAULT_POSITION = "default"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where nominal presses are read from, and what they are presses of.
+
+    paths: recordings, folders of pictures, and single pictures. specimens: of the pictures of datasets. held_out: the
+    specimens of a dataset that are kept for its evaluation.
+    """
+
+    part: str
+    position: str
+    paths: tuple[Path, ...]
+    specimens: Mapping[Path, str | None] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+
+
+def is_dataset(source: Path) -> bool:
+    """Whether a source is a folder in the layout of a dataset, so that it knows parts and positions itself."""
+    return source.is_dir() and layout_of(source) is not None
+
+
+def find_sources(
+    given: Sequence[Path],
+    part: str | None,
+    position: str | None,
+    size: tuple[int, int],
+    *,
+    holdout: float = 0.0,
+    seed: int = 0,
+) -> Sources:
+    """Datasets among the sources replaced by their nominal presses of one part and position.
+
+    part, position: what is pressed; a dataset that holds one alone need not be told. size: (width, height) of the
+    profile's pictures, which chooses the resolution of the paper's layout. holdout: the share of each dataset's presses
+    that is kept for evaluation, whole specimens at a time, drawn by the seed. Errors: ConfigError for a missing name,
+    DatasetError listing what there is where part and position choose none or several.
+    """
+    datasets = [open_dataset(path, resolution_of(size)) for path in given if is_dataset(path)]
+    roots = {dataset.root for dataset in datasets}
+    others = tuple(path for path in given if path not in roots)
+    if not datasets:
+        if part is None:
+            raise ConfigError("--part is missing: name the part that is pressed")
+        if holdout:
+            raise ConfigError("--holdout divides a dataset by its specimens, and no source is a dataset")
+        return Sources(part, position or DEFAULT_POSITION, others)
+    part, position = _the_one(datasets, part, position)
+    kept: list[Press] = []
+    held_out: set[str] = set()
+    for dataset in datasets:
+        presses = dataset.select(part, position).good
+        if holdout:
+            split = split_by_specimen(presses, holdout, seed)
+            presses, held_out = split.kept, held_out | {str(press.specimen) for press in split.held_out}
+        kept += presses
+    return Sources(
+        part,
+        position,
+        (*others, *(press.path for press in kept)),
+        {press.path: press.specimen for press in kept},
+        tuple(sorted(held_out)),
+    )
+
+
+def _the_one(datasets: Sequence[Dataset], part: str | None, position: str | None) -> tuple[str, str]:
+    """The part and position that all datasets have nominal presses of. Errors: DatasetError listing what there is."""
+    for dataset in datasets:
+        known = sorted({(press.part, press.position) for press in dataset.good})
+        chosen = [pair for pair in known if part in (None, pair[0]) and position in (None, pair[1])]
+        if len(chosen) != 1:
+            wanted = "/".join(name or "*" for name in (part, position))
+            raise DatasetError(
+                f"dataset '{dataset.root}' has {'several of' if chosen else 'no nominal press of'} {wanted}; choose "
+                f"with --part and --position among {', '.join(map('/'.join, known)) or 'none'}"
+            )
+        part, position = chosen[0]
+    assert part is not None
+    assert position is not None
+    return part, position
