@@ -15,12 +15,12 @@ Report = Callable[[str, float], None]
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Advance]:
-    """Show how far `what` has come; the caller reports steps done, up to `total`."""
+def progress(what: str, total: int, unit: str = "") -> Iterator[Advance]:
+    """Show how far `what` has come; the caller reports steps done, up to `total`. unit: "%" where steps are none."""
     if sys.stderr.isatty():
         yield from _bar(what, total)
     else:
-        yield _lines(what, total)
+        yield _lines(what, total, unit)
 
 
 def _bar(what: str, total: int) -> Iterator[Advance]:
@@ -33,7 +33,7 @@ def _bar(what: str, total: int) -> Iterator[Advance]:
         yield lambda done: bar.update(task, completed=done)
 
 
-def _lines(what: str, total: int) -> Advance:
+def _lines(what: str, total: int, unit: str) -> Advance:
     shown = 0
 
     def report(done: int) -> None:
@@ -41,13 +41,14 @@ def _lines(what: str, total: int) -> Advance:
         tenth = 10 * done // max(total, 1)
         if tenth > shown:
             shown = tenth
-            print(f"{what}: {done} of {total}", file=sys.stderr, flush=True)
+            done_of = f"{done} %" if unit == "%" else f"{done} of {total}"
+            print(f"{what}: {done_of}", file=sys.stderr, flush=True)
 
     return report
 
 
 class Stages:
-    """Progress of named stages: bars on a terminal, one line per finished stage elsewhere."""
+    """Progress of named stages: bars on a terminal, a line every tenth of a stage elsewhere."""
 
     def __init__(self) -> None:
         self._bars: Any = None
@@ -72,6 +73,8 @@ class Stages:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(stage, total=1.0)
             self._bars.update(self._tasks[stage], completed=fraction)
-        elif fraction >= 1.0 and stage not in self._tasks:
-            self._tasks[stage] = True
-            print(f"{stage}: done", file=sys.stderr, flush=True)
+            return
+        tenth = int(10 * fraction + 1e-9)
+        if tenth > self._tasks.setdefault(stage, 0):
+            self._tasks[stage] = tenth
+            print(f"{stage}: {'done' if tenth >= 10 else f'{10 * tenth} %'}", file=sys.stderr, flush=True)

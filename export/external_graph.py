@@ -22,6 +22,7 @@ from calibration.fitting.fit import Fitted
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.threshold import check_alpha, conformal_threshold
 from calibration.progress import Report
+from calibration.threads import one_blas_thread
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Graphs, bundle_files
@@ -48,6 +49,7 @@ class WrapRecipe:
         check_alpha(self.alpha)
 
 
+@one_blas_thread()
 def wrap_files(
     graph: bytes,
     presses: NominalPresses,

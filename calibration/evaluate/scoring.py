@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calibration.dataset import Dataset, Press, open_dataset, resolution_of
 from calibration.metrics import Measure, measure
 from calibration.progress import Advance
+from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable
 from edge.core.verdict import Kind
 from edge.model.bundle import Bundle
@@ -85,6 +86,7 @@ class Evaluation:
         )
 
 
+@one_blas_thread()
 def evaluate_bundle(
     bundle_path: Path,
     dataset_path: Path,

@@ -31,6 +31,7 @@ from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.threshold import check_alpha, conformal_threshold, folds
 from calibration.fitting.trunks import Trunk
 from calibration.progress import Report
+from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
@@ -121,6 +122,7 @@ def fit_bundle(
     return path
 
 
+@one_blas_thread()
 def fit_files(
     presses: NominalPresses, recipe: Recipe, *, created: str, report: Report = lambda stage, fraction: None
 ) -> Fitted:

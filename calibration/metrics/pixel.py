@@ -128,23 +128,35 @@ def _defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
 
 def _block(defects: _Defects, sound: list[NDArray[Any]], by_image: Float, run: slice) -> _Block:
     """Count one run of thresholds for every image, then weigh."""
-    from scipy.sparse import coo_array
-
     thresholds = defects.thresholds[run]
     rising = thresholds[::-1]
     above = np.stack([s.size - np.searchsorted(s, rising, side="right") for s in sound], axis=1)[::-1]
     at_or_above = np.stack([s.size - np.searchsorted(s, rising, side="left") for s in sound], axis=1)[::-1]
     first, last = np.searchsorted(defects.step, [run.start, run.start + thresholds.size])
-    place = (defects.step[first:last] - run.start, defects.image[first:last])
-    shape = (thresholds.size, by_image.shape[0])
-    counted = coo_array((np.ones(last - first), place), shape=shape).tocsr()
-    overlap = coo_array((defects.overlap[first:last], place), shape=shape).tocsr()
+    here = (defects.step[first:last] - run.start) * len(by_image) + defects.image[first:last]
     return _Block(
         above=above.astype(np.float64) @ by_image,
         at_or_above=at_or_above.astype(np.float64) @ by_image,
-        found=np.asarray(counted @ by_image),
-        overlap=np.asarray(overlap @ by_image),
+        found=_weighed(here, np.ones(last - first), thresholds.size, by_image),
+        overlap=_weighed(here, defects.overlap[first:last], thresholds.size, by_image),
     )
+
+
+def _weighed(places: NDArray[np.int64], values: Float, thresholds: int, by_image: Float) -> Float:
+    """Values at (threshold, image), summed per threshold with the images' weights: (thresholds, weightings).
+
+    places: threshold * images + image. Nearly every pair is empty, so the product is taken of those that are not.
+    """
+    distinct, which = np.unique(places, return_inverse=True)
+    summed = np.bincount(which, values)
+    weighed = np.zeros((thresholds, by_image.shape[1]))
+    at_once = max(1, _BLOCK_ELEMENTS // by_image.shape[1])
+    for start in range(0, distinct.size, at_once):
+        row, image = np.divmod(distinct[start : start + at_once], len(by_image))
+        first_of_row = np.flatnonzero(np.append(True, row[1:] != row[:-1]))
+        products = summed[start : start + at_once, None] * by_image[image]
+        weighed[row[first_of_row]] += np.add.reduceat(products, first_of_row, axis=0)
+    return weighed
 
 
 def _add_block(sums: _Sums, block: _Block, totals: _Totals, limit: float) -> None:

@@ -91,9 +91,9 @@ def _dataset(
 
     if run:
         raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
-    with progress("simulate", 1000) as advance:
+    with progress("simulate", 100, unit="%") as advance:
         simulate_dataset(
-            scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(1000 * f))
+            scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(100 * f))
         )
     typer.echo(f"dataset: {output}")
 
@@ -106,7 +106,7 @@ def _recordings(
 
     for name in [only] if only else [run.name for run in scene.runs]:
         folder = output if only else output / name
-        with progress(f"simulate {name}", 1000) as advance:
+        with progress(f"simulate {name}", 100, unit="%") as advance:
             simulate_recording(
                 scene,
                 folder,
@@ -114,7 +114,7 @@ def _recordings(
                 run=name,
                 presses=presses,
                 workers=workers,
-                progress=lambda f, advance=advance: advance(int(1000 * f)),  # type: ignore[misc]
+                progress=lambda f, advance=advance: advance(int(100 * f)),  # type: ignore[misc]
             )
         typer.echo(f"recording: {folder}")
 

@@ -11,6 +11,7 @@ from threading import Thread
 from typing import TypeVar
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 __all__ = ["in_order"]
 
@@ -45,6 +46,7 @@ def _quiet() -> None:
     """A worker is one of several: one thread each, Ctrl-C is the parent's to handle, and its end is theirs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+    threadpool_limits(limits=1)
     # A parent that was killed asks nothing to stop: without this its workers would wait for tasks for ever.
     Thread(target=_end_with_parent, daemon=True).start()
 

@@ -28,6 +28,7 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         3: "a configuration, bundle, recording, dataset or set of nominal presses is wrong",
         4: "a sensor or broker is not available",
         5: "`gelgate verify`: the bundle is not sound",
+        6: "a recording was played, and the presses seen are not those that it holds",
         130: "interrupted with Ctrl-C; `gelgate run` and `gelgate record` end with 0 then: it is how they are ended",
     }
 )
@@ -40,6 +41,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.FitError, 3),
     (errors.DeviceError, 4),
     (errors.SinkError, 4),
+    (errors.PressesMissed, 6),
     (errors.GelgateError, 1),
 )
 

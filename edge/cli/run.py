@@ -67,7 +67,9 @@ def run(
     from edge.config import load_config
     from edge.core.errors import DeviceError
     from edge.gateway.gateway import Gateway
+    from edge.gateway.parts import played_recording
     from edge.gateway.preflight import preflight
+    from edge.played import check_played
 
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.INFO,
@@ -77,12 +79,15 @@ def run(
     for finding in preflight(loaded):
         if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
             raise finding.error
+    recording = played_recording(loaded.device)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     with Gateway.open(loaded, SystemClock(), lambda report: typer.echo(press_line(report))) as gateway:
         summary = gateway.run(stop, presses=presses)
     typer.echo(summary_text(summary))
+    if recording is not None and loaded.inspection.trigger == "automatic":
+        check_played(recording, summary, gateway.status)
 
 
 def check(

@@ -18,6 +18,7 @@ GelgateError
 │   ├── SinkUnavailable    broker · sent again when it is back
 │   └── SinkRejected       broker · set aside, told as an alarm, offered again every hour
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
+├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
 └── FitError           operator · give other or more nominal presses
 """
@@ -37,6 +38,7 @@ __all__ = [
     "FrameCorrupt",
     "GelgateError",
     "NotScorable",
+    "PressesMissed",
     "RecordingEnded",
     "RecordingError",
     "SinkError",
@@ -80,6 +82,10 @@ class FitError(GelgateError):
 
 class NotScorable(GelgateError):
     """This press has no score. It is reported as an error, never as a pass."""
+
+
+class PressesMissed(GelgateError):
+    """A recording was played to its end, and the presses seen are not those that it holds."""
 
 
 class StoreError(GelgateError):

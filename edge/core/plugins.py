@@ -12,6 +12,7 @@ A plugin has an optional ability by having its attributes; the program asks `isi
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 from edge.core.ports import Clock, Device, DeviceIdentity, Sighting, Sink
@@ -20,7 +21,7 @@ from edge.core.sink_context import Station
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["Backbone", "DevicePlugin", "HasAddress", "HasFacts", "Resettable", "SinkPlugin"]
+__all__ = ["Backbone", "DevicePlugin", "HasAddress", "HasFacts", "PlaysRecording", "Resettable", "SinkPlugin"]
 
 OptionsT = TypeVar("OptionsT", bound="BaseModel")
 AnyOptions = TypeVar("AnyOptions", bound="BaseModel", contravariant=True)
@@ -28,7 +29,7 @@ AnyOptions = TypeVar("AnyOptions", bound="BaseModel", contravariant=True)
 
 @runtime_checkable
 class DevicePlugin(Protocol[OptionsT]):
-    """Finds and opens sensors of one kind. Optional: `Resettable`.
+    """Finds and opens sensors of one kind. Optional: `Resettable`, `PlaysRecording`.
 
     `Options` validates the plugin's TOML table and refuses unknown keys. The same options value is passed to every
     `open`, so a device that is opened again after a fault is the same one. Options with a field `controls`, a
@@ -57,6 +58,15 @@ class Resettable(Protocol[AnyOptions]):
 
     def reset(self, options: AnyOptions) -> str:
         """Reset the sensor that the options mean, and say which. Errors: as `DevicePlugin.open`."""
+        ...
+
+
+@runtime_checkable
+class PlaysRecording(Protocol[AnyOptions]):
+    """A device plugin that plays a recording: a run can then tell whether it missed a press."""
+
+    def recording(self, options: AnyOptions) -> Path:
+        """The folder that is played."""
         ...
 
 

@@ -99,6 +99,7 @@ class Gateway:
             while not stop.is_set() and (presses is None or self.summary.presses < presses):
                 self._turn()
         except RecordingEnded as end:
+            self.summary.has_ended = True
             log.info("%s", end)
         finally:
             self._requests.close()

@@ -54,7 +54,8 @@ class Inspector:
 
     def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
         """Judge one frame; `touch` is where the gel is touched in it. Never raises for what a frame can hold."""
-        stale = check_freshness(frame.timestamp_ns, self._clock.monotonic_ns(), self._quality)
+        now_ns = self._clock.monotonic_ns()
+        stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns, self._quality)
         if stale:
             return Inspection(Verdict.rejected(stale))
         started_ns = self._clock.monotonic_ns()

@@ -5,12 +5,14 @@ from collections.abc import Callable, Mapping
 
 from edge import registry
 from edge.config import Config, PluginTable
+from edge.core.plugins import PlaysRecording
 from edge.core.ports import Clock, Device, Sink
 from edge.core.sink_context import Station
+from edge.recording.format import Recording
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
-__all__ = ["device_opener", "open_sink", "open_store", "sink_names"]
+__all__ = ["device_opener", "open_sink", "open_store", "played_recording", "sink_names"]
 
 
 def open_store(config: Config) -> Store:
@@ -35,6 +37,14 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
     options = plugin.Options.model_validate(given)
 
     return lambda: plugin.open(options, clock)
+
+
+def played_recording(table: PluginTable) -> Recording | None:
+    """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError."""
+    plugin = registry.load("devices", table.plugin)
+    if not isinstance(plugin, PlaysRecording):
+        return None
+    return Recording.open(plugin.recording(plugin.Options.model_validate(table.options)))
 
 
 def sink_names(tables: list[PluginTable]) -> list[str]:

@@ -42,10 +42,11 @@ class Summary:
 
     latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
     came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
-    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice.
+    has_ended: a recording was played to its end. frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice.
     """
 
     presses: int = 0
+    has_ended: bool = False
     verdicts: Counter[str] = field(default_factory=Counter)
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
     frames: FrameCounts = field(default_factory=FrameCounts)

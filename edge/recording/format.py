@@ -111,6 +111,11 @@ class Recording:
         """What was known of every frame, without reading any frame."""
         return [entry.label for entry in self._entries]
 
+    def presses(self) -> int | None:
+        """How many presses its labels tell of; None where they tell of none."""
+        numbers = {label.get("press") for label in self.labels() if label is not None}
+        return len([number for number in numbers if isinstance(number, int)]) or None
+
     def times_ns(self) -> list[int]:
         """The time of every frame, without reading any frame."""
         return [entry.time_ns for entry in self._entries]

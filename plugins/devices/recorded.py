@@ -1,7 +1,7 @@
 """A recording played straight from its folder: no USB, no packets; the quickest way to see old frames again.
 
-It delivers the recorded bytes at the recorded intervals. It does not simulate a bus, a driver or a fault; use
-`usb_mock` for those.
+It delivers the recorded bytes at the recorded intervals, or (pace 0) as fast as they are read with the recorded times.
+It does not simulate a bus, a driver or a fault; use `usb_mock` for those.
 """
 
 from pathlib import Path
@@ -26,7 +26,8 @@ class RecordedOptions(BaseModel):
     pace: float = Field(
         default=1.0,
         ge=0,
-        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read",
+        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read; the frames then "
+        "carry the recorded times, so that contact is told as in real time and no frame is dropped",
     )
     loop: bool = Field(default=False, description="start over at the end")
 
@@ -39,6 +40,7 @@ class RecordedSensor:
         self.on_demand = pace == 0
         self._recording, self._clock, self._pace, self._loop = recording, clock, pace, loop
         self._times_ns = recording.times_ns()
+        self._period_ns = round(1e9 / recording.header.nominal_fps)
         self._freshness = Freshness()
         self._position = 0
         self._sequence = 0
@@ -61,7 +63,7 @@ class RecordedSensor:
             if fault is not None:
                 raise FrameCorrupt(f"recording {self._recording.folder}, frame {self._position - 1}: {fault}")
             if self._freshness.is_new(payload):
-                return CameraFrame(payload, self._clock.monotonic_ns(), self._sequence - 1)
+                return CameraFrame(payload, self._stamp_ns(), self._sequence - 1, self.on_demand)
 
     def _await_frame(self, deadline_ns: int) -> None:
         if self._position == len(self._recording):
@@ -78,13 +80,20 @@ class RecordedSensor:
             return 0
         return self._start_ns + round((self._times_ns[self._position] - self._times_ns[0]) / self._pace)
 
+    def _stamp_ns(self) -> int:
+        """When the frame just taken arrived; on demand, when it would have arrived in real time."""
+        if self.on_demand:
+            return self._start_ns + self._times_ns[self._position - 1] - self._times_ns[0]
+        return self._clock.monotonic_ns()
+
     def _rewind(self) -> None:
         if not self._loop or not self._times_ns:
             raise RecordingEnded(
                 f"recording {self._recording.folder} is over after {len(self._recording)} frames"
             )
         self._position = 0
-        self._start_ns = self._clock.monotonic_ns()
+        length_ns = self._times_ns[-1] - self._times_ns[0] if self.on_demand else 0
+        self._start_ns = max(self._clock.monotonic_ns(), self._start_ns + length_ns + self._period_ns)
 
     def _take(self) -> bytes:
         try:
@@ -113,6 +122,9 @@ class Recorded:
 
     def find(self, options: RecordedOptions) -> list[DeviceIdentity]:
         return [one.identity for one in self.survey(options) if one.identity is not None]
+
+    def recording(self, options: RecordedOptions) -> Path:
+        return options.recording
 
     def open(self, options: RecordedOptions, clock: Clock) -> Device:
         """Errors: RecordingError."""

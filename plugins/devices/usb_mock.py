@@ -48,7 +48,8 @@ class UsbMockOptions(BaseModel):
         default=1.0,
         ge=0,
         description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
-        "frames are read; contact is told in seconds, so a fast film may be too short to learn the free gel",
+        "frames are read, each with the time that it has in real time, so that contact is told as there and no frame "
+        "is dropped; contact is told in seconds, so at 2 and more a film may be too short to learn the free gel",
     )
     loop: bool = Field(default=False, description="start over at the end")
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(
@@ -109,13 +110,17 @@ class UsbMock:
     def find(self, options: UsbMockOptions) -> list[DeviceIdentity]:
         return [one.identity for one in self.survey(options) if one.identity is not None]
 
+    def recording(self, options: UsbMockOptions) -> Path:
+        return options.recording
+
     def open(self, options: UsbMockOptions, clock: Clock) -> Device:
         """Errors: RecordingError, DeviceNotFound, DeviceBusy (also by another process that plays this recording)."""
         bench = self.bench(options, clock)
         found = choose(survey(bench.bus), options.serial)
         lock_name = f"virtual-{options.recording.resolve()}"[-200:]
         sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
-        sensor.on_demand = options.pace == 0
+        if options.pace == 0:
+            sensor.played_ns = bench.sensor.played_ns
         return sensor
 
 

@@ -140,7 +140,7 @@ def test_a_sensor_pulled_out_during_twenty_presses_is_reconnected_each_time(
     recording = press_recording(tmp_path / "presses", 20, motion=motion, seed=3)
     length = motion.hold + motion.idle + 2
     faults = [f"unplug@{motion.free + press * length + 25}:0.05" for press in range(20)]
-    config = station_config(tmp_path / "station", recording, bundle, pace=3.0, faults=faults)
+    config = station_config(tmp_path / "station", recording, bundle, pace=0, faults=faults)
     reports: list[PressReport] = []
     with Gateway.open(load_config(config), SystemClock(), reports.append) as gateway:
         gateway.run(threading.Event())

@@ -87,7 +87,7 @@ def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
     def config(station: str) -> Path:
         # A recording is one sensor, which one process holds at a time.
         recording = shutil.copytree(one_press, tmp_path / "recordings" / station)
-        path = station_config(tmp_path / station, recording, bundle, pace=2.0, sinks=MQTT % broker.port)
+        path = station_config(tmp_path / station, recording, bundle, pace=0, sinks=MQTT % broker.port)
         path.write_text(path.read_text() + f'[station]\nstation = "{station}"\n')
         return path
 

@@ -8,14 +8,18 @@ import logging
 import os
 import sqlite3
 import threading
+import time
 from pathlib import Path
 
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
+from edge.store.outbox import Outbox
 
 WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
 KILLED = 9
+# Only a broker that is lost lets a run wait for so long.
+DELIVERY_S = 100.0
 
 
 class Deadline(logging.Handler):
@@ -35,6 +39,15 @@ class Deadline(logging.Handler):
                 os._exit(KILLED)
 
 
+def _await_delivery(database: Path) -> None:
+    """The recording is over sooner than its messages are sent; a gateway that lives has nothing left to send."""
+    outbox = Outbox(database)
+    deadline = time.monotonic() + DELIVERY_S
+    while outbox.status().rows and time.monotonic() < deadline:
+        time.sleep(0.01)
+    outbox.close()
+
+
 def main(config: Path, deadly: int) -> None:
     deadline = Deadline(deadly)
     logging.getLogger("edge.gateway.gateway").setLevel(logging.DEBUG)
@@ -47,6 +60,8 @@ def main(config: Path, deadly: int) -> None:
         return connection
 
     sqlite3.connect = traced  # type: ignore[assignment]
-    with Gateway.open(load_config(config), SystemClock()) as gateway:
+    loaded = load_config(config)
+    with Gateway.open(loaded, SystemClock()) as gateway:
         gateway.run(threading.Event())
+        _await_delivery(loaded.store.path)
     (config.parent / "writes").write_text(str(deadline.writes))

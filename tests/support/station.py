@@ -55,17 +55,16 @@ def jpeg(frame: NDArray[np.uint8]) -> bytes:
 def press_recording(
     folder: Path, presses: int, *, dented: Sequence[int] = (), motion: Motion | None = None, seed: int = 0
 ) -> Path:
-    """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged."""
+    """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them."""
     motion = motion or Motion()
     rng = np.random.default_rng(seed)
-    phases: list[tuple[float, bool]] = [(0.0, False)] * motion.free
+    phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
     for press in range(presses):
-        dent = press in dented
-        phases += [(0.5, dent)] + [(1.0, dent)] * motion.hold + [(0.3, dent)] + [(0.0, False)] * motion.idle
+        phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
     header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
     with RecordingWriter(folder, header) as writer:
-        for number, (depth, dent) in enumerate(phases):
-            writer.add(jpeg(gel(rng, depth, dent)), round(number * 1e9 / FPS))
+        for number, (depth, press) in enumerate(phases):
+            writer.add(jpeg(gel(rng, depth, press in dented)), round(number * 1e9 / FPS), {"press": press})
     return folder
 
 
@@ -98,7 +97,7 @@ def station_config(
     recording: Path,
     bundle: Path,
     *,
-    pace: float = 1.0,
+    pace: float = 0.0,
     faults: Sequence[str] = (),
     loop: bool = False,
     sinks: str = "",

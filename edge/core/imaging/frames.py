@@ -14,11 +14,13 @@ class CameraFrame:
 
     payload: the JPEG (or PNG) bytes, untouched, so that what is archived is what was seen.
     timestamp_ns: monotonic nanoseconds at arrival. sequence: rises by one per frame that the device delivered.
+    is_on_demand: made when it was asked for; its time is that of the recording, and its age says nothing.
     """
 
     payload: bytes
     timestamp_ns: int
     sequence: int
+    is_on_demand: bool = False
 
 
 @dataclass(frozen=True)

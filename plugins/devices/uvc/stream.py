@@ -7,7 +7,7 @@ Ref: UVC 1.5 section 4.3.1.1 (negotiation); the kernel's behaviour as seen with 
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from typing import Any, Protocol, Self
 
@@ -64,7 +64,8 @@ class UvcSensor:
     """An open, streaming sensor (a `Device`).
 
     stale: frames that came twice and were not delivered. unset_controls: camera controls that are not as they were
-    to be pinned, with the reasons. on_demand: set by a plugin whose frames come as fast as they are read.
+    to be pinned, with the reasons. played_ns: set by a plugin whose frames come as fast as they are read; gives the
+    time that the last one would have had in real time.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class UvcSensor:
         undo: ExitStack,
     ) -> None:
         self.identity = identity
-        self.on_demand = False
+        self.played_ns: Callable[[], int] | None = None
         self.unset_controls: dict[str, str] = {}
         self._stream = stream
         self._clock = clock
@@ -119,6 +120,10 @@ class UvcSensor:
         sensor = cls(identity, stream, limit, clock, undo)
         sensor.unset_controls = unset
         return sensor
+
+    @property
+    def on_demand(self) -> bool:
+        return self.played_ns is not None
 
     @property
     def stale(self) -> int:
@@ -165,7 +170,8 @@ class UvcSensor:
             raise FrameCorrupt(f"{self.identity.product}, frame {self._sequence - 1}: {fault}")
 
     def _stamped(self, payload: bytes) -> CameraFrame:
-        frame = CameraFrame(payload, self._clock.monotonic_ns(), self._sequence)
+        time_ns = self.played_ns() if self.played_ns else self._clock.monotonic_ns()
+        frame = CameraFrame(payload, time_ns, self._sequence, self.on_demand)
         self._sequence += 1
         return frame
 

@@ -43,6 +43,8 @@ DELIVERED_SHARE = 0.75
 # Up to three transactions of 1024 bytes per micro-frame.
 MAX_PAYLOAD_BYTES = 3072
 PACKETS_PER_READ = 32
+# A camera played as fast as it is read has its own time; that it was opened again is an interruption there, too.
+_OPENING_NS = 1_000_000_000
 PROBE_BYTES = 26
 
 _STANDARD_GET_DESCRIPTOR = (0x80, 0x06)
@@ -88,6 +90,7 @@ class VirtualCamera:
         self._last = b""
         self._fid = 0
         self._due_ns: int | None = None
+        self._played_ns = 0
         self._return_ns: int | None = None
         self._is_present = False
         self._forget_host()
@@ -194,6 +197,7 @@ class VirtualCamera:
         with self._guard:
             self.alternate = alternate
             self._due_ns = None
+            self._played_ns = max(self._played_ns + _OPENING_NS, self._clock.monotonic_ns())
             if self._silent_until_ns == math.inf:
                 self._silent_until_ns = None
 
@@ -212,8 +216,12 @@ class VirtualCamera:
 
     @property
     def _period_ns(self) -> int:
-        fps = self.board.modes[self._committed.frame_index - 1][2] * DELIVERED_SHARE * self._pace
+        fps = self.board.modes[self._committed.frame_index - 1][2] * DELIVERED_SHARE * (self._pace or 1.0)
         return round(1e9 / fps)
+
+    def played_ns(self) -> int:
+        """When the frame sent last would have been sent in real time: at pace 0 frames come sooner than that."""
+        return self._played_ns
 
     def send(self, packet_bytes: int) -> list[Packet]:
         """The packets of the frame that is due: none when it is dropped. Errors: RecordingEnded, USBError."""
@@ -227,6 +235,7 @@ class VirtualCamera:
             payload = self._frames[self._position]
             self._position += 1
             self._number += 1
+            self._played_ns += self._period_ns
             self._advance_due()
             return self._packets(payload, fault.kind if fault else None, packet_bytes)
 
@@ -237,6 +246,7 @@ class VirtualCamera:
 
     def _go_away(self, fault: Fault) -> list[Packet]:
         """The frame itself is not lost: it is sent when the camera is back."""
+        self._played_ns += round(fault.seconds * 1e9)
         if fault.kind == "unplug":
             self.unplug(fault.seconds)
             raise usb_error(errno.ENODEV)

@@ -1,0 +1,125 @@
+"""A recording played on demand misses nothing, and a run that missed a press says so."""
+
+import threading
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+from station import Motion, press_recording, station_config
+
+from calibration.demo import _inspected
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.contact.mask import Touch
+from edge.core.errors import PressesMissed
+from edge.core.imaging.frames import CameraFrame
+from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.gateway import Gateway
+from edge.gateway.inspector import Inspector
+from edge.gateway.status import Summary
+from edge.messaging.local_broker import LocalBroker
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from edge.played import check_played
+from edge.recording.format import Recording
+
+
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two presses of two frames each, too short for contact, which sees one of them."""
+    folder = tmp_path_factory.mktemp("crowded") / "presses"
+    return press_recording(folder, 2, motion=Motion(hold=0), seed=4)
+
+
+@pytest.mark.parametrize("device", ["recorded", "usb_mock"])
+def test_played_on_demand_every_press_is_seen(
+    tmp_path: Path, recording: Path, bundle: Path, device: str
+) -> None:
+    """Contact is told by the recording's time: with pace 0 each press is found, whatever the machine's speed."""
+    config = station_config(tmp_path, recording, bundle, pace=0)
+    text = config.read_text().replace('"usb_mock"', f'"{device}"')
+    if device == "recorded":
+        text = text.replace(", faults = []", "")
+    config.write_text(text)
+    done = gelgate("run", "--config", config)
+
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-1] == "3 presses: 1 fail, 2 pass"
+
+
+def test_a_frame_on_demand_has_no_age(bundle: Path, recording: Path) -> None:
+    """A machine that is slower than the recording inspects frames whose time is long over; they are not stale."""
+    inspector = Inspector(Scorer(Bundle.load(bundle), 1), SystemClock())
+    payload = Recording.open(recording)[0].frame.payload
+    touch = Touch(0.1)
+
+    def reason(is_on_demand: bool) -> str:
+        verdict = inspector.inspect(CameraFrame(payload, 0, 0, is_on_demand), touch).verdict
+        return verdict.rejection.reason.value if verdict and verdict.rejection else ""
+
+    assert reason(False) == "stale"
+    assert reason(True) != "stale"
+
+
+def test_a_run_that_missed_a_press_fails(tmp_path: Path, crowded: Path, bundle: Path) -> None:
+    """One sentence with both numbers, and the exit code of its own."""
+    done = gelgate("run", "--config", station_config(tmp_path, crowded, bundle))
+
+    assert done.code == 6
+    assert "it holds 2 presses and the run saw 1" in done.sentence()
+
+
+@pytest.mark.parametrize(
+    ("seen", "has_ended", "dropped", "words"),
+    [
+        (3, True, 0, None),
+        (3, True, 5, None),
+        (2, False, 5, None),
+        (2, True, 0, "it holds 3 presses and the run saw 2; no frame was dropped"),
+        (4, True, 0, "it holds 3 presses and the run saw 4"),
+        (2, True, 5, "5 of its 90 frames were dropped"),
+    ],
+)
+def test_what_a_run_on_labelled_presses_must_have_seen(
+    recording: Path, seen: int, has_ended: bool, dropped: int, words: str | None
+) -> None:
+    """The number of presses decides at the end of the recording; before it nothing does."""
+    summary = Summary(presses=seen, verdicts=Counter(), has_ended=has_ended)
+    status = AcquisitionStatus(frames=90, dropped=dropped)
+    if words is None:
+        check_played(Recording.open(recording), summary, status)
+        return
+    with pytest.raises(PressesMissed, match=words):
+        check_played(Recording.open(recording), summary, status)
+
+
+def test_without_labels_a_dropped_frame_is_a_doubt(tmp_path: Path) -> None:
+    """What the recording holds is not known: a run that took every frame passes, one that dropped some does not."""
+    folder = press_recording(tmp_path / "presses", 0)
+    summary = Summary(presses=1, has_ended=True)
+    check_played(Recording.open(folder), summary, AcquisitionStatus(frames=28))
+    with pytest.raises(PressesMissed, match=r"not known and the run saw 1; 2 of its 28 frames were dropped"):
+        check_played(Recording.open(folder), summary, AcquisitionStatus(frames=28, dropped=2))
+
+
+def test_the_demo_fails_when_it_missed_a_press(tmp_path: Path, crowded: Path, bundle: Path) -> None:
+    """Nothing inspected is not "done"."""
+    heatmaps = tmp_path / "heatmaps"
+    heatmaps.mkdir()
+    with LocalBroker() as broker:
+        tally = _inspected(tmp_path, bundle, crowded, heatmaps, broker)
+
+    with pytest.raises(PressesMissed, match="it holds 2 presses and the run saw 1"):
+        tally.check(crowded)
+
+
+def test_a_recording_played_on_demand_knows_an_interruption(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Unplugged while a part is held: the time that passes on demand has the gap, so the press is not counted twice."""
+    config = station_config(tmp_path, recording, bundle, pace=0, faults=["unplug@34:0.05"])
+    with Gateway.open(load_config(config), SystemClock()) as gateway:
+        summary = gateway.run(threading.Event())
+
+    assert summary.presses == 3
