@@ -163,7 +163,7 @@ class _Tally:
     def check(self, recording: Path) -> None:
         """Errors: PressesMissed, SinkUnavailable: a demonstration that lost something has not succeeded."""
         from edge.core.errors import SinkUnavailable
-        from edge.played import check_played
+        from edge.gateway.played import check_played
         from edge.recording.format import Recording
 
         if self.summary is not None and self.status is not None:

@@ -30,8 +30,10 @@ def backbone(
 ) -> None:
     """Turn a PyTorch checkpoint into an ONNX trunk; needs PyTorch, not torchvision."""
     from edge.core.errors import ConfigError
+    from edge.extras import needs
     from export.backbone import export_backbone
 
+    needs("train", "export backbone")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     facts = export_backbone(
@@ -63,8 +65,10 @@ def tiles(
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.imaging.tiles import tiling
+    from edge.extras import needs
     from plugins.backbones.tiled import tile_trunk
 
+    needs("export", "export tiles")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     try:
@@ -96,9 +100,11 @@ def merge(
 ) -> None:
     """Write one graph from frames to score map, the bank inside, after checking that it scores the same."""
     from edge.core.errors import ConfigError
+    from edge.extras import needs
     from edge.model.bundle import Bundle
     from export.merge import merge_bundle
 
+    needs("export", "export merge")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)

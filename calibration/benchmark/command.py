@@ -43,6 +43,9 @@ def evaluate_backbone(
     import sys
     from json import dumps
 
+    from edge.extras import needs
+
+    needs("benchmark", "evaluate-backbone")
     from calibration.benchmark.evaluation import RANDOM, compared_detectors, evaluate, random_trunk
     from calibration.benchmark.model_card import evaluation_tables
     from calibration.fitting.trunks import open_trunk

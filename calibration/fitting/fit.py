@@ -26,7 +26,7 @@ from calibration.fitting.bundle_measurements import (
 )
 from calibration.fitting.colours import colour_warnings, nominal_colours
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.heads import head_of
+from calibration.fitting.heads import check_head, head_of
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.threshold import check_alpha, conformal_threshold, folds
 from calibration.fitting.trunks import Trunk
@@ -179,6 +179,7 @@ class _Fit:
             (region.height, region.width),
             self.recipe.profile.pixels_per_mm,
         )
+        check_head(self.detector, self.grid, self.parameters)
         features = extract(session, self.presses.frames, self.grid, self._progress("features"))
         free = self.presses.no_contact
         return features, None if free is None else extract(session, free, self.grid, lambda fraction: None)

@@ -4,9 +4,16 @@ from typing import Any
 
 from edge.core.detector import Bank, Detector, Grid
 from edge.core.errors import FitError
-from plugins.detectors.shipped import shipped_head
+from edge.extras import is_installed
+from plugins.detectors.shipped import must_be_written, shipped_head
 
-__all__ = ["head_of"]
+__all__ = ["check_head", "head_of"]
+
+
+def check_head(detector: Detector, grid: Grid, parameters: Any) -> None:
+    """Before any features are taken: whether a head ships or can be written. Errors: FitError with what to install."""
+    if must_be_written(detector, grid, parameters) and not is_installed("onnx"):
+        raise FitError(_missing(detector, grid, "onnx"))
 
 
 def head_of(detector: Detector, grid: Grid, bank: Bank, parameters: Any) -> bytes:
@@ -17,9 +24,13 @@ def head_of(detector: Detector, grid: Grid, bank: Bank, parameters: Any) -> byte
     try:
         return detector.head(grid, bank, parameters)
     except ImportError as error:
-        h, w = grid.frame
-        raise FitError(
-            f"no head ships for {detector.name} with these settings on {w}x{h} and this trunk, and to write one the "
-            f"package {error.name} is missing; pip install 'gelgate[export]', or fit with the method's own settings on "
-            "the default region and backbone"
-        ) from error
+        raise FitError(_missing(detector, grid, error.name)) from error
+
+
+def _missing(detector: Detector, grid: Grid, package: str | None) -> str:
+    h, w = grid.frame
+    return (
+        f"no head ships for {detector.name} with these settings on {w}x{h} and this trunk, and to write one the "
+        f"package {package} is missing; pip install 'gelgate[export]', or fit with the method's own settings on "
+        "the default region and backbone"
+    )

@@ -37,14 +37,11 @@ def train_backbone(
     ] = None,
 ) -> None:
     """Train the touch backbone on simulated presses; interrupt at any time and resume."""
-    from edge.core.errors import ConfigError
+    from edge.extras import needs
 
-    try:
-        from calibration.training.train import Run
-    except ImportError as error:
-        raise ConfigError(
-            f"train-backbone needs torch, found {error}; pip install 'gelgate[train]'"
-        ) from error
+    needs("train", "train-backbone")
+    from calibration.training.train import Run
+
     run = Run(
         out,
         resume=out if resume else None,

@@ -68,8 +68,8 @@ def run(
     from edge.core.errors import DeviceError
     from edge.gateway.gateway import Gateway
     from edge.gateway.parts import played_recording
+    from edge.gateway.played import check_played
     from edge.gateway.preflight import preflight
-    from edge.played import check_played
 
     logging.basicConfig(
         level=logging.DEBUG if verbose else logging.INFO,

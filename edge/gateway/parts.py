@@ -41,10 +41,9 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
 
 def played_recording(table: PluginTable) -> Recording | None:
     """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError."""
-    plugin = registry.load("devices", table.plugin)
-    if not isinstance(plugin, PlaysRecording):
-        return None
-    return Recording.open(plugin.recording(plugin.Options.model_validate(table.options)))
+    plugin = registry.device(table.plugin)
+    options = plugin.Options.model_validate(table.options)
+    return Recording.open(plugin.recording(options)) if isinstance(plugin, PlaysRecording) else None
 
 
 def sink_names(tables: list[PluginTable]) -> list[str]:

@@ -42,7 +42,8 @@ class Summary:
 
     latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
     came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
-    has_ended: a recording was played to its end. frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice.
+    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice. has_ended: a recording was
+    played to its end.
     """
 
     presses: int = 0

@@ -21,6 +21,7 @@ __all__ = [
     "ShippedHead",
     "identity",
     "load_index",
+    "must_be_written",
     "shipped_head",
     "written_grid",
     "written_parameters",
@@ -75,6 +76,15 @@ def shipped_head(detector: Detector, grid: Grid, bank: Bank, parameters: object)
         if (head.detector, head.parameters, head.grid) == asked and head.fits(bank):
             return head.graph()
     return None
+
+
+def must_be_written(detector: Detector, grid: Grid, parameters: object) -> bool:
+    """Whether heads ship for this detector, but none for this grid and these parameters, whatever the bank."""
+    known = [head for head in load_index() if head.detector == identity(detector)]
+    if grid.tiles is not None or not dataclasses.is_dataclass(parameters):
+        return bool(known)
+    asked = (written_parameters(parameters), written_grid(grid))
+    return bool(known) and all((head.parameters, head.grid) != asked for head in known)
 
 
 def identity(detector: Detector) -> str:

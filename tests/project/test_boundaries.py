@@ -26,6 +26,7 @@ MAY_IMPORT = {
         "plugins.onnx_builder",
         "calibration.fitting",
         "calibration.progress",
+        "calibration.threads",
     ),
 }
 

@@ -1,0 +1,30 @@
+"""Packages that only some verbs need: asked for at a verb's start, so that no work is done in vain."""
+
+from importlib.util import find_spec
+
+from edge.core.errors import ConfigError
+
+__all__ = ["is_installed", "needs"]
+
+# The package to import, by the extra of `pip install` that brings it.
+_PACKAGES = {"export": ("onnx",), "benchmark": ("onnx", "jinja2"), "train": ("torch", "onnx", "jinja2")}
+
+
+def is_installed(package: str) -> bool:
+    """Whether a package can be imported, without importing it."""
+    try:
+        return find_spec(package) is not None
+    except ImportError:
+        return False
+
+
+def needs(extra: str, what: str) -> None:
+    """Refuse `what`, a verb or a wish in the operator's words, where the extra's packages are not installed.
+
+    Errors: ConfigError with the command that installs them.
+    """
+    missing = [package for package in _PACKAGES[extra] if not is_installed(package)]
+    if missing:
+        raise ConfigError(
+            f"{what} needs {' and '.join(missing)}, not installed here; pip install 'gelgate[{extra}]'"
+        )
