@@ -2,7 +2,7 @@
 
 Each detector is fitted with its default settings on invented features of the shipped trunk's sizes, with all cells and
 with some touched, with and without the free gel, and whatever different graphs result are stored.
-`plugins/detectors/shipped.py` finds them again.
+`plugins/detectors/prebuilt_heads` finds them again.
 """
 
 import hashlib
@@ -21,11 +21,11 @@ from edge.core.detector import Bank, Features, Grid, HasPrebuiltHeads, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.model.session import open_session
 from plugins.backbones.tactile import tactile_resnet18
-from plugins.detectors.shipped import FORMAT, INDEX, identity, written_grid, written_parameters
+from plugins.detectors.prebuilt_heads import FORMAT, INDEX, identity, written_grid, written_parameters
 
 __all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "shipped_grid"]
 
-HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "heads"
+HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "prebuilt_heads"
 # Enough that no number of presses limits anything that a graph could fix.
 _PRESSES = 4
 

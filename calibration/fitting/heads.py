@@ -5,7 +5,7 @@ from typing import Any
 from edge.core.detector import Bank, Detector, Grid
 from edge.core.errors import FitError
 from edge.extras import is_installed
-from plugins.detectors.shipped import must_be_written, shipped_head
+from plugins.detectors.prebuilt_heads import must_be_written, shipped_head
 
 __all__ = ["check_head", "head_of"]
 

@@ -26,12 +26,12 @@ from calibration.metrics import aupro
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.model.onnx_prune import cut_trunk
 from edge.model.session import open_session
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 

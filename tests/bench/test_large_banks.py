@@ -14,12 +14,12 @@ from heads import run_head, stored_bytes
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 

@@ -26,8 +26,8 @@ from edge.model.scorer import Scorer
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tiled import tile_trunk
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
-from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 

@@ -24,8 +24,8 @@ from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tactile import tactile_resnet18, tactile_resnet18_int8
 from plugins.backbones.tiled import mosaic_trunk
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
-from plugins.detectors.subspace import subspace
 
 pytestmark = pytest.mark.bench
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plugins.detectors.maths import coreset
-from plugins.detectors.maths.coreset import greedy_from_distances, k_centre
+from plugins.detectors.common import coreset
+from plugins.detectors.common.coreset import greedy_from_distances, k_centre
 
 
 @settings(max_examples=30, deadline=None)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plugins.detectors.maths.distances import emit_nearest, nearest
-from plugins.detectors.maths.shortlist import HalvedBank
+from plugins.detectors.common.batched_nearest import HalvedBank
+from plugins.detectors.common.distances import emit_nearest, nearest
 from plugins.onnx_builder import Graph
 
 

@@ -13,7 +13,7 @@ from edge.core.errors import FitError, NotScorable
 from edge.model.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
-from plugins.detectors.maths.smoothing import smoothing_matrix
+from plugins.detectors.common.smoothing import smoothing_matrix
 from plugins.detectors.padim import PadimParameters, padim
 
 QUERY = features(3, seed=7)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from edge.core.detector import Bank, Grid
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.maths.descriptor import BINS, Descriptor, binned_weights
-from plugins.detectors.maths.patchbank import PatchBank
-from plugins.detectors.maths.rotation import fit_rotation
-from plugins.detectors.maths.smoothing import upsampling_matrix
-from plugins.detectors.patchcore import patchcore
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.common.descriptor import BINS, Descriptor, binned_weights
+from plugins.detectors.common.patchbank import PatchBank
+from plugins.detectors.common.pca import fit_rotation
+from plugins.detectors.common.smoothing import upsampling_matrix
 from plugins.onnx_builder import Graph
 
 MODES = ("paper", "corrected")

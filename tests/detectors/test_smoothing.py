@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from edge.core.detector import Grid
-from plugins.detectors.maths.smoothing import (
+from plugins.detectors.common.smoothing import (
     Smoothing,
     emit_scores,
     gaussian_matrix,

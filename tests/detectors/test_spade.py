@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 
 from edge.core.detector import Grid
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.window import Blocks, Tables, window_nearest
+from plugins.detectors.common.distances import nearest
 from plugins.detectors.spade import spade
+from plugins.detectors.spade.window import Blocks, Tables, window_nearest
 
 MODES = ("paper", "corrected")
 # Three layers in few directions and of unit length, which the default does not use.

@@ -8,7 +8,7 @@ from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, s
 
 from edge.core.detector import Features, Nominal
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.subspace import subspace
+from plugins.detectors.baselines.subspace import subspace
 
 QUERY = features(3, seed=7)
 

@@ -6,9 +6,9 @@ from heads import fit, parity, presses_of, run_head
 
 from edge.core.detector import Features, Grid
 from edge.core.imaging.tiles import tiling
+from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 TILES = tiling((96, 128), 64, 32)

@@ -16,9 +16,9 @@ from heads import run_head
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.common.tile_layout import split
 from plugins.detectors.inreach import inreach
-from plugins.detectors.maths.mosaic import split
-from plugins.detectors.patchcore import patchcore
 
 CHANNELS, SIDE = 32, 56
 FRAME = (4 * SIDE, 4 * SIDE)

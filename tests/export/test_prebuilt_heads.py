@@ -15,8 +15,8 @@ from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
 from export.prebuilt_heads import Situation, authored, invented, prebuilt, shipped_grid
-from plugins.detectors import shipped
-from plugins.detectors.shipped import PREBUILT_FRAMES, load_index, shipped_head
+from plugins.detectors import prebuilt_heads
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES, load_index, shipped_head
 
 
 def described(graph: bytes) -> tuple[list[str], list[np.ndarray]]:
@@ -99,7 +99,7 @@ def test_another_frame_setting_trunk_or_plugin_has_no_shipped_head() -> None:
 
 def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
     """An installation without the files works as before, where onnx is installed."""
-    monkeypatch.setattr(shipped, "INDEX", "nothing.json")
+    monkeypatch.setattr(prebuilt_heads, "INDEX", "nothing.json")
     load_index.cache_clear()
     try:
         subspace = registry.detector("subspace")

@@ -11,8 +11,8 @@ from presses import LIKE_RESNET, features, fitted, head_scores
 
 from edge.core.detector import Nominal
 from edge.core.errors import FitError, NotScorable
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
-from plugins.detectors.subspace import subspace
 
 QUERY = features(2, seed=7)
 

@@ -9,7 +9,7 @@ import pytest
 from presses import LIKE_RESNET, features, fitted, head_scores, largest_error
 
 from edge.core.detector import Nominal
-from plugins.detectors.maths.lowrank import spectrum
+from plugins.detectors.common.lowrank import spectrum
 from plugins.detectors.padim import padim
 
 

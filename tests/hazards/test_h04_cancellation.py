@@ -1,6 +1,6 @@
 """H4: |a|^2 + |b|^2 - 2ab loses a small distance between large vectors, and can go below zero.
 
-Guards in `maths/distances.py`: both sides centred, the winners computed again as sums of squared differences. Checked
+Guards in `common/distances.py`: both sides centred, the winners computed again as sums of squared differences. Checked
 by removal: with the product form in `_exact` the first test finds 0 in place of 0.01; without centring in `nearest`,
 the last fails at the largest offset.
 """
@@ -9,7 +9,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from plugins.detectors.maths.distances import emit_nearest, nearest
+from plugins.detectors.common.distances import emit_nearest, nearest
 from plugins.onnx_builder import Graph
 
 

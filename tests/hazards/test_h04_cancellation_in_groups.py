@@ -14,12 +14,12 @@ import onnxruntime as ort
 import pytest
 from heads import fit, grid, presses_of, run_head
 
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.common.batched_nearest import HalvedBank, emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.maths.shortlist import HalvedBank, emit_closest, emit_group_nearest, emit_ranked
-from plugins.detectors.maths.window import Blocks, Tables, emit_window_nearest
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
+from plugins.detectors.spade.window import Blocks, Tables, emit_window_nearest
 from plugins.onnx_builder import Graph
 
 

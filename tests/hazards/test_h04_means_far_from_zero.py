@@ -11,8 +11,8 @@ import pytest
 from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
 
 from edge.core.detector import Features, Nominal
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
-from plugins.detectors.subspace import subspace
 
 
 def raised(maps: Features, offset: float) -> Features:

@@ -14,12 +14,12 @@ from heads import fit, grid, presses_of, run_head, with_spot
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
 from edge.model.packing import pack, unpack
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 ALL = [padim, spade, fapm, inreach, patchcore, subspace]
 

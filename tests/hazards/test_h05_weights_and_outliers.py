@@ -11,9 +11,9 @@ from heads import fit, grid, presses_of, run_head
 
 from edge.core.detector import Bank
 from edge.model.packing import pack, unpack
+from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 

@@ -1,6 +1,6 @@
 """H6: a softmax over one neighbour is 1, the published weight 1 - 1 = 0, and the worst press scores 0.
 
-Guard: `is_single_unweighted` in `plugins/detectors/fapm.py`: fewer than two neighbours or prototypes, no weight.
+Guard: `is_single_unweighted` in `plugins/detectors/fapm`: fewer than two neighbours or prototypes, no weight.
 Checked by removal:
 with `Fapm._is_bare` always false both tests fail (scores of 0, weights of 3/4).
 """

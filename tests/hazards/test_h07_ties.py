@@ -10,10 +10,10 @@ import numpy as np
 from heads import fit, grid, presses_of, run_head
 
 from calibration.metrics.ranking import auroc
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.inreach import inreach
-from plugins.detectors.inreach_channels import associate
-from plugins.detectors.maths.coreset import k_centre
-from plugins.detectors.patchcore import patchcore
+from plugins.detectors.inreach.channels import associate
 from plugins.detectors.spade import spade
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from heads import fit, grid, presses_of
 
 from plugins.detectors.inreach import inreach
-from plugins.detectors.inreach_channels import Channels, prune
+from plugins.detectors.inreach.channels import Channels, prune
 
 
 def channels_of(rows: np.ndarray) -> Channels:

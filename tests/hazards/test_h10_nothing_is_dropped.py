@@ -1,6 +1,6 @@
 """H10: a scan in chunks that forgets the remainder ignores up to 8 % of a gallery, and nobody notices.
 
-Guards: searches run to the last row whatever the chunk (`maths/distances.py`, `Spade` and `PatchBank` with
+Guards: searches run to the last row whatever the chunk (`common/distances.py`, `Spade` and `PatchBank` with
 `range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade_head._emit_whole_search` the
 second test fails on the shape; with the slice of SPADE-pytorch always on the first two fail.
 """
@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.core.detector import Grid
-from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT
+from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
+from plugins.detectors.common.distances import nearest
 from plugins.detectors.spade import spade
 
 

@@ -10,9 +10,9 @@ import pytest
 from heads import fit, run_head
 
 from edge.core.detector import Grid
+from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from heads import fit, grid, presses_of, run_head
 
+from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.inreach import inreach
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 

@@ -1,6 +1,6 @@
 """H13: four coarse values repeated four times in a row fall on the rows of a cell, not on its quadrants.
 
-Guard: `fusion="quadrants"` in `plugins/detectors/fapm.py`; `rows` reproduces the published layout. Checked by removal:
+Guard: `fusion="quadrants"` in `plugins/detectors/fapm`; `rows` reproduces the published layout. Checked by removal:
 with the table of `_coarse_of_fine` fixed to `rows` the first test finds the heat up to three cells away.
 """
 

@@ -1,6 +1,6 @@
 """H14: the two patch numbers of a match are read in the wrong order, and channels hold unrelated patches.
 
-Guard: `is_index_right` in `plugins/detectors/inreach_channels.py`. Checked by removal: with the swap left on, the
+Guard: `is_index_right` in `plugins/detectors/inreach`. Checked by removal: with the swap left on, the
 purity of channels under a shift of one cell is 0.37, and the first test fails.
 """
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plugins.detectors.inreach import inreach
-from plugins.detectors.inreach_channels import associate
+from plugins.detectors.inreach.channels import associate
 
 
 def shifted_presses(n: int, most: int) -> tuple[np.ndarray, np.ndarray]:

@@ -12,8 +12,8 @@ from presses import features, fitted, head_scores, largest_error
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
-from plugins.detectors.subspace import subspace
 
 TILES = tiling((112, 176), 64, 16)
 """Two rows and four columns of tiles, each of 16x16 cells of layer1."""

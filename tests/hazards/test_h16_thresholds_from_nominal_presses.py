@@ -15,12 +15,12 @@ from heads import fit, grid, presses_of, run_head, with_spot
 from calibration.fitting.fit import Recipe, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 
 @pytest.mark.parametrize("mode", ["paper", "corrected"])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from heads import fit, grid, presses_of
 
+from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
 
 CASES = {

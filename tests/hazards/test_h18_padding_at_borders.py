@@ -13,12 +13,12 @@ from presses import fitted
 from edge.core.detector import Features, Grid, Nominal
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 STATE = random_state("resnet18")
 

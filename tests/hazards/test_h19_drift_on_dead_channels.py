@@ -13,12 +13,12 @@ import pytest
 from heads import fit, grid, presses_of
 
 from edge.core.detector import Grid
+from plugins.detectors.baselines.patchcore import patchcore
+from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
-from plugins.detectors.patchcore import patchcore
 from plugins.detectors.spade import spade
-from plugins.detectors.subspace import subspace
 
 TWO = ("layer1", "layer3")
 READ: dict[str, dict[str, object]] = {

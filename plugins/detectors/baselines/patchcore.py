@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
-from plugins.detectors.maths.coreset import k_centre
-from plugins.detectors.maths.descriptor import Descriptor, Kind
-from plugins.detectors.maths.patchbank import PatchBank, drawn
-from plugins.detectors.maths.smoothing import (
+from plugins.detectors.common.coreset import k_centre
+from plugins.detectors.common.descriptor import Descriptor, Kind
+from plugins.detectors.common.patchbank import PatchBank, drawn
+from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
     PAPER_SIGMA_PX,
     Smoothing,
@@ -28,7 +27,8 @@ from plugins.detectors.maths.smoothing import (
     blur_px,
     emit_scores,
 )
-from plugins.detectors.shipped import PREBUILT_FRAMES
+from plugins.detectors.common.validation import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
@@ -42,7 +42,7 @@ STARTING_POINTS = 10
 class PatchcoreParameters:
     """What PatchCore can be told; every repair is a switch of its own.
 
-    layers, grid_tap, descriptor: see maths/descriptor.py; layer1 on its own grid, not in the publication, is what
+    layers, grid_tap, descriptor: see common/descriptor.py; layer1 on its own grid, not in the publication, is what
     touch wants. On six random simulated parts, shipped and random ResNet-18 weights, AU-PRO up to 1 % false positives:
     0.746 and 0.633; binned over layer1 to layer3 on layer2's grid 0.535 (shipped); windows of 3x3 cells of layer1 blur
     what is small (0.71 and 0.56, their means 0.73 and 0.53). dims:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from edge.core.detector import Grid, Mode, Packing
-from plugins.detectors.maths.descriptor import Descriptor, Kind
-from plugins.detectors.maths.patchbank import PatchBank
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
+from plugins.detectors.common.descriptor import Descriptor, Kind
+from plugins.detectors.common.patchbank import PatchBank
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
 
 __all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "InreachParameters"]
 
@@ -26,7 +26,7 @@ PUBLISHED_SIGMA_PX = 13.0
 class InreachParameters:
     """What InReaCh can be told; every repair is a switch of its own.
 
-    taps, grid_tap, descriptor: see maths/descriptor.py; any trunk's taps will do, and layer1 alone on its own grid is
+    taps, grid_tap, descriptor: see common/descriptor.py; any trunk's taps will do, and layer1 alone on its own grid is
     what touch wants: see PatchcoreParameters. dims: leading directions kept, plus
     the length of the rest; None keeps all. is_balanced: each tap is divided by its nominal deviation. position_weight:
     two more numbers in each descriptor, the place times this; the published code switches 5.0 on by a test of the

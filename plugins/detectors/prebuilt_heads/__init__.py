@@ -1,6 +1,6 @@
 """Heads that come with the product, so that a fit with the usual settings needs no onnx package.
 
-`heads/index.json` says of each graph what it was written for: the detector, its parameters, the grid, and the bank's
+`index.json` says of each graph what it was written for: the detector, its parameters, the grid, and the bank's
 arrays with the sizes that the graph fixes (a number) or leaves open (a name; equal names are equal sizes). A head is
 taken only where all of it fits; `make heads` writes them again.
 """
@@ -32,7 +32,7 @@ PREBUILT_FRAMES = ((224, 224), (240, 320))
 """(h, w) of the frames that heads ship for: the default region at low resolution, and the whole picture."""
 
 FORMAT = 1
-_HEADS = resources.files("plugins.detectors").joinpath("heads")
+_HEADS = resources.files("plugins.detectors.prebuilt_heads")
 
 Shape = tuple[int | str, ...]
 """The sizes of a bank array: numbers that the graph fixes, names for those that it leaves open."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.maths.shortlist import FORBIDDEN, PRODUCT_LIMIT, emit_range
+from plugins.detectors.common.batched_nearest import FORBIDDEN, PRODUCT_LIMIT, emit_range
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]

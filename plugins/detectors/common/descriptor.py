@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid
-from plugins.detectors.maths.mosaic import emit_split, split, tile_grid
-from plugins.detectors.maths.smoothing import upsampling_matrix
+from plugins.detectors.common.smoothing import upsampling_matrix
+from plugins.detectors.common.tile_layout import emit_split, split, tile_grid
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["BINS", "Descriptor", "Kind", "binned_weights", "resampling_matrix"]

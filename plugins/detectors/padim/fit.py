@@ -22,19 +22,25 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
-from plugins.detectors.maths.embedding import (
+from plugins.detectors.common.embedding import (
     Embedded,
     Embedding,
     blocks,
     learn_embedding,
     touched_cells,
 )
-from plugins.detectors.maths.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
-from plugins.detectors.maths.mosaic import cell_blocks, layout, neighbourhood
-from plugins.detectors.maths.smoothing import emit_scores
-from plugins.detectors.padim_parameters import PAPER, REPAIRS, PadimParameters
-from plugins.detectors.shipped import PREBUILT_FRAMES
+from plugins.detectors.common.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
+from plugins.detectors.common.smoothing import emit_scores
+from plugins.detectors.common.tile_layout import cell_blocks, layout, neighbourhood
+from plugins.detectors.common.validation import (
+    bank_bytes,
+    choose,
+    repaired,
+    require_fittable,
+    require_scorable,
+)
+from plugins.detectors.padim.parameters import PAPER, REPAIRS, PadimParameters
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PadimParameters", "padim"]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Grid, Mode, Packing
-from plugins.detectors.maths.descriptor import resampling_matrix
-from plugins.detectors.maths.mosaic import layout, tile_grid
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
-from plugins.detectors.maths.window import Blocks
+from plugins.detectors.common.descriptor import resampling_matrix
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
+from plugins.detectors.common.tile_layout import layout, tile_grid
+from plugins.detectors.spade.window import Blocks
 
 __all__ = ["CHUNK", "PAPER", "REPAIRS", "SpadeParameters"]
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
-from plugins.detectors.choices import choose, require_fittable, require_scorable
-from plugins.detectors.maths.embedding import (
+from plugins.detectors.common.embedding import (
     Embedded,
     Embedding,
     EmbeddingChoice,
@@ -25,9 +24,10 @@ from plugins.detectors.maths.embedding import (
     blocks,
     learn_embedding,
 )
-from plugins.detectors.maths.lowrank import RELATIVE_CUT
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
-from plugins.detectors.shipped import PREBUILT_FRAMES
+from plugins.detectors.common.lowrank import RELATIVE_CUT
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
+from plugins.detectors.common.validation import choose, require_fittable, require_scorable
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.maths.smoothing import Smoothing, upsampling_matrix
+from plugins.detectors.common.smoothing import Smoothing, upsampling_matrix
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["emit_layered_scores"]

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.errors import FitError
-from plugins.detectors.maths.descriptor import Descriptor
-from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.embedding import touched_cells
-from plugins.detectors.maths.mosaic import emit_join, join, layout, split
-from plugins.detectors.maths.rotation import Rotation, emit_rotation, fit_rotation
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, HalvedBank
+from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
+from plugins.detectors.common.descriptor import Descriptor
+from plugins.detectors.common.distances import nearest
+from plugins.detectors.common.embedding import touched_cells
+from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
+from plugins.detectors.common.tile_layout import emit_join, join, layout, split
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PatchBank", "drawn"]

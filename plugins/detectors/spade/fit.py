@@ -19,21 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
-from plugins.detectors.maths.coreset import k_centre
-from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.free_gel import (
+from plugins.detectors.common.coreset import k_centre
+from plugins.detectors.common.distances import nearest
+from plugins.detectors.common.free_gel import (
     gel_distances,
     gel_mean,
     gel_weight,
     touched_places,
 )
-from plugins.detectors.maths.mosaic import join, layout, split, stacked
-from plugins.detectors.maths.rotation import Rotation, fit_rotation
-from plugins.detectors.maths.window import Tables, window_nearest
-from plugins.detectors.shipped import PREBUILT_FRAMES
-from plugins.detectors.spade_head import spade_head
-from plugins.detectors.spade_parameters import PAPER, REPAIRS, SpadeParameters
+from plugins.detectors.common.pca import Rotation, fit_rotation
+from plugins.detectors.common.tile_layout import join, layout, split, stacked
+from plugins.detectors.common.validation import (
+    bank_bytes,
+    choose,
+    repaired,
+    require_fittable,
+    require_scorable,
+)
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
+from plugins.detectors.spade.head import spade_head
+from plugins.detectors.spade.parameters import PAPER, REPAIRS, SpadeParameters
+from plugins.detectors.spade.window import Tables, window_nearest
 
 __all__ = ["SpadeParameters", "spade"]
 

@@ -21,11 +21,18 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import bank_bytes, choose, repaired, require_fittable, require_scorable
-from plugins.detectors.fapm_parameters import PAPER, REPAIRS, FapmParameters
-from plugins.detectors.maths.free_gel import gel_mean, gel_weight, touched_places
-from plugins.detectors.maths.mosaic import emit_join, emit_split, join, layout, split, tile_grid
-from plugins.detectors.maths.prototypes import (
+from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
+from plugins.detectors.common.smoothing import emit_scores
+from plugins.detectors.common.tile_layout import emit_join, emit_split, join, layout, split, tile_grid
+from plugins.detectors.common.validation import (
+    bank_bytes,
+    choose,
+    repaired,
+    require_fittable,
+    require_scorable,
+)
+from plugins.detectors.fapm.parameters import PAPER, REPAIRS, FapmParameters
+from plugins.detectors.fapm.prototypes import (
     Layout,
     cell_layout,
     cell_scales,
@@ -33,9 +40,8 @@ from plugins.detectors.maths.prototypes import (
     emit_prototype_distances,
     prototype_distances,
 )
-from plugins.detectors.maths.smoothing import emit_scores
-from plugins.detectors.maths.weighting import emit_first, emit_weighted, softmax_weight
-from plugins.detectors.shipped import PREBUILT_FRAMES
+from plugins.detectors.fapm.weighting import emit_first, emit_weighted, softmax_weight
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]

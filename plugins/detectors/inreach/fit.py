@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.choices import choose, repaired, require_fittable, require_scorable
-from plugins.detectors.inreach_channels import Channels, associate, prune
-from plugins.detectors.inreach_parameters import PAPER, REPAIRS, InreachParameters
-from plugins.detectors.maths.coreset import k_centre
-from plugins.detectors.maths.mosaic import layout
-from plugins.detectors.maths.smoothing import emit_scores
-from plugins.detectors.shipped import PREBUILT_FRAMES
+from plugins.detectors.common.coreset import k_centre
+from plugins.detectors.common.smoothing import emit_scores
+from plugins.detectors.common.tile_layout import layout
+from plugins.detectors.common.validation import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.inreach.channels import Channels, associate, prune
+from plugins.detectors.inreach.parameters import PAPER, REPAIRS, InreachParameters
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["InreachParameters", "inreach"]

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from edge.core.detector import Bank, Grid
-from plugins.detectors.maths.free_gel import emit_gel_distances
-from plugins.detectors.maths.layered import emit_layered_scores
-from plugins.detectors.maths.mosaic import emit_join, emit_split, layout
-from plugins.detectors.maths.rotation import emit_rotation
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
-from plugins.detectors.maths.window import Tables, emit_window_nearest
-from plugins.detectors.spade_parameters import CHUNK, SpadeParameters
+from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
+from plugins.detectors.common.free_gel import emit_gel_distances
+from plugins.detectors.common.pca import emit_rotation
+from plugins.detectors.common.tile_layout import emit_join, emit_split, layout
+from plugins.detectors.spade.multi_scale import emit_layered_scores
+from plugins.detectors.spade.parameters import CHUNK, SpadeParameters
+from plugins.detectors.spade.window import Tables, emit_window_nearest
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["spade_head"]

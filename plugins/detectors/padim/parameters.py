@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 
 from edge.core.detector import Grid, Mode, Packing
-from plugins.detectors.maths.embedding import EmbeddingChoice, Projection
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_PX, Smoothing, blur_px
+from plugins.detectors.common.embedding import EmbeddingChoice, Projection
+from plugins.detectors.common.smoothing import PAPER_SIGMA_PX, Smoothing, blur_px
 
 __all__ = ["PAPER", "REPAIRS", "PadimParameters"]
 

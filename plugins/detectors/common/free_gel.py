@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Grid, Nominal
 from edge.core.errors import FitError
-from plugins.detectors.maths.embedding import touched_cells
-from plugins.detectors.maths.mosaic import layout, split
+from plugins.detectors.common.embedding import touched_cells
+from plugins.detectors.common.tile_layout import layout, split
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["emit_gel_distances", "gel_distances", "gel_mean", "gel_weight", "touched_places"]

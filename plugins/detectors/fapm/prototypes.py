@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.maths.coreset import greedy_from_distances
-from plugins.detectors.maths.distances import nearest
-from plugins.detectors.maths.free_gel import emit_gel_distances, gel_distances
-from plugins.detectors.maths.shortlist import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
+from plugins.detectors.common.batched_nearest import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
+from plugins.detectors.common.coreset import greedy_from_distances
+from plugins.detectors.common.distances import nearest
+from plugins.detectors.common.free_gel import emit_gel_distances, gel_distances
 from plugins.onnx_builder import Graph, Value
 
 __all__ = [

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Progress
-from plugins.detectors.inreach_parameters import InreachParameters
-from plugins.detectors.maths.shortlist import PRODUCT_LIMIT
+from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
+from plugins.detectors.inreach.parameters import InreachParameters
 
 __all__ = ["Channels", "associate", "prune"]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from edge.core.detector import Grid, Mode, Packing
-from plugins.detectors.maths.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
-from plugins.detectors.maths.weighting import Weighting
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, Upsampling, blur_px
+from plugins.detectors.fapm.weighting import Weighting
 
 __all__ = ["PAPER", "REPAIRS", "FapmParameters"]
 

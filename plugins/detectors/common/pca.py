@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.maths.lowrank import spectrum
+from plugins.detectors.common.lowrank import spectrum
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Rotation", "emit_rotation", "fit_rotation"]
