@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.errors import SinkUnavailable
+from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 
@@ -39,7 +39,7 @@ class JsonlSink:
         self._lock = threading.Lock()
 
     def send(self, message: Message) -> None:
-        """Append and flush to disk. Errors: SinkUnavailable when the disk refuses."""
+        """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for broken JSON."""
         line: dict[str, object] = {"root": self._root, "topic": message.topic, "retain": message.retain}
         try:
             with self._lock:
@@ -49,6 +49,10 @@ class JsonlSink:
                 else:
                     line["file"] = self._picture(message) if message.payload else None
                 self._append(line)
+        except ValueError as error:
+            raise SinkRejected(
+                f"the message on {message.topic} is no JSON ({error}); it was not written"
+            ) from error
         except OSError as error:
             raise SinkUnavailable(
                 f"folder {self._folder} cannot be written: {error.strerror or error}; free space or change its rights"

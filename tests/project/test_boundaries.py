@@ -14,6 +14,7 @@ MAY_IMPORT = {
     "edge.core": (),
     "edge": ("edge",),
     "plugins": (),
+    "plugins.conformance": ("edge.core", "edge.model.onnx_validation", "edge.model.session"),
     "plugins.detectors": ("edge.core", "plugins.onnx_builder"),
     "plugins.backbones": ("edge.core", "plugins.onnx_builder"),
     "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),

@@ -1,0 +1,233 @@
+"""What every detector must do, on features that are invented here."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, cast
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from edge.core.detector import Bank, Detector, Features, Grid, HasReference, Nominal, ScoreMaps
+from edge.core.errors import FitError
+from edge.model.onnx_validation import check_graph
+from edge.model.session import open_session
+from plugins.conformance.running import raises, require, run_all
+
+__all__ = ["DETECTOR_CHECKS", "DetectorCase", "check_detector"]
+
+# A small frame, and the taps of the backbone that ships: (channels, pixels per cell). Other taps are like layer2.
+FRAME: Final = (64, 64)
+TAPS: Final = {"layer1": (64, 4), "layer2": (128, 8), "layer3": (256, 16)}
+PRESSES: Final = 8
+DTYPES: Final = ("float32", "int64", "bool")
+# Of the largest value: float32 sums through some thousand additions and a square root.
+PARITY: Final = 1e-4
+
+
+@dataclass(frozen=True)
+class DetectorCase:
+    """A detector with parameters and a grid to check it on. parameters None: the defaults."""
+
+    detector: Detector
+    parameters: Any = None
+    frame: tuple[int, int] = FRAME
+
+    @cached_property
+    def chosen(self) -> Any:
+        return self.detector.parameters() if self.parameters is None else self.parameters
+
+    @cached_property
+    def grid(self) -> Grid:
+        h, w = self.frame
+        sizes = {tap: TAPS.get(tap, TAPS["layer2"]) for tap in self.detector.taps(self.chosen)}
+        return Grid(self.frame, {tap: (c, h // cell, w // cell) for tap, (c, cell) in sizes.items()}, 15.77)
+
+    def presses(self, n: int, seed: int) -> Features:
+        """n presses of one part: what all share, and deviations of 30 %; no negatives, as behind a ReLU."""
+        part, own = np.random.default_rng(77), np.random.default_rng(seed)
+        return {
+            tap: np.maximum(part.normal(0.5, 1, shape) + own.normal(0, 0.3, (n, *shape)), 0).astype(
+                np.float32
+            )
+            for tap, shape in self.grid.taps.items()
+        }
+
+    def fit(
+        self, features: Features, seed: int = 0, progress: Callable[[float], None] = lambda _: None
+    ) -> Bank:
+        rng = np.random.default_rng(seed)
+        return self.detector.fit(Nominal(features), self.grid, self.chosen, rng, progress)
+
+    def score(self, features: Features, bank: Bank) -> ScoreMaps:
+        """By the graph, as the gateway would: map and score of each press."""
+        session = open_session(self.detector.head(self.grid, bank, self.chosen), 1, "head.onnx")
+        wanted = [one.name for one in session.get_inputs()]
+        feed = {name: features[name] if name in features else bank.arrays[name] for name in wanted}
+        score_map, score = cast("list[NDArray[Any]]", session.run(["score_map", "score"], feed))
+        return ScoreMaps(score_map, score)
+
+
+def check_detector(detector: Detector, parameters: Any = None) -> None:
+    """Run every check on a detector. Errors: ExceptionGroup."""
+    run_all(f"detector {detector.name}", DETECTOR_CHECKS, lambda: DetectorCase(detector, parameters))
+
+
+def check_it_is_a_detector(case: DetectorCase) -> None:
+    """It has everything that `edge.core.detector.Detector` asks for."""
+    require(isinstance(case.detector, Detector), f"{type(case.detector).__name__} lacks a part of Detector")
+
+
+def check_parameters(case: DetectorCase) -> None:
+    """Parameters are a dataclass that JSON can hold, equal for equal choices; an unknown one is a FitError."""
+    once, again = case.detector.parameters(), case.detector.parameters()
+    require(dataclasses.is_dataclass(once) and once == again, f"{once} and {again} are no equal dataclasses")
+    json.dumps(dataclasses.asdict(cast(Any, once)))
+    raises(FitError, "no_such_parameter=1", lambda: case.detector.parameters(no_such_parameter=1))
+
+
+def check_fit_can_be_repeated(case: DetectorCase) -> None:
+    """The same presses and seed give the same bank; features stay as they are; progress is between 0 and 1."""
+    features, seen = case.presses(PRESSES, 1), list[float]()
+    before = {tap: maps.copy() for tap, maps in features.items()}
+    one, two = case.fit(features, progress=seen.append), case.fit(features)
+    same = all(np.array_equal(one.arrays[name], two.arrays[name]) for name in one.arrays)
+    require(one.arrays.keys() == two.arrays.keys() and same, "two fits of the same presses differ")
+    require(all(np.array_equal(before[tap], features[tap]) for tap in before), "fit changes its features")
+    require(all(0 <= fraction <= 1 for fraction in seen), f"progress of {seen}")
+
+
+def check_bank(case: DetectorCase) -> None:
+    """Arrays are float32, int64 or bool and finite, packing names existing ones, facts are plain JSON."""
+    bank = case.fit(case.presses(PRESSES, 1))
+    require(bool(bank.arrays), "the bank has no arrays")
+    for name, array in bank.arrays.items():
+        require(str(array.dtype) in DTYPES, f"array '{name}' is {array.dtype}")
+        require(bool(np.isfinite(array).all()), f"array '{name}' is not finite")
+    require(bank.packing.keys() <= bank.arrays.keys(), f"packing of {set(bank.packing) - set(bank.arrays)}")
+    json.dumps(dict(bank.facts))
+
+
+def check_head(case: DetectorCase) -> None:
+    """The graph may be in a bundle, reads taps and bank arrays, and gives float32 maps (n, h, w) and scores (n,)."""
+    bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
+    graph = case.detector.head(case.grid, bank, case.chosen)
+    check_graph(graph)
+    session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
+    inputs, outputs = ({one.name for one in ends} for ends in (session.get_inputs(), session.get_outputs()))
+    require({"score_map", "score"} <= outputs, f"it gives {sorted(outputs)}")
+    require(bool(inputs & case.grid.taps.keys()), f"it reads {sorted(inputs)} and no tap")
+    require(inputs <= case.grid.taps.keys() | bank.arrays.keys(), f"it reads {sorted(inputs)}")
+    found = case.score(asked, bank)
+    require(
+        str(found.score_map.dtype) == str(found.score.dtype) == "float32", "maps or scores are no float32"
+    )
+    require(found.score_map.shape == (3, *case.frame), f"maps are {found.score_map.shape}")
+    require(found.score.shape == (3,), f"scores are {found.score.shape}")
+    require(bool(np.isfinite(found.score_map).all() and np.isfinite(found.score).all()), "scores not finite")
+
+
+def check_a_press_is_scored_by_itself(case: DetectorCase) -> None:
+    """A press has the same map and score alone and among others."""
+    bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
+    among = case.score(asked, bank)
+    alone = case.score({tap: maps[1:2] for tap, maps in asked.items()}, bank)
+    compare(alone, ScoreMaps(among.score_map[1:2], among.score[1:2]))
+
+
+def check_damage_scores_higher(case: DetectorCase) -> None:
+    """A press with one strange place scores above every nominal one."""
+    train, asked = case.presses(PRESSES, 1), case.presses(3, 2)
+    found = case.score(with_damage(asked), case.fit(train)).score
+    sound = case.score(asked, case.fit(train)).score
+    require(bool(found.min() > sound.max()), f"damaged presses score {found}, sound ones {sound}")
+
+
+def check_reference(case: DetectorCase) -> None:
+    """Where there is a float64 oracle, the graph agrees with it."""
+    if isinstance(case.detector, HasReference):
+        bank, asked = case.fit(case.presses(PRESSES, 1)), with_damage(case.presses(2, 2))
+        compare(case.score(asked, bank), case.detector.reference_score(asked, case.grid, bank, case.chosen))
+
+
+def check_no_presses(case: DetectorCase) -> None:
+    """Nothing can be learnt from nothing: FitError, and no empty bank."""
+    raises(FitError, "no presses", lambda: case.fit(case.presses(0, 1)))
+
+
+def check_one_press(case: DetectorCase) -> None:
+    """A single press is a FitError, or gives finite scores."""
+    refused_or_finite(case, case.presses(1, 1))
+
+
+def check_equal_presses(case: DetectorCase) -> None:
+    """Presses without any difference are a FitError, or give finite scores."""
+    refused_or_finite(case, {tap: maps.repeat(PRESSES, axis=0) for tap, maps in case.presses(1, 1).items()})
+
+
+def check_features_that_are_not_finite(case: DetectorCase) -> None:
+    """One value that is not a number among the nominal presses is a FitError."""
+    for value in (np.nan, np.inf):
+        raises(FitError, f"a feature of {value}", lambda value=value: case.fit(spoilt(case, PRESSES, value)))  # type: ignore[misc]
+
+
+def check_a_press_that_is_not_finite_does_not_pass(case: DetectorCase) -> None:
+    """A map that is not finite is refused by the gateway; a finite one of such a press is not below sound ones."""
+    bank = case.fit(case.presses(PRESSES, 1))
+    sound = case.score(case.presses(1, 2), bank)
+    found = case.score(spoilt(case, 1, np.nan), bank)
+    is_seen = not (np.isfinite(found.score_map).all() and np.isfinite(found.score).all())
+    require(bool(is_seen or found.score[0] > sound.score[0]), f"a press with a NaN scores {found.score[0]}")
+
+
+DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = (
+    check_it_is_a_detector,
+    check_parameters,
+    check_fit_can_be_repeated,
+    check_bank,
+    check_head,
+    check_a_press_is_scored_by_itself,
+    check_damage_scores_higher,
+    check_reference,
+    check_no_presses,
+    check_one_press,
+    check_equal_presses,
+    check_features_that_are_not_finite,
+    check_a_press_that_is_not_finite_does_not_pass,
+)
+
+
+def compare(found: ScoreMaps, expected: ScoreMaps) -> None:
+    """Errors: AssertionError where map or score differ by more than PARITY of the largest value."""
+    for what in ("score_map", "score"):
+        one, other = getattr(found, what), getattr(expected, what)
+        error = float(np.abs(one - other).max()) / max(float(np.abs(other).max()), 1e-30)
+        require(error < PARITY, f"{what} differs by {error:.2g} of its largest value")
+
+
+def with_damage(features: Features) -> Features:
+    """The same presses with one strange cell in the middle of every tap."""
+    changed = {tap: maps.copy() for tap, maps in features.items()}
+    for maps in changed.values():
+        maps[:, ::2, maps.shape[2] // 2, maps.shape[3] // 2] += np.float32(5 * maps.max())
+    return changed
+
+
+def spoilt(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray[np.float32]]:
+    """n presses of which the first has one such value in every tap."""
+    features = {tap: maps.copy() for tap, maps in case.presses(n, 3).items()}
+    for maps in features.values():
+        maps[0, :, 1, 1] = value
+    return features
+
+
+def refused_or_finite(case: DetectorCase, features: Features) -> None:
+    try:
+        bank = case.fit(features)
+    except FitError:
+        return
+    found = case.score(case.presses(1, 2), bank)
+    require(bool(np.isfinite(found.score_map).all()), "a bank was fitted that gives no finite scores")

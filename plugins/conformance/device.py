@@ -1,0 +1,149 @@
+"""What every device must do. Its author brings a bench that lets it play given frames and pulls its plug."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Final, Protocol
+
+from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded
+from edge.core.ports import Clock, CountsStale, Device
+from plugins.conformance.running import raises, require, run_all
+
+__all__ = ["DEVICE_CHECKS", "PERIOD_S", "SIZE", "DeviceBench", "check_device", "picture"]
+
+SIZE: Final = (64, 48)
+"""(width, height) of the frames that a bench is given."""
+
+PERIOD_S: Final = 0.05
+"""From one frame to the next, where a bench plays in real time."""
+
+
+class DeviceBench(Protocol):
+    """One device under test."""
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that the device was opened with."""
+        ...
+
+    def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
+        """The device, about to deliver these JPEG frames, each as soon as it is asked for or each PERIOD_S."""
+        ...
+
+    def unplug(self) -> None:
+        """Take away what the device reads from, as a pulled cable does."""
+        ...
+
+
+@cache
+def picture(seed: int) -> bytes:
+    """A JPEG of noise in SIZE; every seed gives other bytes."""
+    import cv2
+    import numpy as np
+
+    noise = np.random.default_rng(seed).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    return cv2.imencode(".jpg", noise)[1].tobytes()
+
+
+def check_device(make_bench: Callable[[], DeviceBench]) -> None:
+    """Run every check, each on a new bench. Errors: ExceptionGroup."""
+    run_all("device", DEVICE_CHECKS, make_bench)
+
+
+def check_it_knows_who_it_is(bench: DeviceBench) -> None:
+    """Product, serial and mode are known before the first frame."""
+    device = bench.open([picture(0)])
+    require(isinstance(device, Device), f"{type(device).__name__} lacks a part of Device")
+    require(bool(device.identity.product and device.identity.serial), f"it is {device.identity}")
+    require(device.identity.mode == SIZE, f"its mode is {device.identity.mode}, the frames are {SIZE}")
+    device.close()
+
+
+def check_frames_are_untouched(bench: DeviceBench) -> None:
+    """Payloads come byte for byte and in order; sequence numbers rise, times never go back."""
+    sent = [picture(seed) for seed in range(5)]
+    device = bench.open(sent)
+    frames = [device.read(_soon(bench)) for _ in sent]
+    device.close()
+    require([frame.payload for frame in frames] == sent, "payloads differ from those played")
+    numbers, times = [frame.sequence for frame in frames], [frame.timestamp_ns for frame in frames]
+    require(numbers == sorted(set(numbers)), f"sequence numbers are {numbers}")
+    require(times == sorted(times), f"times are {times}")
+
+
+def check_the_deadline_is_kept(bench: DeviceBench) -> None:
+    """No frame by the deadline is DeviceStalled, not earlier; the frame is not lost by it."""
+    device = bench.open([picture(0), picture(1)], real_time=True)
+    device.read(_soon(bench))
+    deadline = bench.clock.monotonic_ns() + round(PERIOD_S * 1e9 / 2)
+    raises(DeviceStalled, "no frame before the deadline", lambda: device.read(deadline))
+    require(bench.clock.monotonic_ns() >= deadline, "it gave up before the deadline")
+    require(device.read(_soon(bench)).payload == picture(1), "the next frame is not the next one played")
+    device.close()
+
+
+def check_a_frame_comes_once(bench: DeviceBench) -> None:
+    """A frame that comes again is left out, and counted where the device counts."""
+    device = bench.open([picture(0), picture(0), picture(0), picture(1)])
+    found = [device.read(_soon(bench)).payload for _ in range(2)]
+    require(found == [picture(0), picture(1)], "a frame was delivered twice")
+    if isinstance(device, CountsStale):
+        require(device.stale == 2, f"it counts {device.stale} frames that came again, 2 did")
+    device.close()
+
+
+def check_a_damaged_frame(bench: DeviceBench) -> None:
+    """A JPEG that ends early is FrameCorrupt, and the next frame is good."""
+    device = bench.open([picture(0), picture(1)[:-40], picture(2)])
+    device.read(_soon(bench))
+    raises(FrameCorrupt, "half a JPEG", lambda: device.read(_soon(bench)))
+    require(device.read(_soon(bench)).payload == picture(2), "the frame after the damaged one is missing")
+    device.close()
+
+
+def check_unplugged(bench: DeviceBench) -> None:
+    """Without its source every read is DeviceLost; closing it then is harmless."""
+    device = bench.open([picture(seed) for seed in range(5)])
+    device.read(_soon(bench))
+    bench.unplug()
+    for _ in range(3):
+        raises(DeviceLost, "read of an unplugged device", lambda: device.read(_soon(bench)))
+    device.close()
+
+
+def check_closed_twice(bench: DeviceBench) -> None:
+    """Closing twice is harmless, and a closed device does not read."""
+    device = bench.open([picture(0), picture(1)])
+    device.read(_soon(bench))
+    device.close()
+    device.close()
+    raises(DeviceLost, "read of a closed device", lambda: device.read(_soon(bench)))
+
+
+def check_after_the_last_frame(bench: DeviceBench) -> None:
+    """When nothing more comes, no frame is delivered again: RecordingEnded or DeviceStalled, as often as one asks."""
+    device = bench.open([picture(0)])
+    device.read(_soon(bench))
+    for _ in range(2):
+        try:
+            frame = device.read(_soon(bench))
+        except (RecordingEnded, DeviceStalled):
+            continue
+        raise AssertionError(f"after the last frame it delivered frame {frame.sequence}")
+    device.close()
+
+
+DEVICE_CHECKS: Final[tuple[Callable[[DeviceBench], None], ...]] = (
+    check_it_knows_who_it_is,
+    check_frames_are_untouched,
+    check_the_deadline_is_kept,
+    check_a_frame_comes_once,
+    check_a_damaged_frame,
+    check_unplugged,
+    check_closed_twice,
+    check_after_the_last_frame,
+)
+
+
+def _soon(bench: DeviceBench) -> int:
+    """A deadline that a frame which is there does not miss."""
+    return bench.clock.monotonic_ns() + round(20 * PERIOD_S * 1e9)

@@ -1,0 +1,41 @@
+"""Running checks, and the two things that they ask: is it so, and is it refused as it should be."""
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+__all__ = ["raises", "require", "run_all"]
+
+CaseT = TypeVar("CaseT")
+
+
+def require(is_so: bool, found: str) -> None:
+    """Errors: AssertionError that says what was found."""
+    if not is_so:
+        raise AssertionError(found)
+
+
+def raises(expected: type[Exception], what: str, call: Callable[[], object]) -> None:
+    """The call ends with this error. Errors: AssertionError where it returns, or ends with another error."""
+    try:
+        result = call()
+    except expected:
+        return
+    except Exception as error:
+        raise AssertionError(
+            f"{what}: {type(error).__name__} ({error}), expected {expected.__name__}"
+        ) from error
+    raise AssertionError(f"{what}: it returned {result!r:.80}, expected {expected.__name__}")
+
+
+def run_all(name: str, checks: Iterable[Callable[[CaseT], None]], make: Callable[[], CaseT]) -> None:
+    """Run every check on a case of its own. Errors: ExceptionGroup with each failure and the fact it is about."""
+    failures: list[Exception] = []
+    facts = list(checks)
+    for check in facts:
+        try:
+            check(make())
+        except Exception as error:  # noqa: BLE001 - whatever a plugin raises is what its author wants to see
+            error.add_note(f"{check.__name__}: {check.__doc__}")
+            failures.append(error)
+    if failures:
+        raise ExceptionGroup(f"{name}: {len(failures)} of {len(facts)} checks failed", failures)

@@ -1,0 +1,150 @@
+"""What every sink must do. Its author brings a bench that knows what the receiver has, and can take it away."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, Protocol
+
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
+from edge.core.ports import Message, Sink
+from edge.core.sink_context import Station
+from plugins.conformance.running import raises, require, run_all
+
+__all__ = ["ROOT", "SINK_CHECKS", "SinkBench", "check_sink"]
+
+ROOT: Final = "gelgate/plant/line1/station1/gel/v1"
+STATION: Final = Station(ROOT, "station1")
+# How often a message is offered again to a receiver that comes back; the bench lets time pass in between.
+_ATTEMPTS: Final = 400
+
+
+class SinkBench(Protocol):
+    """One receiver with its sink under test."""
+
+    def open(self, station: Station) -> Sink:
+        """The sink, by its plugin."""
+        ...
+
+    def received(self, n: int) -> Sequence[tuple[str, bytes]]:
+        """The first n messages that the receiver was sent, waiting until they are there: (full topic, payload)."""
+        ...
+
+    def take_away(self) -> bool:
+        """Make the receiver unreachable; False where it cannot be."""
+        ...
+
+    def bring_back(self) -> None:
+        """Make it reachable again."""
+        ...
+
+    def wait(self) -> None:
+        """Let as much time pass as a retry needs."""
+        ...
+
+    def unwanted(self) -> Message | None:
+        """A message that this receiver refuses, None where it takes everything."""
+        ...
+
+
+def check_sink(make_bench: Callable[[], SinkBench]) -> None:
+    """Run every check, each on a new bench. Errors: ExceptionGroup."""
+    run_all("sink", SINK_CHECKS, make_bench)
+
+
+def check_messages_arrive(bench: SinkBench) -> None:
+    """What `send` returned for is there: below the station's root, in order, byte for byte."""
+    sink = bench.open(STATION)
+    require(isinstance(sink, Sink), f"{type(sink).__name__} lacks a part of Sink")
+    sent = [Message("result", b'{"n":1}'), Message("heatmap/1", b"\x89PNG", content_type="image/png")]
+    sent += [Message("gel", b'{"n":2}', retain=True)]
+    for message in sent:
+        sink.send(message)
+    found, expected = list(bench.received(3)), [(f"{ROOT}/{one.topic}", one.payload) for one in sent]
+    require(found == expected, f"the receiver has {found}, sent was {expected}")
+    sink.close()
+
+
+def check_any_payload(bench: SinkBench) -> None:
+    """An empty payload, a broken one and one of any bytes are delivered or refused, and the next message passes."""
+    sink = bench.open(STATION)
+    for payload in (b"", b"{", bytes(range(256))):
+        try:
+            sink.send(Message("result", payload))
+        except SinkRejected:
+            continue
+    sink.send(Message("result", b'{"n":1}'))
+    sink.close()
+
+
+def check_threads(bench: SinkBench) -> None:
+    """Messages that several threads send at once all arrive."""
+    sink = bench.open(STATION)
+    messages = [Message("result", b'{"n":%d}' % n) for n in range(40)]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(sink.send, messages))
+    found = sorted(payload for _, payload in bench.received(40))
+    require(found == sorted(message.payload for message in messages), f"{len(set(found))} of 40 arrived")
+    sink.close()
+
+
+def check_a_receiver_that_is_away(bench: SinkBench) -> None:
+    """Sending is SinkUnavailable, and passes again once the receiver is back."""
+    sink = bench.open(STATION)
+    sink.send(Message("result", b'{"n":1}'))
+    if bench.take_away():
+        raises(SinkUnavailable, "send to nobody", lambda: sink.send(Message("result", b'{"n":2}')))
+        bench.bring_back()
+        _send_when_back(bench, sink)
+    sink.close()
+
+
+def check_a_receiver_that_is_away_at_the_start(bench: SinkBench) -> None:
+    """Opening is no error then; sending is SinkUnavailable until the receiver is there."""
+    if bench.take_away():
+        sink = bench.open(STATION)
+        raises(SinkUnavailable, "send to nobody", lambda: sink.send(Message("result", b'{"n":1}')))
+        bench.bring_back()
+        _send_when_back(bench, sink)
+        sink.close()
+
+
+def check_a_message_that_is_refused(bench: SinkBench) -> None:
+    """It is SinkRejected, which is not tried again, and the next message passes."""
+    message = bench.unwanted()
+    if message is not None:
+        sink = bench.open(STATION)
+        raises(SinkRejected, "a message that the receiver refuses", lambda: sink.send(message))
+        sink.send(Message("result", b'{"n":1}'))
+        sink.close()
+
+
+def check_closed_twice(bench: SinkBench) -> None:
+    """Closing twice is harmless; a message after that is delivered or a SinkError, never lost without a word."""
+    sink = bench.open(STATION)
+    sink.send(Message("result", b'{"n":1}'))
+    sink.close()
+    sink.close()
+    try:
+        sink.send(Message("result", b'{"n":2}'))
+    except SinkError:
+        return
+    require(len(bench.received(2)) == 2, "a message sent after `close` is gone")
+
+
+SINK_CHECKS: Final[tuple[Callable[[SinkBench], None], ...]] = (
+    check_messages_arrive,
+    check_any_payload,
+    check_threads,
+    check_a_receiver_that_is_away,
+    check_a_receiver_that_is_away_at_the_start,
+    check_a_message_that_is_refused,
+    check_closed_twice,
+)
+
+
+def _send_when_back(bench: SinkBench, sink: Sink) -> None:
+    for _ in range(_ATTEMPTS):
+        try:
+            return sink.send(Message("result", b'{"n":3}'))
+        except SinkUnavailable:
+            bench.wait()
+    raise AssertionError("the receiver is back, and the sink does not deliver")

@@ -1,0 +1,53 @@
+"""Every built-in plugin passes the checks that are published for plugins by others."""
+
+from collections.abc import Callable
+
+import benches
+import pytest
+
+from edge import registry
+from plugins.conformance import (
+    DETECTOR_CHECKS,
+    DEVICE_CHECKS,
+    SINK_CHECKS,
+    DetectorCase,
+    DeviceBench,
+    SinkBench,
+)
+
+
+def named(check: Callable[..., None]) -> str:
+    return check.__name__
+
+
+@pytest.mark.parametrize("check", DETECTOR_CHECKS, ids=named)
+@pytest.mark.parametrize("method", registry.names("detectors"))
+def test_a_built_in_detector_conforms(method: str, check: Callable[[DetectorCase], None]) -> None:
+    """The check's own docstring states the fact."""
+    check(DetectorCase(registry.detector(method)))
+
+
+@pytest.mark.parametrize("check", DEVICE_CHECKS, ids=named)
+@pytest.mark.parametrize("make_bench", benches.DEVICES.values(), ids=benches.DEVICES)
+def test_a_built_in_device_conforms(
+    make_bench: benches.Make[DeviceBench], check: Callable[[DeviceBench], None]
+) -> None:
+    """The check's own docstring states the fact."""
+    with make_bench() as bench:
+        check(bench)
+
+
+@pytest.mark.parametrize("check", SINK_CHECKS, ids=named)
+@pytest.mark.parametrize("make_bench", benches.SINKS.values(), ids=benches.SINKS)
+def test_a_built_in_sink_conforms(
+    make_bench: benches.Make[SinkBench], check: Callable[[SinkBench], None]
+) -> None:
+    """The check's own docstring states the fact."""
+    with make_bench() as bench:
+        check(bench)
+
+
+def test_every_built_in_device_and_sink_has_a_bench() -> None:
+    """A new plugin cannot be forgotten here. The real sensor is read by the driver that usb_mock drives, or by V4L2."""
+    assert {*registry.names("devices")} == {*benches.DEVICES, "gelsight_mini"}
+    assert {*registry.names("sinks")} == {name.partition(" ")[0] for name in benches.SINKS}

@@ -1,0 +1,193 @@
+"""Benches of the built-in devices and sinks, for the checks of `plugins.conformance`."""
+
+import contextlib
+import json
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+from small_recordings import FakeClock
+
+from edge.core.ports import Device, Message, Sink
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_connection import Broker, Connection, Received
+from edge.recording.format import RecordingHeader, RecordingWriter
+from plugins.conformance.device import PERIOD_S, SIZE
+from plugins.devices import recorded, usb_mock
+from plugins.sinks import jsonl, memory, mqtt
+
+__all__ = ["DEVICES", "SINKS", "Make"]
+
+BenchT = TypeVar("BenchT")
+Make = Callable[[], AbstractContextManager[BenchT]]
+
+
+class RecordedBench:
+    """The device `recorded` on a recording of the payloads; its cable is the folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.clock = FakeClock()
+        self._folder = folder / "recording"
+
+    def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
+        self._record(payloads)
+        options = recorded.RecordedOptions(recording=self._folder, pace=1.0 if real_time else 0.0)
+        return recorded.plugin.open(options, self.clock)
+
+    def unplug(self) -> None:
+        shutil.rmtree(self._folder)
+
+    def _record(self, payloads: Sequence[bytes]) -> None:
+        header = RecordingHeader("GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7", SIZE, 1 / PERIOD_S / 0.75)
+        with RecordingWriter(self._folder, header) as writer:
+            for position, payload in enumerate(payloads):
+                writer.add(payload, round(position * PERIOD_S * 1e9))
+
+
+class UsbMockBench(RecordedBench):
+    """The driver of the real sensor on the virtual bus."""
+
+    def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
+        self._record(payloads)
+        self._options = usb_mock.UsbMockOptions(recording=self._folder, pace=1.0 if real_time else 0.0)
+        return usb_mock.plugin.open(self._options, self.clock)
+
+    def unplug(self) -> None:
+        usb_mock.plugin.bench(self._options).unplug()
+
+
+class MemoryBench:
+    """The list itself; it is never away and takes everything."""
+
+    def open(self, station: Station) -> Sink:
+        self._station = station
+        self._sink = memory.plugin.open(memory.MemoryOptions(), station)
+        return self._sink
+
+    def received(self, n: int) -> Sequence[tuple[str, bytes]]:
+        return [(self._station.topic(one), one.payload) for one in self._sink.messages[:n]]
+
+    def take_away(self) -> bool:
+        return False
+
+    def bring_back(self) -> None: ...
+
+    def wait(self) -> None: ...
+
+    def unwanted(self) -> Message | None:
+        return None
+
+
+class JsonlBench:
+    """A folder; it is away while a file has its name. It refuses JSON that is none."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "log"
+
+    def open(self, station: Station) -> Sink:
+        return jsonl.plugin.open(jsonl.JsonlOptions(folder=self._folder), station)
+
+    def received(self, n: int) -> Sequence[tuple[str, bytes]]:
+        lines = (self._folder / "messages.jsonl").read_text(encoding="utf-8").splitlines()[:n]
+        return [self._read(json.loads(line)) for line in lines]
+
+    def _read(self, line: dict[str, object]) -> tuple[str, bytes]:
+        topic = f"{line['root']}/{line['topic']}"
+        if "file" in line:
+            return topic, (self._folder / str(line["file"])).read_bytes()
+        return topic, json.dumps(line["payload"], separators=(",", ":")).encode()
+
+    def take_away(self) -> bool:
+        if self._folder.exists():
+            self._folder.rename(self._folder.with_name("away"))
+        self._folder.touch()
+        return True
+
+    def bring_back(self) -> None:
+        self._folder.unlink()
+
+    def wait(self) -> None: ...
+
+    def unwanted(self) -> Message | None:
+        return Message("result", b"{")
+
+
+class MqttBench:
+    """mosquitto, with a subscriber to everything; it is away while it does not run, and refuses large messages."""
+
+    def __init__(self, broker: LocalBroker, level: str) -> None:
+        self._broker, self._level = broker, level
+        self._changed, self._heard = threading.Condition(), list[Received]()
+        self._listener = Connection.open(
+            Broker(broker.host, broker.port, "listener", level=None if broker.speaks_mqtt5 else "3.1.1"),
+            on_received=self._note,  # type: ignore[arg-type]
+        )
+        self._listener.subscribe("gelgate/#")
+
+    def _note(self, message: Received) -> None:
+        with self._changed:
+            self._heard.append(message)
+            self._changed.notify_all()
+
+    def open(self, station: Station) -> Sink:
+        options = {
+            "host": self._broker.host,
+            "port": self._broker.port,
+            "protocol": self._level,
+            "retry_s": 1.0,
+        }
+        return mqtt.plugin.open(mqtt.MqttOptions.model_validate(options), station)
+
+    def received(self, n: int) -> Sequence[tuple[str, bytes]]:
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._heard) >= n, timeout=20.0)
+            return [(one.topic, one.payload) for one in self._heard[:n]]
+
+    def take_away(self) -> bool:
+        self._broker.stop()
+        return True
+
+    def bring_back(self) -> None:
+        self._broker.start()
+
+    def wait(self) -> None:
+        time.sleep(0.05)
+
+    def unwanted(self) -> Message | None:
+        return Message("heatmap/1", bytes(10_000), content_type="image/png") if self._level == "5" else None
+
+    def close(self) -> None:
+        self._listener.close()
+
+
+@contextmanager
+def in_a_folder(make: Callable[[Path], BenchT]) -> Iterator[BenchT]:
+    with tempfile.TemporaryDirectory() as folder:
+        yield make(Path(folder))
+
+
+@contextmanager
+def with_mosquitto(level: str) -> Iterator[MqttBench]:
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    with (
+        LocalBroker("mosquitto", extra="max_packet_size 2000") as broker,
+        contextlib.closing(MqttBench(broker, level)) as bench,
+    ):
+        yield bench
+
+
+DEVICES = {"recorded": lambda: in_a_folder(RecordedBench), "usb_mock": lambda: in_a_folder(UsbMockBench)}
+SINKS = {
+    "memory": lambda: contextlib.nullcontext(MemoryBench()),
+    "jsonl": lambda: in_a_folder(JsonlBench),
+    "mqtt 5": lambda: with_mosquitto("5"),
+    "mqtt 3.1.1": lambda: with_mosquitto("3.1.1"),
+}
