@@ -44,16 +44,6 @@ class GelLife:
             return GelState.REPLACE
         return GelState.DUE if self.presses >= self.warn_fraction * self.limit else GelState.GOOD
 
-    @property
-    def presses_left(self) -> int:
-        """Presses until the limit, 0 beyond it."""
-        return max(0, self.limit - self.presses)
-
-    @property
-    def used_fraction(self) -> float:
-        """Presses over limit; above 1 beyond it."""
-        return self.presses / self.limit
-
     def pressed(self, times: int = 1) -> Self:
         """The same gel after more presses."""
         if times < 0:

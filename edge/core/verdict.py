@@ -48,10 +48,6 @@ class Verdict:
         """The verdict on a press that cannot be judged."""
         return cls(Kind.REJECTED, rejection=rejection)
 
-    @property
-    def is_pass(self) -> bool:
-        return self.kind is Kind.PASS
-
 
 def decide(score: float, threshold: float, tolerance: float = 0.0) -> Verdict:
     """Pass, fail, or unsure where the score lies within `tolerance` of the threshold, its edges included.

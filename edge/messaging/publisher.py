@@ -57,7 +57,6 @@ class LaneCounters:
     refused: int = 0
     is_up: bool = False
     last_error: str = ""
-    last_sent_ns: int | None = None
 
 
 class Lane:
@@ -151,7 +150,6 @@ class Lane:
             self.counters,
             sent=self.counters.sent + 1,
             replayed=self.counters.replayed + int(is_late),
-            last_sent_ns=self._clock.time_ns(),
         )
 
     def _deliver(self, message: Message) -> None:

@@ -144,17 +144,6 @@ class Bundle:
     def trunk_sha256(self) -> str | None:
         return self.manifest.backbone.trunk.sha256 if self.manifest.backbone else None
 
-    def check_profile(self, profile: SensorProfile) -> None:
-        """Errors: BundleMismatch naming every field in which the sensor is read otherwise than at fit."""
-        if profile == self.profile:
-            return
-        mine, theirs = vars(self.profile), vars(profile)
-        differences = ", ".join(f"{k} {theirs[k]} (bundle: {mine[k]})" for k in mine if mine[k] != theirs[k])
-        raise BundleMismatch(
-            f"bundle {self.where} was made for sensor profile '{self.profile.name}', the gateway reads with "
-            f"'{profile.name}': {differences}; use that profile or fit again"
-        )
-
 
 def bundle_files(
     facts: Facts,

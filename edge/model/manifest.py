@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.core.contact.mask import Touch
 from edge.core.detector import Grid, Mode, Packing
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import NominalColours
@@ -244,11 +243,6 @@ class ContactRange(_Entry):
     x: tuple[float, float]
     y: tuple[float, float]
     area: tuple[float, float]
-
-    def holds(self, touch: Touch) -> bool:
-        """Whether a press lies where the nominal ones did."""
-        pairs = ((self.x, touch.x), (self.y, touch.y), (self.area, touch.area))
-        return all(low <= value <= high for (low, high), value in pairs)
 
 
 Level = Annotated[float, Field(ge=0, le=255)]

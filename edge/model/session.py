@@ -100,7 +100,3 @@ class TrunkSessions:
                 raise BundleCorrupt(f"{where}: the trunk {sha256[:12]} was not loaded with the bundle")
             self._sessions[sha256] = open_session(graph, self.threads, where)
         return self._sessions[sha256]
-
-    def keep_only(self, sha256s: set[str]) -> None:
-        """Forget every other trunk, after a change of bundle."""
-        self._sessions = {sha: session for sha, session in self._sessions.items() if sha in sha256s}

@@ -59,18 +59,13 @@ class OutboxRow:
 
 @dataclass(frozen=True)
 class OutboxStatus:
-    """rows, bytes: waiting now. oldest_ns: wall clock of the oldest, None if empty. refused: rows that a sink refused
+    """rows, bytes: waiting now. refused: rows that a sink refused
     and that are kept. dropped: `heatmap`, `pass`, `fail` to the number dropped since the database was made."""
 
     rows: int
     bytes: int
-    oldest_ns: int | None
     refused: int
     dropped: Mapping[str, int]
-
-    @property
-    def dropped_total(self) -> int:
-        return sum(self.dropped.values())
 
 
 def worth_of(message: Message, verdict: str) -> Worth:
@@ -215,13 +210,12 @@ class Outbox:
     def status(self) -> OutboxStatus:
         with self._database.reading("reading the outbox") as connection:
             rows, size = connection.execute("SELECT rows, bytes FROM outbox_size").fetchone()
-            oldest = connection.execute("SELECT min(created_ns) FROM outbox").fetchone()[0]
             refused = connection.execute(
                 "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"
             ).fetchone()[0]
             dropped = dict(connection.execute("SELECT worth, rows FROM dropped").fetchall())
         names = {worth.name.lower(): dropped.get(worth, 0) for worth in Worth if worth is not Worth.RETAINED}
-        return OutboxStatus(rows, size, oldest, refused, names)
+        return OutboxStatus(rows, size, refused, names)
 
     def close(self) -> None:
         self._database.close()

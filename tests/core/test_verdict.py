@@ -22,12 +22,12 @@ def test_the_four_kinds() -> None:
     rejection = Rejection(Reason.BLACK, "the frame is black")
     assert Verdict.rejected(rejection).rejection == rejection
     assert Verdict.rejected(rejection).score is None
-    assert not Verdict.rejected(rejection).is_pass
+    assert Verdict.rejected(rejection).kind is Kind.REJECTED
 
 
 def test_a_score_at_the_threshold_passes() -> None:
     """The threshold is the largest score that nominal presses are allowed; the next number fails."""
-    assert decide(2.0, 2.0).is_pass
+    assert decide(2.0, 2.0).kind is Kind.PASS
     assert decide(math.nextafter(2.0, 3.0), 2.0).kind is Kind.FAIL
 
 

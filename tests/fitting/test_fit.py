@@ -238,10 +238,14 @@ def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
     touches = tuple(Touch(0.10 + 0.01 * k, 0.50 + 0.01 * k, 0.40) for k in range(4))
     contact = fit_files(presses(4, touches=touches), recipe(), created="").manifest.contact
     assert contact is not None
-    assert all(contact.holds(touch) for touch in touches)
-    assert contact.holds(Touch(0.12, 0.55, 0.42))
-    assert not contact.holds(Touch(0.12, 0.80, 0.40))
-    assert not contact.holds(Touch(0.50, 0.50, 0.40))
+
+    def holds(touch: Touch) -> bool:
+        return all(low <= getattr(touch, name) <= high for name, (low, high) in contact.model_dump().items())
+
+    assert all(holds(touch) for touch in touches)
+    assert holds(Touch(0.12, 0.55, 0.42))
+    assert not holds(Touch(0.12, 0.80, 0.40))
+    assert not holds(Touch(0.50, 0.50, 0.40))
 
 
 def test_the_detector_is_given_touch_and_free_gel() -> None:

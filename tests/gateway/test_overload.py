@@ -98,7 +98,7 @@ def test_stats_say_what_became_of_the_frames() -> None:
     summary.see(AcquisitionStatus(frames=100, corrupt=4, stale=5, dropped=16), undecodable=1)
     summary.add(rejected("stale: old", 0.05))
     summary.add(scored(191.0))
-    Reporter(said.append, FakeClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, None, 0, {}))
+    Reporter(said.append, FakeClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
 
     stats = json.loads(said[-1].payload)
     names = (

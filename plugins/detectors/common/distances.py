@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.onnx_builder import Graph, Value
-
-__all__ = ["Nearest", "emit_nearest", "nearest"]
+__all__ = ["Nearest", "nearest"]
 
 # Rows of queries compared at once: bounds the memory at `CHUNK * rows of the bank` numbers.
 CHUNK = 1024
@@ -53,32 +51,3 @@ def nearest(
         distances[start : start + chunk] = np.take_along_axis(exact, order, axis=1)
         indices[start : start + chunk] = np.take_along_axis(short, order, axis=1)
     return Nearest(distances, indices)
-
-
-def emit_nearest(
-    graph: Graph, queries: Value, bank: Value, k: int = 1, spare: int = 3, half_norms: Value | None = None
-) -> tuple[Value, Value]:
-    """The same in a graph: plain distances (q, k), rising, and their rows int64 (q, k).
-
-    queries: (q, c) and bank: (m, c), float32, **both already centred** by the bank's mean (subtract it once where the
-    descriptor is made; store the bank centred). half_norms: (m,), 0.5 |row|^2 of the centred bank; computed in the
-    graph when None. The bank needs at least `k + spare` rows (repeat a row to fill up: a duplicate changes no
-    nearest distance).
-    """
-    if half_norms is None:
-        squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(1), keepdims=0)
-        half_norms = graph.op("Mul", squares, graph.scalar(0.5))
-    product = graph.op("MatMul", queries, graph.transpose(bank, 1, 0))
-    closeness = graph.op("Sub", product, half_norms)
-    _, short = graph.ops("TopK", 2, closeness, graph.ints(k + spare), axis=1)
-    exact = _exact(graph, queries, bank, short)
-    distances, order = graph.ops("TopK", 2, exact, graph.ints(k), axis=1, largest=0)
-    return distances, graph.op("GatherElements", short, order, axis=1)
-
-
-def _exact(graph: Graph, queries: Value, bank: Value, rows: Value) -> Value:
-    """Distances (q, s) between each query (q, c) and its own rows (q, s), as sums of squared differences."""
-    chosen = graph.op("Gather", bank, rows, axis=0)
-    difference = graph.op("Sub", chosen, graph.op("Unsqueeze", queries, graph.ints(1)))
-    squares = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(2), keepdims=0)
-    return graph.op("Sqrt", squares)
