@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.batched_nearest import HalvedBank
+from plugins.detectors.common.distances import nearest
 from plugins.onnx_builder import Graph
 
 

@@ -1,8 +1,8 @@
 """H4: |a|^2 + |b|^2 - 2ab loses a small distance between large vectors, and can go below zero.
 
-Guards of the oracle in `common/distances.py`: the bank's mean is taken off both sides, the winners are computed again as
-sums of squared differences. Checked by removal: without centring the last test fails at the largest offset. What float32
-does to the graphs is in `test_h04_cancellation_in_groups.py`.
+Guards of the oracle in `common/distances.py`: the bank's mean is taken off both sides, and the winners are computed
+again as sums of squared differences. Checked by removal: without centring the last test fails at the largest offset.
+What float32 does to the graphs is in `test_h04_cancellation_in_groups.py`.
 """
 
 import numpy as np
