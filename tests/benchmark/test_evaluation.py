@@ -268,7 +268,7 @@ def test_judging_needs_no_torch() -> None:
     """A plant can compare its own trunk with the shipped one where nothing was ever trained."""
     program = """
 import sys
-from calibration.training import card, evaluate_command, evaluation, evaluation_pictures, evaluation_presses
+from calibration.benchmark import command, evaluation, model_card, pictures, presses
 assert not {'torch', 'onnx'} & sys.modules.keys()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
