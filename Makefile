@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # What the tests install; `make test EXTRAS=test,train` adds torch, and with it the tests of backbone training.
 EXTRAS ?= test
 
-.PHONY: demo test lint docs heads bench test-hardware kernel-lab clean
+.PHONY: demo test lint docs heads measure bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -29,6 +29,10 @@ docs: $(VENV)/.test
 # The detectors' graphs that ship, after a change to a detector or to its settings; the tests compare them.
 heads: $(VENV)/.test
 	$(BIN)/python -m export.prebuilt_heads
+
+# The shape of the source: rooms, circles, lengths. tests/project/test_shape.py holds the limits.
+measure: $(VENV)/.test
+	$(BIN)/python tests/project/measure.py
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s

@@ -46,23 +46,15 @@ def evaluate_backbone(
     from edge.extras import needs
 
     needs("benchmark", "evaluate-backbone")
-    from calibration.benchmark.evaluation import RANDOM, compared_detectors, evaluate, random_trunk
+    from calibration.benchmark.evaluation import compared_detectors, evaluate
     from calibration.benchmark.model_card import evaluation_tables
-    from calibration.fitting.trunks import open_trunk
     from calibration.progress import progress
-    from edge.core.errors import StoreError
 
     # Workers are processes of their own; several threads of linear algebra in each would fight over the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _chosen_sets(tactile, screws, only or [], trials)
-    given = _named(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"])
-    graphs = {name: open_trunk(trunk).graph for name, trunk in given.items()}
-    if random and RANDOM not in graphs:
-        graphs[RANDOM] = random_trunk()
-    for chosen in sets.values():
-        if chosen.missing:
-            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
+    graphs = _graphs(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"], random)
     is_terminal = sys.stderr.isatty()
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
         found = evaluate(
@@ -76,12 +68,7 @@ def evaluate_backbone(
         )
     found["trunks"] = _facts(graphs)
     text = dumps(found, indent=1) + "\n"
-    try:
-        _write(out, text, page)
-    except OSError as error:
-        raise StoreError(
-            f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
-        ) from error
+    _write(out, text, page)
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
@@ -98,12 +85,25 @@ def _chosen_sets(
     for name in only:
         if name not in SETS:
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
-    sets = evaluation_sets(tactile, screws)
+    sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
+    for chosen in sets.values():
+        if chosen.missing:
+            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
     return {
         name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
-        if name in (only or SETS)
     }
+
+
+def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
+    """The trunks by the names of their rows. Errors: ConfigError."""
+    from calibration.benchmark.evaluation import RANDOM, random_trunk
+    from calibration.fitting.trunks import open_trunk
+
+    graphs = {name: open_trunk(trunk).graph for name, trunk in _named(trunks).items()}
+    if random and RANDOM not in graphs:
+        graphs[RANDOM] = random_trunk()
+    return graphs
 
 
 def _named(words: list[str]) -> dict[str, str]:
@@ -131,9 +131,16 @@ def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
 
 
 def _write(out: Path, text: str, page: Path | None) -> None:
-    from calibration.benchmark import model_card as card
+    """The evaluation's file, and the page made with it. Errors: StoreError."""
+    from calibration.benchmark import model_card
+    from edge.core.errors import StoreError
 
-    out.mkdir(parents=True, exist_ok=True)
-    (out / f"{card.NAME}_evaluation.json").write_text(text)
-    if page is not None:
-        page.write_text(card.page(out), encoding="utf-8")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / f"{model_card.NAME}_evaluation.json").write_text(text)
+        if page is not None:
+            page.write_text(model_card.page(out), encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
+        ) from error

@@ -100,16 +100,7 @@ class Spade:
             "press_descriptors": (described[kept] - press_mean).astype(np.float32),
             "press_mean": press_mean,
         }
-        facts: dict[str, Any] = {
-            "presses": kept.tolist(),
-            "start": start,
-            "repairs": repaired(p, PAPER, REPAIRS),
-            "warnings": [],
-        }
-        if len(kept) < len(described):
-            facts["warnings"].append(
-                f"{len(kept)} of {len(described)} presses fit into bank_mb; the others are left out (k-centre)"
-            )
+        facts = _facts(kept, len(described), start, p)
         packing: dict[str, Packing] = {}
         for number, tap in enumerate(p.layers):
             layer = _averaged(nominal.features[tap][kept], grid, tap, p)
@@ -174,6 +165,17 @@ class Spade:
     def head(self, grid: Grid, bank: Bank, parameters: SpadeParameters) -> bytes:
         """The graph; the number of presses in the bank is free."""
         return spade_head(self.name, grid, bank, parameters)
+
+
+def _facts(kept: NDArray[np.intp], presses: int, start: int, p: SpadeParameters) -> dict[str, Any]:
+    """What is said of the whole bank; of its layers more is added."""
+    left_out = f"{len(kept)} of {presses} presses fit into bank_mb; the others are left out (k-centre)"
+    return {
+        "presses": kept.tolist(),
+        "start": start,
+        "repairs": repaired(p, PAPER, REPAIRS),
+        "warnings": [left_out] if len(kept) < presses else [],
+    }
 
 
 def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.float64]:
