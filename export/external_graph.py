@@ -17,9 +17,10 @@ from calibration.fitting.bundle_measurements import (
     provenance,
     warnings,
 )
-from calibration.fitting.colours import colour_warnings, nominal_colours
+from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.fit import Fitted
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.self_check import apart_warnings, black_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -94,9 +95,14 @@ def wrap_files(
         given_threshold(recipe.threshold, recipe.alpha)
         if recipe.threshold is not None
         else conformal_threshold(
-            scores, recipe.alpha, tolerance.around(float(scores.max())), "split-conformal"
+            scores, recipe.alpha, tolerance.around(float(scores.max())), "split-conformal", presses.specimens
         )
     )
+    apart = [] if is_given else apart_warnings(scores, presses.names)
+    said += apart
+    black = np.zeros_like(presses.frames[0])
+    is_refused = refuses(colours, black)
+    said += black_warnings(scorer.score(black).anomaly_score, threshold, is_refused, apart)
     whole = facts(threshold, tolerance).model_copy(
         update={"cost": cost_card(scorer, presses.frames, recipe.threads, {})}
     )

@@ -10,6 +10,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.threshold import MIN_PRESSES, needed, pieces_of
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import FitError, NotScorable
@@ -138,7 +139,7 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     """
     n = len(presses)
     if n == 0:
-        raise FitError("no nominal press was given; give at least 2")
+        raise FitError(f"no nominal press was given; give at least {MIN_PRESSES}")
     if presses.frames.shape[1:3] != frame:
         raise FitError(
             f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them anew"
@@ -152,10 +153,15 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         )
     if distinct < n:
         found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
-    if alpha is not None and alpha < 1 / (n + 1):
-        needed = int(np.ceil(1 / alpha)) - 1
+    pieces = len(set(pieces_of(presses.specimens or (None,) * n)))
+    if alpha is not None and pieces < needed(alpha):
+        counted = (
+            f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
+        )
+        what = "presses" if pieces == n else "pieces"
         found.append(
-            f"{n} presses promise a false-alarm rate of 1/{n + 1} at best; {needed} are needed for {alpha:g}"
+            f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {needed(alpha)} {what} are needed for "
+            f"{alpha:g}"
         )
     return found
 
@@ -207,6 +213,7 @@ def provenance(created: str, presses: NominalPresses, seed: int | None, said: Se
     return Provenance(
         created=created,
         presses=presses.names,
+        left_out=presses.left_out,
         seed=seed,
         versions={
             "gelgate": importlib.metadata.version("gelgate"),

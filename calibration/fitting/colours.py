@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.imaging.quality import QualitySettings
-from edge.core.imaging.sensor_check import colour_cells, colour_distance
+from edge.core.imaging.sensor_check import check_sensor, colour_cells, colour_distance
 from edge.model.manifest import ColourEntry
 
-__all__ = ["colour_warnings", "nominal_colours"]
+__all__ = ["colour_warnings", "nominal_colours", "refuses"]
 
 CELLS: Final = (8, 8)
 """Cells of the region, rows and columns. 4 x 4 brings foreign frames nearer (19.0 % instead of 19.8 %), 14 x 14 shows
@@ -69,3 +69,8 @@ def colour_warnings(colours: ColourEntry | None) -> list[str]:
         f"the colours of these presses differ by {colours.spread:.1%} of the light, so frames of another sensor up to "
         f"{colours.limit:.1%} are not refused; give presses of one sensor, or a region that the part does not fill"
     ]
+
+
+def refuses(colours: ColourEntry | None, rgb: NDArray[np.uint8]) -> bool:
+    """Whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where none are known."""
+    return colours is not None and check_sensor(rgb, colours.nominal()) is not None

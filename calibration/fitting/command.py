@@ -63,6 +63,10 @@ def fit(
     scattered: Annotated[
         bool, typer.Option("--scattered", help="Fit padim, spade or fapm also to parts that lie anywhere.")
     ] = False,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A press that is not to be learnt, as a warning names it."),
+    ] = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
 ) -> None:
@@ -90,7 +94,7 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
     )
-    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize)
+    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize, leave_out)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")
     make(partial(fit_files, presses, recipe), output, overwrite)
 
@@ -137,12 +141,19 @@ def nominal_presses(
     region: "Region",
     no_contact: Sequence[Path] | None,
     resize: bool,
+    leave_out: Sequence[str] | None = None,
 ) -> "NominalPresses":
     """The presses of all sources. Errors: as `read_presses`."""
     from calibration.fitting.nominal_presses import read_presses
 
     return read_presses(
-        found.paths, sensor, region, no_contact=no_contact or (), resize=resize, specimens=found.specimens
+        found.paths,
+        sensor,
+        region,
+        no_contact=no_contact or (),
+        resize=resize,
+        specimens=found.specimens,
+        leave_out=leave_out or (),
     )
 
 
@@ -202,15 +213,14 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 def summary(fitted: "Fitted", output: Path) -> None:
     """What was made, in four lines."""
+    from edge.model.promise import promise
+
     manifest = fitted.manifest
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
-    if limit.n:
-        typer.echo(
-            f"false alarms: {limit.alpha:g} asked for, 1/{limit.n + 1} = {limit.alpha_floor:.3g} is the floor"
-        )
+    typer.echo(f"false alarms: {promise(limit)}")
     if cost:
         typer.echo(
             f"a frame takes {cost.trunk_ms:.1f} + {cost.head_ms:.1f} ms (trunk + head, {cost.threads} threads); "

@@ -5,12 +5,11 @@ A detector's mathematics is its own; the procedure (which presses, which folds, 
 
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import (
@@ -24,11 +23,14 @@ from calibration.fitting.bundle_measurements import (
     scatter_warnings,
     warnings,
 )
-from calibration.fitting.colours import colour_warnings, nominal_colours
+from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.heads import check_head, head_of
+from calibration.fitting.folds import held_out_folds
+from calibration.fitting.heads import check_head
+from calibration.fitting.held_out import Learner, held_out_scores
 from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.threshold import check_alpha, conformal_threshold, folds
+from calibration.fitting.self_check import apart_warnings, black_warnings, is_covered
+from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.trunks import Trunk
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -46,12 +48,16 @@ from edge.model.manifest import (
     ThresholdEntry,
     ToleranceEntry,
 )
-from edge.model.packing import pack, unpack
 from edge.model.scorer import Scorer
-from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
+from edge.model.session import TrunkSessions, open_session
 from edge.model.tile_runner import plainest, untouched_tiles
 
 T = TypeVar("T")
+
+# How much more than its usual room a bank gets, in turn, until it covers its nominal presses.
+ROOMS = (1.0, 1.5, 2.0, 4.0)
+# Scores that differ by less than this part of the largest are one: the tolerance is measured later.
+SAME_SCORE = 1e-3
 
 __all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
 
@@ -62,7 +68,8 @@ class Recipe:
 
     overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm rate asked for.
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
-    to find the threshold; each costs about as much as the bank itself. with_trunk: False leaves it to the store.
+    to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
+    with_trunk: False leaves it to the store.
     is_scattered: contacts that lie anywhere are meant, also for a method that compares place with place.
     """
 
@@ -137,12 +144,14 @@ class _Fit:
         self.presses, self.recipe, self.created, self.report = presses, recipe, created, report
         self.detector = recipe.detector
         self.parameters = self.detector.parameters(recipe.mode, **recipe.overrides)
+        self.specimens = presses.specimens or (None,) * len(presses)
         promised = recipe.alpha if recipe.threshold is None else None
         self.warnings = warnings(presses, (recipe.region.height, recipe.region.width), promised)
         if recipe.threshold is None:
-            conformal_threshold(
-                np.zeros(len(presses)), recipe.alpha
-            )  # refuses too few before any work is done
+            require_enough(len(presses), recipe.alpha)
+            rng = np.random.default_rng(recipe.seed)
+            self.folds, said = held_out_folds(self.specimens, recipe.folds, rng)
+            self.warnings += said
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
         self.warnings += scatter_warnings(presses, recipe.profile, self.detector, recipe.is_scattered)
@@ -152,17 +161,52 @@ class _Fit:
     def run(self) -> Fitted:
         features, no_contact = self._timed("features", self._features)
         nominal = Nominal(features, self.presses.touched, no_contact)
-        bank = self._timed("fit", lambda: self._bank(nominal, self._progress("bank")))
+        self.learner = Learner(
+            self.detector, self.grid, self.parameters, self.recipe.seed, self.recipe.threads
+        )
+        bank, scores = self._covering(nominal)
         self.warnings += bank.facts.get("warnings", ())
-        head = head_of(self.detector, self.grid, bank, self.parameters)
-        self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=head)
-        scores = self._timed("threshold", lambda: self._held_out_scores(nominal))
+        self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=self.learner.head(bank))
+        self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
+        self.warnings += self.apart
         return self._measured(bank, scores)
+
+    def _covering(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
+        """The bank and the out-of-fold scores, with more room where a smaller bank lacks what the presses have.
+
+        Errors: FitError where more room does not help.
+        """
+        size = 0
+        for room in ROOMS:
+            bank, scores = self._learnt(replace(nominal, room=room))
+            if scores is None or self._is_covered(bank, nominal, scores):
+                if room > 1:
+                    self.warnings.append(
+                        f"the bank has {room:g} times its usual room: with less it lacks what nominal presses show"
+                    )
+                return bank, scores
+            if (grown := sum(array.nbytes for array in bank.arrays.values())) <= size:
+                break
+            size = grown
+        raise FitError(
+            f"the bank of {self.detector.name} lacks what its own nominal presses show: they score higher by it than "
+            "by banks that do not know them, and good parts would fail; fit another method, or look whether the "
+            "presses are of one part at one position"
+        )
+
+    def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
+        bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
+        return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
+
+    def _is_covered(self, bank: Bank, nominal: Nominal, scores: NDArray[np.float64]) -> bool:
+        known = self.learner.scores(bank, nominal.features, range(nominal.presses))
+        limit = conformal_threshold(scores, self.recipe.alpha, specimens=self.specimens)
+        return is_covered(known, scores, limit, SAME_SCORE * float(np.abs(scores).max()))
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
         result = work()
-        self.seconds[stage] = time.perf_counter() - start
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
         return result
 
     def _progress(self, stage: str) -> Progress:
@@ -184,40 +228,11 @@ class _Fit:
         free = self.presses.no_contact
         return features, None if free is None else extract(session, free, self.grid, lambda fraction: None)
 
-    def _bank(self, nominal: Nominal, progress: Progress) -> Bank:
-        rng = np.random.default_rng(self.recipe.seed)
-        return self.detector.fit(nominal, self.grid, self.parameters, rng, progress)
-
     def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
         """Anomaly scores of every press by a bank that did not know it; None where the threshold is given."""
         if self.recipe.threshold is not None:
             return None
-        specimens = self.presses.specimens or (None,) * len(self.presses)
-        if None not in specimens and len(set(specimens)) < 2:
-            self.warnings.append(
-                "all presses are of one specimen: the threshold knows nothing of other parts"
-            )
-            specimens = (None,) * len(self.presses)
-        parts = folds(specimens, self.recipe.folds, np.random.default_rng(self.recipe.seed))
-        scores = np.empty(len(self.presses))
-        for number, held in enumerate(parts):
-            scores[held] = self._scores_without(nominal, held)
-            self.report("threshold", (number + 1) / len(parts))
-        return scores
-
-    def _scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
-        kept = np.setdiff1d(np.arange(len(self.presses)), held)
-        rest = Nominal(_chosen(nominal.features, kept), nominal.touched, nominal.no_contact)
-        bank = self._bank(rest, lambda fraction: None)
-        head = open_session(
-            head_of(self.detector, self.grid, bank, self.parameters),
-            self.recipe.threads,
-            f"head of {self.detector.name}",
-        )
-        wanted = {i.name for i in head.get_inputs()}
-        stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
-        taps = {tap: maps for tap, maps in nominal.features.items() if tap in wanted}
-        return np.array([_head_score(head, {**_chosen(taps, np.array([k])), **stored}) for k in held])
+        return held_out_scores(self.learner, nominal, self.folds, self._progress("threshold"))
 
     def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
         """Score with the bundle as it will be loaded, then write down what it measured."""
@@ -225,9 +240,13 @@ class _Fit:
         provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
         scorer = Scorer(provisional.bundle(), self.recipe.threads, self.trunks)
         golden = golden_frames(scorer, self.presses.frames)
+        black = np.zeros_like(self.presses.frames[0])
+        black_score = scorer.score(black).anomaly_score
         tolerance = measured_tolerance(scorer, golden, self.recipe.threads)
         cost = cost_card(scorer, self.presses.frames, self.recipe.threads, self.seconds)
         threshold = self._threshold(scores, tolerance)
+        is_refused = refuses(self.colours, black)
+        self.warnings += black_warnings(black_score, threshold, is_refused, self.apart)
         facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
         fitted = Fitted(*self._files(bank, facts, golden))
         Scorer(fitted.bundle(self.trunks), self.recipe.threads, self.trunks).check_golden()
@@ -240,7 +259,8 @@ class _Fit:
             return given_threshold(self.recipe.threshold, alpha)
         if scores is None:
             raise FitError("no threshold: neither given nor found from the presses")
-        return conformal_threshold(scores, alpha, slack=tolerance.around(float(scores.max())))
+        slack = tolerance.around(float(scores.max()))
+        return conformal_threshold(scores, alpha, slack, specimens=self.specimens)
 
     def _files(
         self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]
@@ -286,27 +306,6 @@ class _Fit:
             colours=self.colours,
             provenance=provenance(self.created, self.presses, recipe.seed, self.warnings),
         )
-
-
-def _chosen(features: Features, rows: NDArray[np.int64]) -> Features:
-    return {tap: maps[rows] for tap, maps in features.items()}
-
-
-def _head_score(head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]) -> float:
-    """The anomaly score of one press. Errors: FitError."""
-    try:
-        return float(head.run(["score"], dict(inputs))[0][0])
-    except RUNTIME_ERRORS as error:
-        raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
-
-
-def _as_stored(bank: Bank, name: str) -> NDArray[Any]:
-    """A bank array as it will be after being stored and loaded."""
-    packing = bank.packing.get(name, "none")
-    try:
-        return unpack(pack(bank.arrays[name], packing), packing)
-    except ValueError as error:
-        raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
 
 
 def _plain(parameters: object) -> dict[str, Any]:

@@ -6,6 +6,7 @@ of the free gel. Pictures are presses already; with a picture of the free gel th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 
@@ -43,7 +44,8 @@ class NominalPresses:
 
     frames: uint8 (n, h, w, 3) RGB. names, specimens: one each per press, specimen None when unknown. touches: area and
     centroid in the picture, empty when there is no free gel to compare with. touched: bool (h, w), the union of what
-    the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel.
+    the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel. left_out: names of presses
+    that were there and were to be left out.
     """
 
     frames: NDArray[np.uint8]
@@ -52,6 +54,7 @@ class NominalPresses:
     touches: tuple[Touch, ...] = ()
     touched: NDArray[np.bool_] | None = None
     no_contact: NDArray[np.uint8] | None = None
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -75,10 +78,15 @@ class _Gathered:
     specimens: list[str | None] = field(default_factory=list)
     masks: list[NDArray[np.bool_] | None] = field(default_factory=list)
     free: list[NDArray[np.uint8]] = field(default_factory=list)
+    unwanted: frozenset[str] = frozenset()
+    left_out: list[str] = field(default_factory=list)
 
     def add(
         self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: NDArray[np.bool_] | None
     ) -> None:
+        if name in self.unwanted:
+            self.left_out.append(name)
+            return
         self.frames.append(self.region.crop(picture).copy())
         self.names.append(name)
         self.specimens.append(specimen)
@@ -94,6 +102,7 @@ class _Gathered:
             touches=tuple(touched(mask) for mask in masks) if is_known else (),
             touched=_union(masks, self.profile, self.region) if is_known else None,
             no_contact=np.stack(self.free[:MAX_NO_CONTACT]) if self.free else None,
+            left_out=tuple(self.left_out),
         )
 
 
@@ -110,15 +119,16 @@ def read_presses(
     no_contact: Sequence[Path] = (),
     resize: bool = False,
     specimens: Mapping[Path, str | None] = MappingProxyType({}),
+    leave_out: Sequence[str] = (),
 ) -> NominalPresses:
     """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
 
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
     other. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
-    say it. Errors: RecordingError, DatasetError listing
-    every picture at fault, FitError when there is no press.
+    say it. leave_out: names of presses that are not wanted, as a bundle lists them. Errors: RecordingError,
+    DatasetError listing every picture at fault, FitError when there is no press, or none of a name to be left out.
     """
-    gathered = _Gathered(profile, region)
+    gathered = _Gathered(profile, region, unwanted=frozenset(leave_out))
     free = _pictures(_listed(no_contact), profile, resize)
     gathered.free += [region.crop(picture) for _, picture in free]
     reference = _reference([picture for _, picture in free])
@@ -128,12 +138,22 @@ def read_presses(
     files = _listed([source for source in sources if not is_recording(source)])
     for path, picture in _pictures(files, profile, resize):
         _add_picture(picture, _name(path), specimens.get(path) or _specimen(path), reference, gathered)
+    _require_left_out(gathered)
     if not gathered.frames:
         raise FitError(
             f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
             "folder of pictures"
         )
     return gathered.presses()
+
+
+def _require_left_out(gathered: _Gathered) -> None:
+    """Errors: FitError naming the presses that come nearest to one that is not there."""
+    for name in sorted(gathered.unwanted - set(gathered.left_out)):
+        near = get_close_matches(name, gathered.names, cutoff=0.0)
+        raise FitError(
+            f"no press is named '{name}' to be left out; did you mean {' or '.join(repr(other) for other in near)}?"
+        )
 
 
 def named_presses(

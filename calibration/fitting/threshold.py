@@ -1,13 +1,23 @@
-"""The threshold, from nominal presses alone: out-of-fold scores and a conformal quantile with its floor stated.
+"""The threshold, from nominal presses alone: out-of-fold scores and a conformal quantile that counts pieces.
 
 Ref: Vovk, Gammerman, Shafer, Algorithmic Learning in a Random World (2005), section 2 (the quantile); Vovk,
-Cross-conformal predictors, Annals of Mathematics and AI 74 (2015) (scores from folds). For n exchangeable scores, the
-ceil((n + 1)(1 - alpha))-th smallest is exceeded by a new nominal press with probability alpha at most. With folds the
-promise is approximate and errs on the quiet side: a fold knows fewer presses than the bank, so its scores are higher.
+Cross-conformal predictors, Annals of Mathematics and AI 74 (2015) (scores from folds); Lee, Barber, Willett,
+Distribution-free inference with hierarchical data (2023), arXiv:2306.06342 (pieces with several presses each).
+
+Presses of one piece are alike, so a new piece counts as one draw however often each was pressed. Every piece has the
+weight 1 / (pieces + 1), shared by its presses; the same weight lies at infinity, for the new piece. A press of a new
+piece exceeds the (1 - alpha) quantile of these weighted scores with probability alpha at most. With one press each
+that is the ceil((n + 1)(1 - alpha))-th smallest of n scores.
+
+The probability is over bundles: one bundle's own rate differs from it, see `rate_range`. With folds it is approximate
+(Vovk's cross-conformal scores have no exact bound). A fold knows fewer presses than the final bank and has that
+share of the bank's size (`Nominal.room`), so its scores are as high or higher; tests/bench/test_false_alarms.py
+measures what comes of it.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +25,30 @@ from numpy.typing import NDArray
 from edge.core.errors import FitError
 from edge.model.manifest import ThresholdEntry
 
-__all__ = ["FLOOR_MARGIN", "check_alpha", "conformal_threshold", "folds"]
+__all__ = [
+    "FLOOR_MARGIN",
+    "MIN_PRESSES",
+    "check_alpha",
+    "conformal_threshold",
+    "needed",
+    "pieces_of",
+    "rate_range",
+    "require_enough",
+]
 
 FLOOR_MARGIN = 0.25
-"""Where n presses cannot promise the rate asked for, the largest score is raised by this share of the distance from
+"""Where n pieces cannot promise the rate asked for, the largest score is raised by this share of the distance from
 the median to it. A choice, not a theorem: it trades some sensitivity for fewer false alarms."""
 
-MIN_SCORES = 2
+MIN_PRESSES = 4
+"""A fold then keeps three presses. Of two or one there is no covariance and no spread between presses, and the fold's
+scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the nominal scores."""
+
+RANGE = 0.95
+"""The probability with which one bundle's own false-alarm rate lies in the stated range."""
+
+# In exact arithmetic (n + 1) alpha may be a whole number that floats miss by a hair.
+ROUNDING = 1e-9
 
 
 def conformal_threshold(
@@ -29,35 +56,103 @@ def conformal_threshold(
     alpha: float,
     slack: float = 0.0,
     kind: str = "cross-conformal",
+    specimens: Sequence[str | None] = (),
 ) -> ThresholdEntry:
-    """The threshold at which a nominal press fails with probability alpha at most, if n allows it.
+    """The threshold at which a press of a new sound piece fails with probability alpha at most, if the pieces allow it.
 
     scores: anomaly scores of nominal presses that the scoring bank did not know. slack: smallest margin above the
     largest score where the floor holds; the numerical tolerance. kind: how the scores came about, for the record.
-    Errors: FitError for fewer than two scores.
+    specimens: which piece each press is of, None where unknown: such a press is a piece of its own.
+    Errors: FitError for fewer than MIN_PRESSES scores.
     """
     check_alpha(alpha)
-    ordered = np.sort(np.asarray(scores, np.float64))
-    n = len(ordered)
-    if n < MIN_SCORES:
-        raise FitError(
-            f"{n} nominal press gives no threshold, since nothing is left to hold out; give at least {MIN_SCORES} "
-            f"({math.ceil(1 / alpha) - 1} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
-        )
-    if not np.isfinite(ordered).all():
+    found = np.asarray(scores, np.float64)
+    require_enough(len(found), alpha)
+    if not np.isfinite(found).all():
         raise FitError("a nominal press has a score that is not finite; look at the pictures")
-    floor = 1 / (n + 1)
-    # In exact arithmetic (n + 1) alpha may be a whole number that floats miss by a hair.
-    rank = math.ceil((n + 1) * (1 - alpha) - 1e-9)
-    if rank <= n:
-        value, method = float(ordered[rank - 1]), f"{kind} quantile, rank {rank} of {n}"
+    keys = pieces_of(specimens or (None,) * len(found))
+    order = np.argsort(found, kind="stable")
+    ordered, pieces = found[order], len(set(keys))
+    rank = _rank([keys[k] for k in order], alpha)
+    if rank is not None:
+        value, method = float(ordered[rank - 1]), f"{kind} quantile, rank {rank} of {len(ordered)}"
     else:
         margin = max(FLOOR_MARGIN * float(ordered[-1] - np.median(ordered)), slack)
         value = float(ordered[-1]) + margin
-        method = f"{kind}: largest of {n} scores plus {margin:.4g}: a rate below 1/{n + 1} needs more presses"
+        method = f"{kind}: largest of {len(ordered)} scores plus {margin:.4g}"
     return ThresholdEntry(
-        value=value, method=method, alpha=alpha, alpha_floor=floor, nominal_scores=tuple(map(float, ordered))
+        value=value,
+        method=method,
+        alpha=alpha,
+        alpha_floor=1 / (pieces + 1),
+        nominal_scores=tuple(map(float, ordered)),
+        pieces=pieces,
+        rate_range=rate_range(pieces, alpha),
     )
+
+
+def _rank(pieces: Sequence[str], alpha: float) -> int | None:
+    """Which of the scores, counted from 1, is the threshold; None where no score is high enough.
+
+    pieces: of each press, in the order of their scores.
+    """
+    presses = {piece: pieces.count(piece) for piece in set(pieces)}
+    below = accumulate(1 / presses[piece] for piece in pieces)
+    wanted = (len(presses) + 1) * (1 - alpha) - ROUNDING
+    return next((rank for rank, weight in enumerate(below, 1) if weight >= wanted), None)
+
+
+def needed(alpha: float) -> int:
+    """How many pieces promise this rate."""
+    return math.ceil(1 / alpha - ROUNDING) - 1
+
+
+def require_enough(presses: int, alpha: float) -> None:
+    """Errors: FitError where a fold would keep too few presses."""
+    if presses < MIN_PRESSES:
+        raise FitError(
+            f"{presses} nominal press{'' if presses == 1 else 'es'} give{'s' if presses == 1 else ''} no threshold: "
+            f"with one held out fewer than {MIN_PRESSES - 1} are left to learn from; give at least {MIN_PRESSES} "
+            f"({needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
+        )
+
+
+def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
+    """Between which two rates one bundle's own false-alarm rate lies, with the probability RANGE.
+
+    The rate above the r-th smallest of n scores has the distribution Beta(n + 1 - r, r), whatever the scores are
+    (Vovk, Conditional validity of inductive conformal predictors, 2012). Exact for one press of each piece and scores
+    without folds; above the largest score of all it is an upper limit.
+    """
+    rank = math.ceil((pieces + 1) * (1 - alpha) - ROUNDING)
+    if rank > pieces:
+        return 0.0, _beta_quantile(RANGE, 1, pieces)
+    tail = (1 - RANGE) / 2
+    shape = pieces + 1 - rank, rank
+    return _beta_quantile(tail, *shape), _beta_quantile(1 - tail, *shape)
+
+
+def _beta_quantile(probability: float, a: int, b: int) -> float:
+    """Of the beta distribution with whole parameters, by halving; to 1e-12."""
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _beta_below(middle, a, b) < probability else (low, middle)
+    return (low + high) / 2
+
+
+def _beta_below(x: float, a: int, b: int) -> float:
+    """P(Beta(a, b) <= x) as P(Binomial(a + b - 1, x) >= a), 0 < x < 1."""
+    n = a + b - 1
+    logs = (
+        math.lgamma(n + 1)
+        - math.lgamma(k + 1)
+        - math.lgamma(n - k + 1)
+        + k * math.log(x)
+        + (n - k) * math.log1p(-x)
+        for k in range(a, n + 1)
+    )
+    return math.fsum(map(math.exp, logs))
 
 
 def check_alpha(alpha: float) -> None:
@@ -66,14 +161,6 @@ def check_alpha(alpha: float) -> None:
         raise FitError(f"the false-alarm rate lies between 0 and 1, found {alpha}; 0.05 is one in twenty")
 
 
-def folds(specimens: Sequence[str | None], count: int, rng: np.random.Generator) -> list[NDArray[np.int64]]:
-    """Indices of the presses held out in each fold: every press once, a specimen never on both sides.
-
-    Presses without a specimen stand for themselves. At most `count` folds, at most one per group.
-    """
-    keys = [f"press {k}" if name is None else f"specimen {name}" for k, name in enumerate(specimens)]
-    groups = sorted(set(keys))
-    order = rng.permutation(len(groups))
-    fold_of = {groups[g]: position % count for position, g in enumerate(order)}
-    assigned = np.array([fold_of[key] for key in keys])
-    return [held for k in range(count) if len(held := np.flatnonzero(assigned == k))]
+def pieces_of(specimens: Sequence[str | None]) -> list[str]:
+    """The piece of each press; a press without a specimen is one of its own."""
+    return [f"press {k}" if name is None else f"specimen {name}" for k, name in enumerate(specimens)]

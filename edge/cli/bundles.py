@@ -45,6 +45,8 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
+    from edge.model.promise import promise
+
     limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
     rows = [
         ("part", f"{manifest.part}, position {manifest.position}"),
@@ -87,7 +89,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         )
     rows += [
         ("threshold", f"{limit.value:.6g} ({limit.method})"),
-        ("false alarms", f"{limit.alpha:g} asked for, floor {limit.alpha_floor:.3g} from {limit.n} scores"),
+        ("false alarms", promise(limit)),
         ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
          f"relative {manifest.tolerance.relative:.2g}"),
         ("golden frames", f"{len(manifest.golden)}: " + ", ".join(f"{g.what} {g.score:.4g}" for g in manifest.golden)),
@@ -129,6 +131,7 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
             + ", ".join(f"{k} {v}" for k, v in origin.versions.items()),
         )
     )
+    rows += [("left out", name) for name in origin.left_out]
     rows += [("warning", warning) for warning in origin.warnings]
     return rows
 

@@ -72,16 +72,27 @@ class Nominal:
     """What a detector is fitted from: nominal presses alone.
 
     features: n presses. touched: bool (h, w) of the frame, True where any nominal press touches, None if unknown.
-    no_contact: features of the untouched gel (m >= 1 frames), None if there are none.
+    no_contact: features of the untouched gel (m >= 1 frames), None if there are none. room: a factor on every limit
+    of the bank's size. A fold has as much of it as it has of the presses: its bank would otherwise know each of its
+    fewer presses better than the final bank does. A bank that left out a place gets more than 1.
     """
 
     features: Features
     touched: NDArray[np.bool_] | None = None
     no_contact: Features | None = None
+    room: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.room > 0:
+            raise ValueError(f"the room of a bank is a positive factor, found {self.room}")
 
     @property
     def presses(self) -> int:
         return len(next(iter(self.features.values())))
+
+    def limit(self, most: int | None) -> int | None:
+        """A limit on the bank's size, by its room; at least 1, None where there is no limit."""
+        return None if most is None else max(1, round(most * self.room))
 
 
 @dataclass(frozen=True)

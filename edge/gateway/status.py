@@ -28,6 +28,7 @@ from edge.messaging.payloads import (
     stats_message,
 )
 from edge.model.bundle import Bundle
+from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 
@@ -167,6 +168,8 @@ class Reporter:
             backbone=manifest.backbone.id if manifest.backbone else None,
             bundle_id=bundle.digest,
             threshold=manifest.threshold.value,
+            false_alarms=promise(manifest.threshold),
+            warnings=manifest.provenance.warnings,
         )
         self._announce(info_message(payload))
 

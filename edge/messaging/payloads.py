@@ -127,6 +127,10 @@ class InfoPayload(Payload):
     backbone: str | None = None
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
     threshold: float | None = None
+    false_alarms: str | None = Field(default=None, description="what the threshold promises, in words")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="what `fit` warned of, such as a press that stands apart"
+    )
 
 
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)

@@ -190,8 +190,10 @@ class GridEntry(_Entry):
 class ThresholdEntry(_Entry):
     """A press fails when its score is above `value`.
 
-    alpha: the false-alarm rate that was asked for. alpha_floor: 1 / (n + 1), the smallest that n nominal scores can
-    promise. method tells in words how the value was found.
+    alpha: the false-alarm rate that was asked for. alpha_floor: 1 / (pieces + 1), the smallest that presses of so many
+    pieces can promise, as a mean over bundles. pieces: how many the nominal presses are of; a press of an unknown piece
+    counts as one. rate_range: where this one bundle's own rate lies, with a probability of 95 %. nominal_scores:
+    rising. method tells in words how the value was found; `edge.model.promise` what it promises.
     """
 
     value: float
@@ -199,6 +201,8 @@ class ThresholdEntry(_Entry):
     alpha: float = Field(gt=0, lt=1)
     alpha_floor: float = Field(gt=0, le=1)
     nominal_scores: tuple[float, ...]
+    pieces: int | None = Field(default=None, ge=1)
+    rate_range: tuple[float, float] | None = None
 
     @property
     def n(self) -> int:
@@ -206,7 +210,7 @@ class ThresholdEntry(_Entry):
 
     @property
     def is_floored(self) -> bool:
-        """Whether fewer nominal presses were given than the rate asked for needs."""
+        """Whether nominal presses of fewer pieces were given than the rate asked for needs."""
         return self.alpha < self.alpha_floor
 
 
@@ -287,10 +291,12 @@ class CostCard(_Entry):
 
 
 class Provenance(_Entry):
-    """Where the bundle comes from. `created` is a date given by the caller; `presses` names every nominal press."""
+    """Where the bundle comes from. `created` is a date given by the caller; `presses` names every nominal press,
+    `left_out` those that were given and left out by name."""
 
     created: str
     presses: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
     seed: int | None = None
     versions: dict[str, str] = Field(default_factory=dict)
     warnings: tuple[str, ...] = ()

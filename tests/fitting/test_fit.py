@@ -18,6 +18,7 @@ from edge.core.detector import Bank, Grid, Nominal, Progress
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.model.bundle import Bundle
 from edge.model.onnx_validation import output_names
+from edge.model.promise import promise
 from edge.model.scorer import Scorer
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
@@ -83,8 +84,96 @@ def test_a_specimen_is_held_out_whole() -> None:
 def test_one_specimen_is_said_to_be_one() -> None:
     """Folds within one specimen know nothing of other parts; the bundle says so."""
     manifest = fit_files(presses(5, specimens=("a",) * 5), recipe(), created="").manifest
-    assert any("one specimen" in warning for warning in manifest.provenance.warnings)
-    assert manifest.threshold.n == 5
+    assert any("of 1 piece, too few to hold one out" in warning for warning in manifest.provenance.warnings)
+    assert (manifest.threshold.n, manifest.threshold.pieces) == (5, 1)
+
+
+def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
+    """24 presses of 6 pieces: 1/7 at best, in the manifest, in words and as a warning."""
+    limit = (
+        manifest := fit_files(presses(24, specimens=tuple("abcdef" * 4)), recipe(), created="").manifest
+    ).threshold
+    assert (limit.n, limit.pieces) == (24, 6)
+    assert limit.alpha_floor == pytest.approx(1 / 7)
+    assert any("24 presses of 6 pieces promise" in warning for warning in manifest.provenance.warnings)
+    assert promise(limit) == (
+        "24 presses of 6 pieces: at best 14 % (1 in 7), not the 5 % asked for, of sound presses of new pieces fail, "
+        "on average over bundles; of this bundle alone 0 % to 39 % (95 %)"
+    )
+
+
+def test_a_press_that_stands_apart_is_named() -> None:
+    """One of 24 presses is painted: the bundle says which, and without it there is nothing to say."""
+    nominal = presses(24)
+    frames = nominal.frames.copy()
+    frames[7, 4:12, 4:12] = 60
+    painted = dataclasses.replace(nominal, frames=frames)
+    (said,) = fit_files(painted, recipe(), created="").manifest.provenance.warnings
+    assert "'press 7' stands apart" in said
+    sound = fit_files(nominal, recipe(), created="").manifest
+    assert not any("stands apart" in warning for warning in sound.provenance.warnings)
+
+
+def test_no_bundle_passes_a_black_frame() -> None:
+    """A black picture among the presses would become the threshold: refused, and the press is named."""
+    frames = presses(12).frames.copy()
+    frames[3] = 0
+    with pytest.raises(
+        FitError, match=r"a black frame scores .* and would pass: press 'press 3' stands apart"
+    ):
+        fit_files(dataclasses.replace(presses(12), frames=frames), recipe(), created="")
+
+
+def test_a_fold_has_the_room_of_its_share_of_the_presses() -> None:
+    """The bank of all has 1, the banks of four fifths of them four fifths."""
+    rooms: list[float] = []
+
+    class Watching(tiny.TinyDetector):
+        def fit(
+            self,
+            nominal: Nominal,
+            grid: Grid,
+            parameters: object,
+            rng: np.random.Generator,
+            progress: Progress,
+        ) -> Bank:
+            rooms.append(nominal.room)
+            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+
+    fit_files(presses(20), recipe(detector=Watching()), created="")
+    assert rooms == pytest.approx([1.0, 0.8, 0.8, 0.8, 0.8, 0.8])
+
+
+class Forgetful(tiny.TinyDetector):
+    """Its bank is right where it has more than `least` times the usual room, or less than the usual."""
+
+    def __init__(self, least: float) -> None:
+        self.least = least
+
+    def fit(
+        self, nominal: Nominal, grid: Grid, parameters: object, rng: np.random.Generator, progress: Progress
+    ) -> Bank:
+        bank = super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+        mean = bank.arrays["mean"].copy()
+        if nominal.presses == 20 and nominal.room < self.least:
+            mean[:, 1, 1] = 0.9  # a place that every press has
+        spare = np.zeros(round(100 * nominal.room), np.float32)
+        return Bank({"mean": mean, "spare": spare}, bank.packing, bank.facts)
+
+
+def test_a_bank_that_lacks_a_place_gets_more_room() -> None:
+    """Twice the usual room is enough here, and the bundle says so; its own presses pass."""
+    nominal = presses(20)
+    fitted = fit_files(nominal, recipe(detector=Forgetful(2.0)), created="")
+    assert any("2 times its usual room" in warning for warning in fitted.manifest.provenance.warnings)
+    scored = Scorer(fitted.bundle()).score_batch(nominal.frames)
+    assert sum(s.anomaly_score > fitted.manifest.threshold.value for s in scored) <= 1
+
+
+def test_a_bank_that_lacks_a_place_in_any_room_is_refused() -> None:
+    """A sentence instead of a bundle that fails the presses it was learnt from."""
+    with pytest.raises(FitError, match="lacks what its own nominal presses show"):
+        fit_files(presses(20), recipe(detector=Forgetful(9.0)), created="")
 
 
 def test_the_floor_is_stated() -> None:
@@ -92,7 +181,7 @@ def test_the_floor_is_stated() -> None:
     manifest = fit_files(presses(4), recipe(), created="").manifest
     assert manifest.threshold.is_floored
     assert manifest.threshold.alpha_floor == pytest.approx(0.2)
-    assert any("1/5 at best; 19 are needed" in warning for warning in manifest.provenance.warnings)
+    assert any("1/5 at best; 19 presses are needed" in warning for warning in manifest.provenance.warnings)
 
 
 def test_nineteen_presses_need_no_warning() -> None:
@@ -131,6 +220,7 @@ def test_a_threshold_can_be_given() -> None:
     ("nominal", "changes", "reason"),
     [
         (presses(1), {}, "1 nominal press gives no threshold"),
+        (presses(3), {}, "3 nominal presses give no threshold: with one held out fewer than 3 are left"),
         (NominalPresses(np.zeros((0, 32, 32, 3), np.uint8), ()), {}, "no nominal press"),
         (presses(3), {"alpha": 1.5}, "false-alarm rate"),
         (presses(3), {"alpha": 0.0}, "false-alarm rate"),
@@ -156,13 +246,13 @@ def test_a_trunk_without_the_tap_is_a_sentence() -> None:
             return ("layer1", "layer4")
 
     with pytest.raises(FitError, match="trunk gives layer1, layer2; export a trunk with layer4"):
-        fit_files(presses(3), recipe(detector=Deep()), created="")
+        fit_files(presses(4), recipe(detector=Deep()), created="")
 
 
 def test_a_trunk_that_is_no_graph_is_a_sentence() -> None:
     """A wrong file given as the backbone."""
     with pytest.raises(BundleCorrupt, match="trunk 'x' is refused"):
-        fit_files(presses(3), recipe(trunk=Trunk("x", b"not a graph")), created="")
+        fit_files(presses(4), recipe(trunk=Trunk("x", b"not a graph")), created="")
 
 
 def test_features_that_are_not_finite_are_refused() -> None:
@@ -179,7 +269,7 @@ def test_features_that_are_not_finite_are_refused() -> None:
         }
     """)
     with pytest.raises(FitError, match="not finite at layer1"):
-        fit_files(presses(3), recipe(trunk=Trunk("broken", model.SerializeToString())), created="")
+        fit_files(presses(4), recipe(trunk=Trunk("broken", model.SerializeToString())), created="")
 
 
 def test_as_many_folds_as_presses_leave_one_out() -> None:

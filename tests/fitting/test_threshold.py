@@ -1,11 +1,10 @@
-"""The threshold: a conformal quantile of nominal scores with its floor, and folds that keep specimens whole."""
+"""The threshold: a conformal quantile of nominal scores that counts pieces, its floor, and one bundle's own rate."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from scipy import stats
 
-from calibration.fitting.threshold import FLOOR_MARGIN, conformal_threshold, folds
+from calibration.fitting.threshold import FLOOR_MARGIN, conformal_threshold, needed, rate_range
 from edge.core.errors import FitError
 
 
@@ -33,20 +32,20 @@ def test_below_the_floor_the_largest_score_gets_a_margin_and_says_so() -> None:
     limit = conformal_threshold(np.arange(1.0, 11.0), 0.05)
     assert limit.is_floored
     assert limit.value == 10.0 + FLOOR_MARGIN * (10.0 - 5.5)
-    assert "a rate below 1/11 needs more presses" in limit.method
+    assert "largest of 10 scores plus" in limit.method
     assert limit.alpha_floor == pytest.approx(1 / 11)
 
 
 def test_equal_scores_leave_room_for_rounding() -> None:
     """Identical presses score alike; the threshold lies above them by the numerical tolerance at least."""
-    assert conformal_threshold([2.0, 2.0], 0.05, slack=0.01).value == 2.01
+    assert conformal_threshold([2.0] * 4, 0.05, slack=0.01).value == 2.01
 
 
-@pytest.mark.parametrize("scores", [[], [1.0]])
-def test_fewer_than_two_scores_give_no_threshold(scores: list[float]) -> None:
-    """Nothing is left to hold out; the sentence says how many presses the rate needs."""
-    with pytest.raises(FitError, match=r"at least 2 \(19 for a false-alarm rate of 0.05\)"):
-        conformal_threshold(scores, 0.05)
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_fewer_than_four_scores_give_no_threshold(count: int) -> None:
+    """With one held out fewer than three presses are left; the sentence says how many presses the rate needs."""
+    with pytest.raises(FitError, match=r"give at least 4 \(19 for a false-alarm rate of 0.05\)"):
+        conformal_threshold([1.0] * count, 0.05)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0, -0.1, float("nan")])
@@ -59,7 +58,7 @@ def test_a_rate_outside_nought_and_one_is_refused(alpha: float) -> None:
 def test_a_score_that_is_not_finite_is_refused() -> None:
     """NaN sorts last and would become the threshold."""
     with pytest.raises(FitError, match="not finite"):
-        conformal_threshold([1.0, float("nan")], 0.05)
+        conformal_threshold([1.0, 2.0, 3.0, float("nan")], 0.05)
 
 
 def test_the_promise_holds_on_average() -> None:
@@ -69,25 +68,73 @@ def test_the_promise_holds_on_average() -> None:
     assert abs((draws[:, 19] > limits).mean() - 0.05) < 0.006  # four standard errors of the mean
 
 
-@given(
-    st.lists(st.sampled_from(["a", "b", "c", "d", None]), min_size=1, max_size=30),
-    st.integers(1, 6),
-    st.integers(0, 9),
+def test_presses_count_as_pieces() -> None:
+    """24 presses of 2 pieces promise 1/3 for a third piece, not 1/25."""
+    limit = conformal_threshold(np.arange(24.0), 0.05, specimens=["a"] * 12 + ["b"] * 12)
+    assert (limit.pieces, limit.n) == (2, 24)
+    assert limit.alpha_floor == pytest.approx(1 / 3)
+    assert limit.is_floored
+    assert limit.value > 23
+
+
+def test_each_piece_has_one_vote() -> None:
+    """Worked by hand, alpha 0.4 of 4 pieces: weights up to 3 of 5. The piece pressed often, all high, counts once."""
+    scores = [1.0, 2.0, 3.0, 7.0, 8.0, 9.0, 10.0]
+    limit = conformal_threshold(scores, 0.4, specimens=["a", "b", "c", "d", "d", "d", "d"])
+    assert limit.value == 3.0
+    assert conformal_threshold(scores, 0.4).value == 8.0  # ceil(8 x 0.6) = 5 where each is a piece of its own
+    # A quarter of d is missing to 3.5 of 5.
+    assert conformal_threshold(scores, 0.3, specimens=["a", "b", "c", "d", "d", "d", "d"]).value == 8.0
+
+
+def test_one_press_of_each_piece_is_as_if_pieces_were_unknown() -> None:
+    """The weighted quantile becomes the plain one."""
+    scores = np.random.default_rng(0).normal(size=30)
+    names = [f"{k:03d}" for k in range(30)]
+    assert conformal_threshold(scores, 0.1, specimens=names) == conformal_threshold(scores, 0.1)
+
+
+def test_the_promise_holds_for_new_pieces() -> None:
+    """4,000 draws of 5 pieces with 10 presses each, alike within a piece: a press of a sixth fails in 1/6 at most.
+
+    Counted by presses one in ten is promised and not kept: 50 presses of 5 pieces are not 50 draws.
+    """
+    rng = np.random.default_rng(2)
+    pieces = rng.normal(size=(4000, 6, 1)) + 0.1 * rng.normal(size=(4000, 6, 10))
+    names = [str(k // 10) for k in range(50)]
+    for specimens, floor, is_kept in ((names, 1 / 6, True), ((), 1 / 51, False)):
+        limits = [conformal_threshold(draw[:5].ravel(), 0.1, specimens=specimens) for draw in pieces]
+        promised = max(0.1, limits[0].alpha_floor)
+        assert limits[0].alpha_floor == pytest.approx(floor)
+        fails = np.mean([draw[5, 0] > limit.value for draw, limit in zip(pieces, limits, strict=True)])
+        assert (fails < promised + 4 * (promised * (1 - promised) / 4000) ** 0.5) == is_kept
+
+
+@pytest.mark.parametrize(
+    ("pieces", "alpha", "shape"), [(60, 0.05, (3, 58)), (19, 0.05, (1, 19)), (200, 0.1, (20, 181))]
 )
-@settings(max_examples=100, deadline=None)
-def test_folds_hold_out_every_press_once_and_keep_specimens_whole(
-    specimens: list[str | None], count: int, seed: int
+def test_one_bundles_own_rate_is_that_of_the_beta_distribution(
+    pieces: int, alpha: float, shape: tuple[int, int]
 ) -> None:
-    """The folds are a partition; presses of one specimen are never on both sides."""
-    parts = folds(specimens, count, np.random.default_rng(seed))
-    assert sorted(np.concatenate(parts).tolist()) == list(range(len(specimens)))
-    assert 1 <= len(parts) <= count
-    for part in parts:
-        named = {specimens[k] for k in part} - {None}
-        rest = {specimens[k] for k in range(len(specimens)) if k not in part}
-        assert not named & rest
+    """The 95 % range against scipy's; Beta(n + 1 - r, r) for the r-th smallest of n scores."""
+    assert rate_range(pieces, alpha) == pytest.approx(stats.beta(*shape).ppf([0.025, 0.975]), abs=1e-9)
 
 
-def test_folds_are_of_nearly_equal_size() -> None:
-    """Twelve single presses in five folds: none holds more than three."""
-    assert sorted(len(p) for p in folds([None] * 12, 5, np.random.default_rng(0))) == [2, 2, 2, 3, 3]
+def test_above_the_largest_score_one_bundles_rate_has_an_upper_limit_alone() -> None:
+    """Ten pieces, 5 % asked for: Beta(1, 10), whose 95 % point is 1 - 0.05 ** (1 / 10)."""
+    assert rate_range(10, 0.05) == pytest.approx((0.0, 1 - 0.05**0.1), abs=1e-9)
+
+
+def test_one_bundle_lies_in_its_range() -> None:
+    """2,000 bundles of 39 uniform scores: the rate above the threshold is in the stated range in 95 % of them."""
+    draws = np.random.default_rng(3).uniform(size=(2000, 39))
+    low, high = rate_range(39, 0.05)
+    rates = np.array([1 - conformal_threshold(row, 0.05).value for row in draws])
+    assert abs(np.mean((low <= rates) & (rates <= high)) - 0.95) < 0.02
+
+
+@pytest.mark.parametrize(("alpha", "count"), [(0.05, 19), (0.1, 9), (0.01, 99), (0.3, 3)])
+def test_how_many_pieces_a_rate_needs(alpha: float, count: int) -> None:
+    """The least n with 1 / (n + 1) at most the rate."""
+    assert needed(alpha) == count
+    assert not conformal_threshold(np.arange(max(4.0, count)), alpha).is_floored

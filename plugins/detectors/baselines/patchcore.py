@@ -163,9 +163,9 @@ class Patchcore:
         if p.is_touched_only:
             points = rows[:, p.rows.touched(nominal, grid)].reshape(-1, rows.shape[2])
             free = p.rows.free_gel(nominal, grid, arrays, rows, rng)
-        pressed = drawn(points, p.most_patches, rng)
+        pressed = drawn(points, nominal.limit(p.most_patches), rng)
         points = np.concatenate([pressed, free])
-        chosen, facts = _coreset(points, min(count, p.most_rows or count), p, rng)
+        chosen, facts = _coreset(points, min(count, nominal.limit(p.most_rows) or count), p, rng)
         arrays["bank"] = points[chosen]
         progress(1.0)
         facts |= {

@@ -94,7 +94,7 @@ class Fapm:
         # One start for every group.
         start = float(rng.random())
         kept = {tap: self._kept(nominal, grid, tap, p) for tap in p.layers}
-        fraction = _affordable(nominal.presses, kept, grid, p)
+        fraction = _affordable(nominal, kept, grid, p)
         arrays: dict[str, NDArray[Any]] = {}
         facts: dict[str, Any] = {"start": start, "near_fraction": fraction}
         facts |= {"repairs": repaired(p, PAPER, REPAIRS), "warnings": []}
@@ -275,7 +275,9 @@ def _counts(rows: int, fraction: float, p: FapmParameters) -> tuple[int, int]:
     return near, min(max(near, int(p.far_factor * near)), rows)
 
 
-def _affordable(presses: int, kept: Mapping[str, NDArray[np.bool_]], grid: Grid, p: FapmParameters) -> float:
+def _affordable(
+    nominal: Nominal, kept: Mapping[str, NDArray[np.bool_]], grid: Grid, p: FapmParameters
+) -> float:
     """near_fraction, or the part of it with which int8 stays within the bank's megabytes where the packing is free."""
     if p.packing != "auto":
         return p.near_fraction
@@ -283,14 +285,15 @@ def _affordable(presses: int, kept: Mapping[str, NDArray[np.bool_]], grid: Grid,
     for tap, groups in kept.items():
         c, places = grid.taps[tap][0], _layout(grid, tap, p)
         s, cells = places.groups.shape[1], len(np.unique(places.cell[groups]))
-        near, far = _counts(presses * s, p.near_fraction, p)
+        near, far = _counts(nominal.presses * s, p.near_fraction, p)
         # Cells at or above the quantile of their reach.
         share = 1 - math.ceil(p.far_quantile * (cells - 1)) / cells
         per_group = near + share * (far - near)
         wanted += groups.sum() * per_group * (c + SCALE_BYTES)
         # Means, tables of places, and the free gel.
         fixed += groups.sum() * (4 * c + 16 * s) + (~groups).sum() * s * (2 * c + 16)
-    return p.near_fraction * min(1.0, max(bank_bytes(p.bank_mb, grid) - fixed, 0.0) / wanted)
+    room = nominal.room * max(bank_bytes(p.bank_mb, grid) - fixed, 0.0)
+    return p.near_fraction * min(1.0, room / wanted)
 
 
 def _packing(arrays: Mapping[str, NDArray[Any]], grid: Grid, p: FapmParameters) -> dict[str, Packing]:

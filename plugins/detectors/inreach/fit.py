@@ -83,9 +83,10 @@ class Inreach:
             members = self._fallback(rows, facts, p)
         pressed, members = len(members), np.concatenate([members, free])
         chosen = np.arange(len(members))
-        if p.most_rows is not None and len(members) > p.most_rows:
+        most = nominal.limit(p.most_rows)
+        if most is not None and len(members) > most:
             start = int(rng.integers(len(members)))
-            found = k_centre(members, p.most_rows, start)
+            found = k_centre(members, most, start)
             chosen, facts["start"], facts["radius"] = found.rows, start, found.radius
         arrays["bank"] = np.ascontiguousarray(members[chosen])
         facts |= {"rows": len(chosen), "rows_of_free_gel": int((chosen >= pressed).sum())}

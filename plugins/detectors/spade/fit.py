@@ -94,7 +94,7 @@ class Spade:
         described = _describe(nominal.features, grid, p)
         start = int(rng.integers(len(described)))
         stored = {tap: self._stored(nominal, grid, tap, p) for tap in p.layers}
-        kept = _affordable(described, stored, grid, p, start)
+        kept = _affordable(described, nominal.room, stored, grid, p, start)
         press_mean = described[kept].mean(axis=0).astype(np.float32)
         arrays: dict[str, NDArray[Any]] = {
             "press_descriptors": (described[kept] - press_mean).astype(np.float32),
@@ -201,12 +201,13 @@ def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParamete
 
 def _affordable(
     described: NDArray[np.float64],
+    room: float,
     stored: Mapping[str, NDArray[np.bool_]],
     grid: Grid,
     p: SpadeParameters,
     start: int,
 ) -> NDArray[np.int64]:
-    """The presses that fit into the bank's size, rising; the most different ones where not all do."""
+    """The presses that fit into the bank's size, times `room`, rising; the most different ones where not all do."""
     if p.bank_mb is None:
         return np.arange(len(described))
     per_number, per_row = {"none": (4, 0), "float16": (2, 0), "int8": (1, 4)}[p.packing]
@@ -224,7 +225,7 @@ def _affordable(
             if gel
             else 0
         )
-    count = max(1, (bank_bytes(p.bank_mb, grid) - fixed) // press)
+    count = max(1, round(room * ((bank_bytes(p.bank_mb, grid) - fixed) // press)))
     if count >= len(described):
         return np.arange(len(described))
     return np.sort(k_centre(described, count, start).rows)

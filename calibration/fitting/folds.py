@@ -1,0 +1,50 @@
+"""Which presses are held out together: whole pieces where there are enough of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.threshold import MIN_PRESSES, pieces_of
+
+__all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "folds", "held_out_folds"]
+
+LEAVE_ONE_OUT_BELOW = 10
+"""With fewer presses each is held out alone: a fold of two would leave the bank noticeably less."""
+
+MIN_PIECES = 3
+"""With fewer, holding one out whole leaves a bank of one piece, which knows nothing of how pieces differ."""
+
+Folds = list[NDArray[np.int64]]
+
+
+def held_out_folds(
+    specimens: Sequence[str | None], count: int, rng: np.random.Generator
+) -> tuple[Folds, list[str]]:
+    """The folds, and a warning where pieces are too few to be held out whole.
+
+    Each fold leaves at least three presses, for MIN_PRESSES presses or more.
+    """
+    n, pieces = len(specimens), len(set(pieces_of(specimens)))
+    count = n if n < LEAVE_ONE_OUT_BELOW else count
+    found = folds(specimens, count, rng)
+    if pieces >= MIN_PIECES and n - max(len(held) for held in found) >= MIN_PRESSES - 1:
+        return found, []
+    warning = (
+        f"the presses are of {pieces} piece{'' if pieces == 1 else 's'}, too few to hold one out whole: the threshold "
+        f"knows nothing of other pieces; press at least {MIN_PIECES} pieces, several times each"
+    )
+    return folds((None,) * n, count, rng), [warning]
+
+
+def folds(specimens: Sequence[str | None], count: int, rng: np.random.Generator) -> Folds:
+    """Indices of the presses held out in each fold: every press once, a specimen never on both sides.
+
+    Presses without a specimen stand for themselves. At most `count` folds, at most one per piece.
+    """
+    keys = pieces_of(specimens)
+    groups = sorted(set(keys))
+    order = rng.permutation(len(groups))
+    fold_of = {groups[g]: position % count for position, g in enumerate(order)}
+    assigned = np.array([fold_of[key] for key in keys])
+    return [held for k in range(count) if len(held := np.flatnonzero(assigned == k))]

@@ -1,0 +1,37 @@
+"""What a threshold promises, in words: on average over bundles, and of the one at hand."""
+
+from edge.model.manifest import ThresholdEntry
+
+__all__ = ["promise"]
+
+
+def promise(limit: ThresholdEntry) -> str:
+    """One or two sentences for `fit`, `inspect`, `info` and the manifest's reader."""
+    if not limit.n:
+        return "no rate is promised: the threshold was given"
+    rate = f"at most {_percent(limit.alpha)}"
+    if limit.is_floored:
+        floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
+        rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
+    whole = f"{_counted(limit)}: {rate} of {_whom(limit)} fail, on average over bundles"
+    if limit.rate_range is None:
+        return whole
+    low, high = map(_percent, limit.rate_range)
+    return f"{whole}; of this bundle alone {low} to {high} (95 %)"
+
+
+def _counted(limit: ThresholdEntry) -> str:
+    presses = f"{limit.n} presses"
+    return presses if limit.pieces in (None, limit.n) else f"{presses} of {_pieces(limit.pieces)}"
+
+
+def _whom(limit: ThresholdEntry) -> str:
+    return "sound presses" if limit.pieces in (None, limit.n) else "sound presses of new pieces"
+
+
+def _pieces(count: int | None) -> str:
+    return f"{count} piece{'' if count == 1 else 's'}"
+
+
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.2g} %"

@@ -1,0 +1,75 @@
+"""What a fit finds out about its own work: presses that stand apart, and a bank that lacks a place."""
+
+import numpy as np
+import pytest
+
+from calibration.fitting.self_check import apart_warnings, is_covered, standing_apart
+from calibration.fitting.threshold import conformal_threshold
+
+
+@pytest.mark.parametrize("n", [8, 19, 24, 60])
+def test_a_press_far_above_all_others_stands_apart(n: int) -> None:
+    """One of n scores lies twenty times as far above the median as the others do."""
+    scores = np.random.default_rng(n).uniform(9, 11, n)
+    scores[3] = 30
+    assert standing_apart(scores) == [3]
+
+
+def test_two_presses_do_not_hide_each_other() -> None:
+    """Two of 24; each is compared with the 22 that do not stand apart."""
+    scores = np.random.default_rng(0).uniform(9, 11, 24)
+    scores[[5, 7]] = 28, 30
+    assert standing_apart(scores) == [7, 5]
+
+
+@pytest.mark.parametrize("draw", ["normal", "exponential", "lognormal"])
+def test_sound_presses_seldom_stand_apart(draw: str) -> None:
+    """1,000 sets of 24 scores, also with long tails: fewer than one in twenty has a press that stands apart."""
+    rng = np.random.default_rng(1)
+    sets = {
+        "normal": rng.normal,
+        "exponential": rng.exponential,
+        "lognormal": lambda size: rng.lognormal(0, 0.5, size),
+    }
+    assert np.mean([bool(standing_apart(scores)) for scores in sets[draw](size=(1000, 24))]) < 0.05
+
+
+def test_a_group_that_is_another_way_to_look_does_not_stand_apart() -> None:
+    """Four of 24 score high: too many to be called strays."""
+    scores = np.random.default_rng(0).uniform(9, 11, 24)
+    scores[:4] = 30
+    assert standing_apart(scores) == []
+
+
+def test_equal_scores_do_not_stand_apart() -> None:
+    """Copies of one press."""
+    assert standing_apart(np.full(12, 3.0)) == []
+
+
+def test_the_warning_names_the_press_and_the_way_out() -> None:
+    """With its score and how far the others reach."""
+    scores = np.linspace(9, 11, 20)
+    scores[4] = 90
+    (said,) = apart_warnings(scores, [f"good/{k}.png" for k in range(20)])
+    assert "press 'good/4.png' stands apart" in said
+    assert "90 where they reach 11" in said
+    assert "--leave-out 'good/4.png'" in said
+
+
+def test_a_bank_covers_presses_that_score_lower_by_it() -> None:
+    """Known presses score at most what they do unknown."""
+    held_out = np.linspace(8, 14, 40)
+    assert is_covered(0.9 * held_out, held_out, conformal_threshold(held_out, 0.05))
+
+
+def test_a_bank_that_most_presses_fail_by_does_not_cover_them() -> None:
+    """Seen with 40 presses of a part: out of fold 8.4 to 13.8, by the final bank 12.9 to 15.8."""
+    held_out, known = np.linspace(8.4, 13.8, 40), np.linspace(12.9, 15.8, 40)
+    assert not is_covered(known, held_out, conformal_threshold(held_out, 0.05))
+
+
+def test_a_bank_lacks_a_place_also_where_no_press_fails_by_it() -> None:
+    """All presses score a half higher than unknown; one stray keeps the threshold above them."""
+    held_out = np.append(np.linspace(8, 9, 19), 40.0)
+    known = np.append(np.linspace(12, 13, 19), 5.0)
+    assert not is_covered(known, held_out, conformal_threshold(held_out, 0.05))

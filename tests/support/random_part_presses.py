@@ -1,0 +1,71 @@
+"""Sound presses of random simulated parts in any number, for measurements of how often they alarm."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.simulator.field_of_view import LR
+from calibration.simulator.parts import PARTS, specimen
+from calibration.simulator.plan import PRESS_CYCLE_S
+from calibration.simulator.pose import Jitter, Pose, pose_jitter, sample
+from calibration.simulator.random_parts import RandomPart, random_part
+from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.simulate import paper_scenes
+from calibration.simulator.streams import Streams, named_streams
+
+__all__ = ["RandomPartPresses"]
+
+# As most of the analogues are pressed.
+DEPTH_MM = 0.4
+
+
+@dataclass(frozen=True)
+class RandomPartPresses:
+    """One random part on one gel. A piece is clamped once, by hand, and then pressed by a robot: its presses are alike.
+
+    shapes, number: which part. presses: how many the gel has in all; each of them falls at a moment of its own, drawn
+    at random, so that wear and drift tell nothing about which presses were learnt.
+    """
+
+    shapes: int
+    number: int
+    presses: int
+
+    def press(self, piece: int, repeat: int, order: int) -> NDArray[np.uint8]:
+        """One press of a sound piece, uint8 (240, 320, 3) RGB. order: which press of all it is."""
+        shape = specimen(self._shape, self._streams("specimen", piece))
+        clamped = pose_jitter(Pose(), self._clamping, self._streams("clamp", piece))
+        placed = self._gel.place(clamped, (piece, repeat))
+        imprint = self._gel.imprint(sample(shape, placed, LR), DEPTH_MM * placed.depth_factor)
+        moment = int(self._moments[order])
+        light = self._gel.light(self._gel.surface(imprint, moment), moment)
+        return self._gel.expose(light, (piece, repeat), Exposure(0, moment * PRESS_CYCLE_S))
+
+    def free_gel(self, number: int) -> NDArray[np.uint8]:
+        """The untouched gel, uint8 (240, 320, 3) RGB."""
+        return self._gel.free_gel(("free", number))
+
+    @cached_property
+    def _shape(self) -> RandomPart:
+        return random_part(np.random.default_rng([self.shapes, self.number]))
+
+    @cached_property
+    def _streams(self) -> Streams:
+        return named_streams(1000 * self.shapes + self.number)
+
+    @cached_property
+    def _moments(self) -> NDArray[np.int64]:
+        return np.random.default_rng([self.shapes, self.number, 1]).permutation(self.presses)
+
+    @property
+    def _clamping(self) -> Jitter:
+        """Every other part is clamped loosely, as the analogues PZ3 and PZ5 are."""
+        return PARTS["PZ3" if self.number % 2 else "PZ5"].jitter
+
+    @cached_property
+    def _gel(self) -> Renderer:
+        effects = next(scene for scene in paper_scenes() if scene.part == "PZ3").effects
+        return Renderer(LR, effects, LOOKS["unit_b"], Jitter(), self._streams, "gel1", "pos1")
