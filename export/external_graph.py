@@ -21,7 +21,7 @@ from calibration.fitting.colours import colour_warnings, nominal_colours, refuse
 from calibration.fitting.fit import Fitted
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.self_check import apart_warnings, black_warnings
-from calibration.fitting.threshold import check_alpha, conformal_threshold
+from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.imaging.region import Region
@@ -65,6 +65,8 @@ def wrap_files(
     contract, FitError for too few presses, NotScorable.
     """
     region, is_given = recipe.region, recipe.threshold is not None
+    if not is_given:
+        require_enough(len(presses), recipe.alpha)
     said = warnings(presses, (region.height, region.width), None if is_given else recipe.alpha)
     colours = nominal_colours(presses.frames)
     said += colour_warnings(colours)

@@ -76,7 +76,7 @@ def test_too_few_presses_and_a_given_threshold() -> None:
 def test_the_command_makes_a_bundle_that_verifies(tmp_path: Path) -> None:
     """`gelgate wrap`, then `gelgate verify`; a missing graph is a sentence."""
     (tmp_path / "good").mkdir()
-    for k in range(3):
+    for k in range(4):
         cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), np.full((240, 320, 3), 100 + k, np.uint8))
     (tmp_path / "detector.onnx").write_bytes(graph())
 
