@@ -16,7 +16,7 @@ from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRE
 from edge.core.sink_context import topic_level
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["Config", "PluginTable", "load_config"]
+__all__ = ["Config", "PluginTable", "StationTable", "load_config"]
 
 M = TypeVar("M", bound=BaseModel)
 

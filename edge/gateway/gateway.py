@@ -21,17 +21,17 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import QualitySettings
 from edge.core.ports import Clock, DeviceIdentity, Sink
 from edge.core.press_detector import PressDetector
-from edge.core.sink_context import Place, Station, topic_root
+from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.gateway.commands import Commands
 from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.loop_calls import Requests
 from edge.gateway.overload import OverloadRule
-from edge.gateway.parts import device_opener, open_sink, open_store, sink_names
+from edge.gateway.parts import device_opener, open_sinks, open_store, sink_context
 from edge.gateway.press_pipeline import PressTaker
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import Reporter, Summary
-from edge.messaging.payloads import NoArguments, ReplaceGelArguments, StatePayload, state_message
+from edge.messaging.payloads import NoArguments, ReplaceGelArguments
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.retained_state import Announcements
 from edge.model.bundle import Bundle
@@ -154,31 +154,14 @@ class Gateway:
         self._parts.callback(self._acquisition.close)
 
     def _open_sinks(self) -> dict[str, Sink]:
-        table = self._config.station
-        root = topic_root(table.prefix, table.site, table.line, table.station)
-        lost = StatePayload(
-            time_ns=self._clock.time_ns(), state="lost", reason="the gateway vanished without a word"
-        )
-        station = Station(
-            root=root,
-            client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
-            will=state_message(lost),
-            birth=self._announcements.all,
-            on_command=Commands(
-                {
-                    "trigger": self._on_trigger,
-                    "relearn": self._on_relearn,
-                    "replace_gel": self._on_replace_gel,
-                },
-                self._clock,
-            ),
-        )
-        names = sink_names(self._config.sinks)
-        sinks: dict[str, Sink] = {}
-        for name, chosen in zip(names, self._config.sinks, strict=True):
-            sinks[name] = sink = open_sink(chosen, station)
-            self._parts.callback(sink.close)  # harmless after the publisher's own closing
-        return sinks
+        verbs = {
+            "trigger": self._on_trigger,
+            "relearn": self._on_relearn,
+            "replace_gel": self._on_replace_gel,
+        }
+        commands = Commands(verbs, self._clock)
+        station = sink_context(self._config.station, self._announcements.all, commands, self._clock)
+        return open_sinks(self._config.sinks, station, self._parts)
 
     def _stop_publishing(self) -> None:
         self._reporter.stopped()
