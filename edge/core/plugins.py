@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
-from edge.core.ports import Clock, Device, DeviceIdentity, Sighting, Sink
+from edge.core.ports import Clock, Device, Sighting, Sink
 from edge.core.sink_context import Station
 
 if TYPE_CHECKING:
@@ -40,11 +40,7 @@ class DevicePlugin(Protocol[OptionsT]):
     def Options(self) -> type[OptionsT]: ...
 
     def survey(self, options: OptionsT) -> Sequence[Sighting]:
-        """Everything in reach that is, or looks like, this plugin's sensor."""
-        ...
-
-    def find(self, options: OptionsT) -> Sequence[DeviceIdentity]:
-        """The sensors that `open` could open, in a fixed order."""
+        """Everything in reach that is, or looks like, this plugin's sensor, in a fixed order."""
         ...
 
     def open(self, options: OptionsT, clock: Clock) -> Device:

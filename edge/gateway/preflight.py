@@ -65,8 +65,9 @@ def _bundle(config: Config) -> str:
 def _sensor(config: Config) -> str:
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
-    if not plugin.find(options):
-        seen = "; ".join(one.refusal for one in plugin.survey(options) if one.refusal)
+    sightings = plugin.survey(options)
+    if not any(one.identity for one in sightings):
+        seen = "; ".join(one.refusal for one in sightings if one.refusal)
         raise DeviceNotFound(
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")

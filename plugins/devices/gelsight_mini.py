@@ -11,7 +11,7 @@ import usb.core
 import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.core.ports import Clock, Device, Sighting
 from plugins.devices.uvc.controls import report_unset
 from plugins.devices.uvc.faults import guarded
 from plugins.devices.uvc.identity import SensorOnBus, choose, survey
@@ -53,9 +53,6 @@ class GelsightMini:
     def survey(self, options: GelsightMiniOptions) -> list[Sighting]:
         """Errors: DeviceNotFound when libusb cannot be loaded."""
         return [one.sighting for one in survey(get_backend())]
-
-    def find(self, options: GelsightMiniOptions) -> list[DeviceIdentity]:
-        return [one.identity for one in self.survey(options) if one.identity is not None]
 
     def open(self, options: GelsightMiniOptions, clock: Clock) -> Device:
         """Errors: DeviceNotFound, DeviceBusy, DeviceLost, DeviceStalled."""

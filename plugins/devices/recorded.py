@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded, RecordingError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, damage
-from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.core.ports import Clock, Device, Sighting
 from edge.recording.format import Recording
 
 __all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
@@ -119,9 +119,6 @@ class Recorded:
         except RecordingError as error:
             return [Sighting(str(options.recording), "", refusal=str(error))]
         return [Sighting(str(options.recording), header.product, header.identity)]
-
-    def find(self, options: RecordedOptions) -> list[DeviceIdentity]:
-        return [one.identity for one in self.survey(options) if one.identity is not None]
 
     def recording(self, options: RecordedOptions) -> Path:
         return options.recording

@@ -19,7 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from edge.clock import SystemClock
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.image_bytes import comment, kind, with_comment
-from edge.core.ports import Clock, Device, DeviceIdentity, Sighting
+from edge.core.ports import Clock, Device, Sighting
 from edge.recording.format import Recording, RecordingHeader
 from plugins.devices.uvc.identity import choose, survey
 from plugins.devices.uvc.stream import UvcSensor
@@ -106,9 +106,6 @@ class UsbMock:
 
     def survey(self, options: UsbMockOptions) -> list[Sighting]:
         return [one.sighting for one in survey(self.bench(options).bus)]
-
-    def find(self, options: UsbMockOptions) -> list[DeviceIdentity]:
-        return [one.identity for one in self.survey(options) if one.identity is not None]
 
     def recording(self, options: UsbMockOptions) -> Path:
         return options.recording

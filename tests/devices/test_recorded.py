@@ -39,12 +39,13 @@ def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
             )
 
 
-def test_find_and_survey(tmp_path: Path) -> None:
+def test_survey(tmp_path: Path) -> None:
     """A good folder is a sensor; a bad one is a refusal with the reason."""
     good = RecordedOptions(recording=write_recording(tmp_path / "r", 1))
-    assert [one.serial for one in plugin.find(good)] == [SERIAL]
+    assert [one.identity and one.identity.serial for one in plugin.survey(good)] == [SERIAL]
     bad = RecordedOptions(recording=tmp_path)
-    assert plugin.find(bad) == []
-    assert "not a recording" in (plugin.survey(bad)[0].refusal or "")
+    (seen,) = plugin.survey(bad)
+    assert seen.identity is None
+    assert "not a recording" in (seen.refusal or "")
     with pytest.raises(RecordingError):
         plugin.open(bad, FakeClock())

@@ -81,7 +81,7 @@ class TestDescriptors:
         refused = [one for one in plugin.survey(options) if one.identity is None]
         assert [one.product for one in refused] == ["USB 2.0 Camera"]
         assert "shared by webcams" in (refused[0].refusal or "")
-        assert [one.serial for one in plugin.find(options)] == [SERIAL]
+        assert [one.identity.serial for one in plugin.survey(options) if one.identity] == [SERIAL]
 
     def test_a_webcam_alone_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
         """With the sensor pulled, the matching id of the webcam is not enough; the message names what was seen."""
@@ -102,7 +102,7 @@ class TestDescriptors:
     def test_serial_option_changes_the_product_with_it(self, tmp_path: Path, clock: FakeClock) -> None:
         """The product string ends with the serial and a dash, as on real sensors."""
         options = options_for(tmp_path, serial="28D8PXEC")
-        (identity,) = plugin.find(options)
+        (identity,) = (one.identity for one in plugin.survey(options) if one.identity)
         assert (identity.product, identity.serial) == ("GelSight Mini R0B 28D8-PXEC", "28D8PXEC")
 
 

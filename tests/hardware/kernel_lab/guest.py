@@ -15,7 +15,7 @@ from usbip import UsbIpPort  # noqa: E402
 from edge.clock import SystemClock  # noqa: E402
 from edge.core.errors import DeviceBusy, DeviceLost, FrameCorrupt  # noqa: E402
 from edge.core.imaging.known_profiles import MINI_CONTROLS  # noqa: E402
-from edge.core.ports import Device  # noqa: E402
+from edge.core.ports import Device, DeviceIdentity  # noqa: E402
 from plugins.devices.gelsight_mini import GelsightMiniOptions, plugin  # noqa: E402
 from plugins.devices.v4l2.nodes import video_nodes  # noqa: E402
 from plugins.devices.virtual.camera import VirtualCamera  # noqa: E402
@@ -59,9 +59,14 @@ def plug_in() -> None:
     wait_for(has_nodes)
 
 
+def sensors() -> list[DeviceIdentity]:
+    """Those that could be opened."""
+    return [one.identity for one in plugin.survey(GelsightMiniOptions()) if one.identity]
+
+
 def identity() -> None:
     """pyusb reads strings and mode through libusb while uvcvideo is bound."""
-    (found,) = plugin.find(GelsightMiniOptions())
+    (found,) = sensors()
     assert (found.product, found.serial, found.mode) == (PRODUCT, SERIAL, SIZE)
 
 
@@ -92,7 +97,7 @@ def unplug(path: str) -> None:
     except DeviceLost as error:
         print("  ", error)
     device.close()
-    wait_for(lambda: not plugin.find(GelsightMiniOptions()))
+    wait_for(lambda: not sensors())
     plug_in()
 
 
