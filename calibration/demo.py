@@ -20,7 +20,7 @@ import typer
 
 if TYPE_CHECKING:
     from edge.gateway.acquisition import AcquisitionStatus
-    from edge.gateway.status import Summary
+    from edge.gateway.summary import Summary
     from edge.messaging.local_broker import LocalBroker
     from edge.messaging.mqtt_connection import Level
 

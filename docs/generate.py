@@ -8,6 +8,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -20,6 +21,7 @@ from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
 from edge.config import Config
 from edge.core import errors
+from edge.gateway.commands import COMMANDS
 from edge.messaging.topic_reference import reference
 
 FOLDER: Final = Path(__file__).parent
@@ -306,7 +308,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "cli.md": cli_page,
     "config.md": config_page,
     "errors.md": errors_page,
-    "mqtt.md": reference,
+    "mqtt.md": partial(reference, COMMANDS),
     "backbone.md": backbone_page,
 }
 

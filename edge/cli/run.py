@@ -7,7 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from edge.gateway.recorder import PressReport
-    from edge.gateway.status import Summary
+    from edge.gateway.summary import Summary
 
 __all__ = ["EXAMPLE", "check", "press_line", "run", "summary_text"]
 
@@ -67,7 +67,7 @@ def run(
     from edge.config import load_config
     from edge.core.errors import DeviceError
     from edge.gateway.gateway import Gateway
-    from edge.gateway.parts import played_recording
+    from edge.gateway.opening import played_recording
     from edge.gateway.played import check_played
     from edge.gateway.preflight import preflight
 
@@ -76,15 +76,17 @@ def run(
         format="%(asctime)s %(levelname)s %(name)s %(message)s",
     )
     loaded = load_config(config)
-    for finding in preflight(loaded):
-        if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
-            raise finding.error
-    recording = played_recording(loaded.device)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    with Gateway.open(loaded, SystemClock(), lambda report: typer.echo(press_line(report))) as gateway:
-        summary = gateway.run(stop, presses=presses)
+    clock = SystemClock()
+    with preflight(loaded, clock) as checked:
+        for finding in checked.findings:
+            if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
+                raise finding.error
+        recording = played_recording(loaded.device)
+        stop = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
+        with Gateway.open(loaded, clock, lambda report: typer.echo(press_line(report)), checked) as gateway:
+            summary = gateway.run(stop, presses=presses)
     typer.echo(summary_text(summary))
     if recording is not None and loaded.inspection.trigger == "automatic":
         check_played(recording, summary, gateway.status)
@@ -98,13 +100,15 @@ def check(
     if example:
         typer.echo(EXAMPLE, nl=False)
         return
+    from edge.clock import SystemClock
     from edge.config import load_config
     from edge.core.errors import GelgateError
     from edge.gateway.preflight import preflight
 
     loaded = load_config(config)
     typer.echo(f"ok     configuration: {config}")
-    findings = preflight(loaded)
+    with preflight(loaded, SystemClock()) as checked:
+        findings = checked.findings
     for finding in findings:
         typer.echo(f"{'ok    ' if finding.error is None else 'FAULT '} {finding.part}: {finding.text}")
     errors: list[GelgateError] = [finding.error for finding in findings if finding.error is not None]

@@ -5,6 +5,7 @@ __all__ = ["topics"]
 
 def topics() -> None:
     """Print the MQTT reference: every topic and every field, as in docs/mqtt.md."""
+    from edge.gateway.commands import COMMANDS
     from edge.messaging.topic_reference import reference
 
-    print(reference(), end="")
+    print(reference(COMMANDS), end="")

@@ -14,7 +14,7 @@ from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.decode import decode_view
 from edge.core.imaging.frames import CameraFrame
-from edge.core.imaging.image_bytes import Freshness, damage
+from edge.core.imaging.image_bytes import Freshness
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["GAP_S", "PressDetector"]
@@ -72,10 +72,9 @@ class PressDetector:
         return self._kept.get(settled.sequence)
 
     def _is_sound(self, frame: CameraFrame) -> bool:
-        fault = damage(frame.payload)
-        if fault is not None:
-            self._count_corrupt(f"frame {frame.sequence} is {fault}")
-        return fault is None
+        if frame.damage is not None:
+            self._count_corrupt(f"frame {frame.sequence} is {frame.damage}")
+        return frame.damage is None
 
     def _is_new(self, frame: CameraFrame) -> bool:
         """False for the last frame delivered again, and for one whose time does not rise."""

@@ -70,6 +70,7 @@ class Acquisition:
     default the first is at most 0.5 s and none is longer than 10 s.
 
     A reconnection is to the same sensor: one with another serial is refused as a fault.
+    `step` is one turn of the reader without its thread; a test may call it instead of `start`.
     `CameraFrame.sequence` rises over reconnections; a gap means that frames were lost, refused or dropped there.
     """
 
@@ -99,6 +100,9 @@ class Acquisition:
         self._counting: CountsStale | None = None
         self._is_waiting = False  # for the consumer, instead of dropping
         self._openings = 0
+        self._device: Device | None = None
+        self._corrupt_in_a_row = 0
+        self._last_ns = 0  # of the last frame, or of the opening
         self._thread = threading.Thread(target=self._run, name="acquisition", daemon=True)
 
     def start(self) -> None:
@@ -133,6 +137,7 @@ class Acquisition:
             self._changed.notify_all()
         if self._thread.is_alive():
             self._thread.join()
+        self._give_back()
         self._set(state=AcquisitionState.CLOSED, fault=None)
 
     def __enter__(self) -> Self:
@@ -146,9 +151,36 @@ class Acquisition:
 
     # The reader thread
 
+    def step(self) -> float:
+        """Open the sensor, or read one frame; gives the seconds to wait before the next step, 0 for at once.
+
+        Faults of the sensor are noted in `status` and end in another opening. Errors: RecordingEnded; whatever is
+        not a device's fault.
+        """
+        try:
+            if self._device is None:
+                self._open()
+            elif self._has_room():
+                self._read(self._device)
+        except RecordingEnded:
+            self._give_back()
+            raise
+        except DeviceError as error:
+            self._give_back()
+            self._set(state=AcquisitionState.FAULT, fault=str(error), fps=0.0)
+            return self._backoff.failed()
+        except BaseException:
+            self._give_back()
+            raise
+        return 0.0
+
     def _run(self) -> None:
         try:
-            self._supply()
+            while not self._closing.is_set():
+                self._await_room()
+                pause_s = self.step()
+                if pause_s:
+                    self._closing.wait(pause_s)
         except RecordingEnded as error:
             self._finish(error, AcquisitionState.ENDED, None)
         except BaseException as error:  # noqa: BLE001 - the loop's edge: it is raised again in `next`
@@ -160,51 +192,46 @@ class Acquisition:
             self._changed.notify_all()
         self._set(state=state, fault=fault)
 
-    def _supply(self) -> None:
-        """Open, read until it fails, pause, and again."""
-        while not self._closing.is_set():
-            frames_before = self.status.frames
-            try:
-                self._read_one_opening()
-            except RecordingEnded:
-                raise
-            except DeviceError as error:
-                self._set(state=AcquisitionState.FAULT, fault=str(error), fps=0.0)
-            if self.status.frames > frames_before:
-                self._backoff.succeeded()
-            self._closing.wait(self._backoff.failed())
-
-    def _read_one_opening(self) -> None:
+    def _open(self) -> None:
         device = self._open_device()
+        self._device = device
+        self._welcome(device)
+        self._corrupt_in_a_row, self._last_ns = 0, self._clock.monotonic_ns()
+
+    def _read(self, device: Device) -> None:
+        """One read. Waits are short, so that `close` need not sit out a stall."""
+        deadline_ns = self._last_ns + self._stall_ns
         try:
-            self._welcome(device)
-            self._read_frames(device)
-        finally:
+            frame = device.read(min(deadline_ns, self._clock.monotonic_ns() + _LONGEST_WAIT_NS))
+        except FrameCorrupt:
+            self._corrupt_in_a_row += 1
+            self._count_corrupt()
+            if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
+                raise
+            return
+        except DeviceStalled:
+            if self._clock.monotonic_ns() >= deadline_ns:
+                raise
+            return
+        self._corrupt_in_a_row = 0
+        self._deliver(frame)
+        self._backoff.succeeded()
+        self._last_ns = self._clock.monotonic_ns()
+
+    def _give_back(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
             self._count_stale()
             self._stale_before, self._counting = self._status.stale, None
             device.close()
 
-    def _read_frames(self, device: Device) -> None:
-        """Read until a fault or `close`. Waits are short, so that `close` need not sit out a stall."""
-        corrupt_in_a_row = 0
-        last_ns = self._clock.monotonic_ns()
-        while not self._closing.is_set():
-            deadline_ns = last_ns + self._stall_ns
-            try:
-                frame = device.read(min(deadline_ns, self._clock.monotonic_ns() + _LONGEST_WAIT_NS))
-            except FrameCorrupt:
-                corrupt_in_a_row += 1
-                self._count_corrupt()
-                if corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
-                    raise
-                continue
-            except DeviceStalled:
-                if self._clock.monotonic_ns() >= deadline_ns:
-                    raise
-                continue
-            corrupt_in_a_row = 0
-            self._deliver(frame)
-            last_ns = self._clock.monotonic_ns()
+    def _has_room(self) -> bool:
+        """False where the consumer must take a frame first: a device that waits for its reader loses none."""
+        return not self._is_waiting or len(self._frames) < self._depth
+
+    def _await_room(self) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._has_room() or self._closing.is_set())
 
     def _welcome(self, device: Device) -> None:
         known = self._status.identity
@@ -228,10 +255,8 @@ class Acquisition:
     def _deliver(self, frame: CameraFrame) -> None:
         self._times_ns.append(frame.timestamp_ns)
         with self._changed:
-            if self._is_waiting:
-                self._changed.wait_for(lambda: len(self._frames) < self._depth or self._closing.is_set())
             self._sequence += 1
-            self._frames.append(replace(frame, sequence=self._sequence))
+            self._frames.append(frame.numbered(self._sequence))
             dropped = self._shortened()
             self._status = replace(
                 self._status,

@@ -1,24 +1,99 @@
-"""Requests that arrive over MQTT: read, dispatched to a handler, and answered with the request's transaction id.
+"""Requests that arrive over MQTT: one table of verbs, read, dispatched and answered with the request's transaction id.
 
 Every fault becomes a response; nothing a subscriber sends can stop the gateway.
 """
 
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, Generic, TypeVar
 
 from pydantic import ValidationError
 
 from edge.core.errors import GelgateError
 from edge.core.ports import Clock
-from edge.messaging.payloads import CommandRequest, CommandResponse
+from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.station_loop import StationLoop
+from edge.messaging.payloads import (
+    CommandArguments,
+    CommandRequest,
+    CommandResponse,
+    NoArguments,
+    ReplaceGelArguments,
+)
 
-__all__ = ["Commands", "Handler"]
+__all__ = ["COMMANDS", "Command", "Commands", "Handler", "station_handlers"]
 
 log = logging.getLogger(__name__)
 
+A = TypeVar("A", bound=CommandArguments)
+
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """Arguments of the request -> data of the response, plain JSON. Errors: GelgateError, TypeError, ValueError."""
+
+
+@dataclass(frozen=True)
+class Command(Generic[A]):
+    """One verb: its arguments' model, what the loop does with them, and what the manual says of it.
+
+    do: gives the data of the response, plain JSON. Errors of `do`: GelgateError, ValueError.
+    """
+
+    verb: str
+    arguments: type[A]
+    do: Callable[[StationLoop, A], Mapping[str, Any]]
+    help: str
+
+
+def _trigger(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
+    refusal = loop.session.trigger()
+    if refusal is not None:
+        raise ValueError(refusal)
+    return {"state": loop.session.contact_state}
+
+
+def _relearn(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
+    loop.session.relearn()
+    return {"state": loop.session.contact_state}
+
+
+def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Mapping[str, Any]:
+    loop.replace_gel(arguments.gel_id, arguments.limit_presses, arguments.note)
+    gel = loop.session.gel
+    return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+
+
+COMMANDS: Final[tuple[Command[Any], ...]] = (
+    Command(
+        "trigger",
+        NoArguments,
+        _trigger,
+        'score the press that is held now; the way to inspect with `trigger = "command"`',
+    ),
+    Command(
+        "relearn", NoArguments, _relearn, "learn the picture of the free gel again; nothing may touch it"
+    ),
+    Command(
+        "replace_gel",
+        ReplaceGelArguments,
+        _replace_gel,
+        "record that a new gel is mounted, count from 0 and learn its picture",
+    ),
+)
+"""All that a station answers to; docs/mqtt.md prints this table."""
+
+
+def station_handlers(calls: LoopCalls[StationLoop]) -> dict[str, Handler]:
+    """Verb to handler. Arguments are read on the asker's thread, the rest is done by the station's loop."""
+    return {command.verb: partial(_ask, calls, command) for command in COMMANDS}
+
+
+def _ask(
+    calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    wish = command.arguments.of(arguments)
+    return calls.ask(lambda loop: command.do(loop, wish))
 
 
 class Commands:

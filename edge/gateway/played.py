@@ -2,7 +2,7 @@
 
 from edge.core.errors import PressesMissed
 from edge.gateway.acquisition import AcquisitionStatus
-from edge.gateway.status import Summary
+from edge.gateway.summary import Summary
 from edge.recording.format import Recording
 
 __all__ = ["check_played"]

@@ -1,20 +1,26 @@
-"""What can be known before the start: every part of a configuration is tried, and everything wrong is told at once."""
+"""What can be known before the start: every part of a configuration is tried, and everything wrong is said at once.
+
+What was opened for it is kept, so that the start that follows goes on with it: a bundle is loaded, hashed and scored
+once, and a sensor is opened once.
+"""
 
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Self
 
 from edge import registry
-from edge.clock import SystemClock
 from edge.config import Config, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
 from edge.core.plugins import HasAddress
+from edge.core.ports import Clock, Device
+from edge.gateway.opening import device_opener, open_scorer
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
 
-__all__ = ["Finding", "preflight"]
+__all__ = ["Finding", "Preflight", "preflight"]
 
 CONNECT_TIMEOUT_S = 2.0
 
@@ -28,41 +34,79 @@ class Finding:
     error: GelgateError | None = None
 
 
-def preflight(config: Config) -> list[Finding]:
+class Preflight:
+    """What was found, in the order in which a start uses the parts, and what is open. Close it after the start.
+
+    scorer: of the bundle, its golden frames scored; None where the bundle has a fault.
+    """
+
+    def __init__(self) -> None:
+        self.findings: list[Finding] = []
+        self.scorer: Scorer | None = None
+        self._device: Device | None = None
+
+    def take_device(self) -> Device | None:
+        """The open sensor, which is then the caller's to close; None where there is none."""
+        device, self._device = self._device, None
+        return device
+
+    def close(self) -> None:
+        """Give the sensor back, unless somebody took it; harmless when repeated."""
+        device = self.take_device()
+        if device is not None:
+            device.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _try(self, part: str, attempt: Callable[[], str]) -> None:
+        try:
+            self.findings.append(Finding(part, attempt()))
+        except GelgateError as error:
+            self.findings.append(Finding(part, str(error), error))
+
+    def _bundle(self, config: Config) -> str:
+        self.scorer, worst = open_scorer(config)
+        bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
+        return (
+            f"{manifest.part}/{manifest.position}, {manifest.method} ({manifest.mode}), threshold "
+            f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
+            f"(within {worst:.1e})"
+        )
+
+    def _sensor(self, config: Config, clock: Clock) -> str:
+        bundle = self.scorer.bundle if self.scorer else None
+        self._device = _open_sensor(config, clock, bundle)
+        sensor = self._device.identity
+        if bundle is not None and sensor.mode != bundle.profile.native:
+            native = bundle.profile.native
+            self.close()
+            raise BundleMismatch(
+                f"sensor {sensor.serial} sends {sensor.mode[0]}x{sensor.mode[1]} frames, the bundle was made from "
+                f"{native[0]}x{native[1]}; use a bundle made for this sensor's mode"
+            )
+        return f"{sensor.product}, serial {sensor.serial}, {sensor.mode[0]}x{sensor.mode[1]}"
+
+
+def preflight(config: Config, clock: Clock) -> Preflight:
     """Try bundle, sensor, database and receivers, in the order in which a start uses them.
 
     A receiver that is away is no fault: results wait for it in the outbox; its finding says so.
     """
-    return [
-        _tried("bundle", lambda: _bundle(config)),
-        _tried("sensor", lambda: _sensor(config)),
-        _tried("database", lambda: _database(config)),
-        *(
-            _tried(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
-            for index, sink in enumerate(config.sinks)
-        ),
-    ]
+    found = Preflight()
+    found._try("bundle", lambda: found._bundle(config))
+    found._try("sensor", lambda: found._sensor(config, clock))
+    found._try("database", lambda: _database(config))
+    for index, sink in enumerate(config.sinks):
+        found._try(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
+    return found
 
 
-def _tried(part: str, attempt: Callable[[], str]) -> Finding:
-    try:
-        return Finding(part, attempt())
-    except GelgateError as error:
-        return Finding(part, str(error), error)
-
-
-def _bundle(config: Config) -> str:
-    bundle = Bundle.load(config.inspection.bundle)
-    scorer = Scorer(bundle, threads=config.inspection.threads)
-    worst = scorer.check_golden()
-    manifest = bundle.manifest
-    return (
-        f"{manifest.part}/{manifest.position}, {manifest.method} ({manifest.mode}), threshold "
-        f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit (within {worst:.1e})"
-    )
-
-
-def _sensor(config: Config) -> str:
+def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
+    """Errors: DeviceError. Found is not enough: another process may hold it."""
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     sightings = plugin.survey(options)
@@ -72,17 +116,7 @@ def _sensor(config: Config) -> str:
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")
         )
-    # Found is not enough: another process may hold it.
-    device = plugin.open(options, SystemClock())
-    sensor = device.identity
-    device.close()
-    native = Bundle.load(config.inspection.bundle).profile.native
-    if sensor.mode != native:
-        raise BundleMismatch(
-            f"sensor {sensor.serial} sends {sensor.mode[0]}x{sensor.mode[1]} frames, the bundle was made from "
-            f"{native[0]}x{native[1]}; use a bundle made for this sensor's mode"
-        )
-    return f"{sensor.product}, serial {sensor.serial}, {sensor.mode[0]}x{sensor.mode[1]}"
+    return device_opener(config.device, bundle.profile.controls if bundle else {}, clock)()
 
 
 def _database(config: Config) -> str:

@@ -1,19 +1,16 @@
 """What a station says of itself: state, info, gel, alarms and stats, each as the message it becomes."""
 
+import logging
 import threading
-from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from statistics import median
-from typing import Final, Literal
+from typing import Literal
 
 from edge.core.gel import GelState
-from edge.core.imaging.quality import Reason
 from edge.core.ports import Clock, DeviceIdentity, Message
-from edge.gateway.acquisition import AcquisitionStatus
-from edge.gateway.overload import FrameCounts
-from edge.gateway.recorder import PressReport
+from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
+from edge.gateway.summary import Summary
 from edge.messaging.payloads import (
     AlarmPayload,
     GelPayload,
@@ -32,46 +29,12 @@ from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 
-__all__ = ["Reporter", "Summary"]
+__all__ = ["StationStatus"]
 
-LATENCIES_KEPT: Final = 1000
-
-
-@dataclass
-class Summary:
-    """What a run did. verdicts: word to number, `error` for a press without a verdict.
-
-    latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
-    came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
-    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice. has_ended: a recording was
-    played to its end.
-    """
-
-    presses: int = 0
-    has_ended: bool = False
-    verdicts: Counter[str] = field(default_factory=Counter)
-    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
-    frames: FrameCounts = field(default_factory=FrameCounts)
-    frames_corrupt: int = 0
-    frames_stale: int = 0
-
-    def add(self, report: PressReport) -> None:
-        result = report.result
-        self.presses += 1
-        self.verdicts[result.verdict or "error"] += 1
-        if result.score is not None and "total" in result.latency_ms:
-            self.latencies_ms.append(result.latency_ms["total"])
-        if (result.reason or "").startswith(f"{Reason.STALE}:"):
-            self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
-
-    def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
-        """Take over what the reader thread counted. undecodable: frames that arrived and could not be decoded."""
-        self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
-        self.frames_corrupt = sensor.corrupt + undecodable
-        self.frames_stale = sensor.stale
+log = logging.getLogger(__name__)
 
 
-class Reporter:
+class StationStatus:
     """Puts what is true now into words and hands it to `announce`, which leaves out what is no news."""
 
     def __init__(self, announce: Callable[[Message], object], clock: Clock) -> None:
@@ -80,19 +43,19 @@ class Reporter:
         self._started_ns = clock.monotonic_ns()
         self._lock = threading.Lock()  # the reader thread tells of the sensor, the loop of everything else
         self._faults: dict[str, str] = {}
-        self._awaited: str | None = None
+        self._waiting_for: str | None = None
         self._is_stopped = False
         self._said: tuple[str, str | None] | None = None
         self._drops_before: Mapping[str, int] | None = None
 
-    def awaits(self, what: str | None) -> None:
+    def set_waiting_for(self, what: str | None) -> None:
         """What must come before anything can be inspected, None when it has come."""
         with self._lock:
-            self._awaited = what
+            self._waiting_for = what
             self._say_state()
 
-    def fault(self, alarm: str, text: str) -> bool:
-        """Nothing can be inspected until this is `mended`: an alarm, and the state. Gives whether that is news."""
+    def set_fault(self, alarm: str, text: str) -> bool:
+        """Nothing can be inspected until `clear_fault`: an alarm, and the state. Gives whether that is news."""
         with self._lock:
             is_new = alarm not in self._faults
             if self._faults.get(alarm) != text:
@@ -101,12 +64,22 @@ class Reporter:
                 self._say_state()
             return is_new
 
-    def mended(self, alarm: str) -> None:
+    def clear_fault(self, alarm: str) -> None:
         """It is over; other faults may last."""
         with self._lock:
             if self._faults.pop(alarm, None) is not None:
                 self.clear(alarm)
             self._say_state()
+
+    def sensor_changed(self, sensor: AcquisitionStatus) -> None:
+        """Called from the reader thread, once per change."""
+        if sensor.state is AcquisitionState.STREAMING:
+            log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
+            self.clear_fault("device")
+        elif sensor.state is AcquisitionState.FAULT:
+            reason = sensor.fault or "the sensor stopped without saying why"
+            log.warning("%s", reason)
+            self.set_fault("device", reason)
 
     def stopped(self) -> None:
         """The end, on purpose."""
@@ -128,7 +101,9 @@ class Reporter:
             return "stopped", None
         if self._faults:
             return "halted", " ".join(self._faults.values())
-        return ("ready", None) if self._awaited is None else ("starting", f"waiting for {self._awaited}")
+        return (
+            ("ready", None) if self._waiting_for is None else ("starting", f"waiting for {self._waiting_for}")
+        )
 
     def alarm(self, alarm: str, text: str, severity: Literal["warning", "error"] = "error") -> None:
         """Something that a person should look at."""

@@ -24,6 +24,7 @@ __all__ = [
     "ALARMS",
     "MOST_DEFECTS",
     "AlarmPayload",
+    "CommandArguments",
     "CommandRequest",
     "CommandResponse",
     "DefectPlace",
@@ -300,7 +301,9 @@ class CommandRequest(BaseModel):
     arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
 
 
-class _Arguments(BaseModel):
+class CommandArguments(BaseModel):
+    """Arguments of a verb; each verb has its own."""
+
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
     @classmethod
@@ -314,11 +317,11 @@ class _Arguments(BaseModel):
             raise ValueError(f"{faults} (known arguments: {known})") from error
 
 
-class NoArguments(_Arguments):
+class NoArguments(CommandArguments):
     """Of `cmd/trigger` and `cmd/relearn`."""
 
 
-class ReplaceGelArguments(_Arguments):
+class ReplaceGelArguments(CommandArguments):
     """Of `cmd/replace_gel`."""
 
     gel_id: str | None = Field(default=None, min_length=1, max_length=64)

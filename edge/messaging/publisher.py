@@ -1,7 +1,7 @@
 """The publisher: one thread per sink that takes the outbox out in order, and never gives up on it.
 
-A `Lane` is the whole behaviour for one sink, one step at a time and without a thread; `Publisher` gives each lane its
-thread. A sink that is away does not hold up the others: a row leaves the outbox when every sink acknowledged it.
+A `SinkWorker` is all that happens for one sink, one step at a time and without a thread; `Publisher` gives each worker
+its thread. A sink that is away does not hold up the others: a row leaves the outbox when every sink acknowledged it.
 """
 
 import fcntl
@@ -19,17 +19,17 @@ from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Clock, Message, Sink
 from edge.messaging.payloads import as_replayed
-from edge.messaging.retained_state import Announcements
+from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox, OutboxRow, OutboxStatus
 
-__all__ = ["Lane", "LaneCounters", "OnChange", "Publisher", "PublisherLock"]
+__all__ = ["OnChange", "Publisher", "PublisherLock", "SinkCounters", "SinkWorker"]
 
 log = logging.getLogger(__name__)
 
 # Rows in memory at a time: enough to keep a broker busy, few enough that sixteen heatmaps fit in any gateway.
 BATCH_ROWS: Final = 16
 
-# An idle lane looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
+# An idle worker looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
 IDLE_S: Final = 5.0
 
 # An attempt on a sink that is away costs nothing, it does its own connecting: so the pauses stay short.
@@ -43,11 +43,11 @@ OFFER_REFUSED_S: Final = 3600.0
 CLOSE_S: Final = 5.0
 
 OnChange = Callable[[str, bool, str], None]
-"""(sink name, whether it takes messages now, one sentence). Called on changes only, from the lane's thread."""
+"""(sink name, whether it takes messages now, one sentence). Called on changes only, from the worker's thread."""
 
 
 @dataclass(frozen=True)
-class LaneCounters:
+class SinkCounters:
     """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
     refused: rows that the sink will not have. is_up: the last attempt was taken. last_error: its sentence, or empty."""
 
@@ -59,7 +59,7 @@ class LaneCounters:
     last_error: str = ""
 
 
-class Lane:
+class SinkWorker:
     """One sink's way through the outbox. `step` does one batch and says how long to wait before the next."""
 
     def __init__(
@@ -67,21 +67,21 @@ class Lane:
         name: str,
         sink: Sink,
         outbox: Outbox,
-        announcements: Announcements,
+        retained_state: RetainedState,
         clock: Clock,
         backoff: Backoff,
         on_change: OnChange,
     ) -> None:
         self.name = name
-        self.counters = LaneCounters()
+        self.counters = SinkCounters()
         self._sink = sink
         self._outbox = outbox
-        self._announcements = announcements
+        self._retained_state = retained_state
         self._clock = clock
         self._backoff = backoff
         self._on_change = on_change
         self._has_changed = False  # whether `on_change` was ever called
-        self._said = 0  # version of the announcements that this sink has
+        self._said = 0  # version of the retained state that this sink has
         self._passed = 0  # every row up to this one is settled with this sink
         self._taken: int | None = None  # the row that the sink took last; the store may not know it yet
         self._is_store_failing = False
@@ -123,7 +123,7 @@ class Lane:
             self._offered_ns = now_ns
 
     def _say(self) -> None:
-        for version, message in self._announcements.since(self._said):
+        for version, message in self._retained_state.since(self._said):
             try:
                 self._deliver(message)
             except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
@@ -143,7 +143,7 @@ class Lane:
                 return
             self._taken = row.row_id
         if message.retain:
-            self._announcements.remember(message, row.row_id)
+            self._retained_state.remember(message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)
         self._recorded()
         self.counters = replace(
@@ -166,7 +166,7 @@ class Lane:
             log.info("what sink %s takes is noted again", self.name)
 
     def _unrecorded(self, error: StoreError) -> float:
-        """The database refused: the sink is not to blame, so announcements go on. Said once."""
+        """The database refused: the sink is not to blame, so what is true now goes on being said. Logged once."""
         self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
         if not self._is_store_failing:
             self._is_store_failing = True
@@ -193,7 +193,7 @@ class Lane:
 
 
 class Publisher:
-    """All lanes over one database, each in its own thread.
+    """All workers over one database, each in its own thread.
 
     database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
     lock: that of the database, by whoever took it before opening the sinks; the publisher gives it back.
@@ -204,7 +204,7 @@ class Publisher:
         self,
         database: Path,
         sinks: Mapping[str, Sink],
-        announcements: Announcements,
+        retained_state: RetainedState,
         clock: Clock,
         rng: random.Random,
         on_change: OnChange = lambda name, is_up, sentence: None,
@@ -212,17 +212,17 @@ class Publisher:
     ) -> None:
         self._lock = lock or PublisherLock(database)
         self._sinks = dict(sinks)
-        self._announcements = announcements
+        self._retained_state = retained_state
         self._outbox = Outbox(database)
         self._outbox.register(self._sinks)
         self._stopping = threading.Event()
         self._wakes = {name: threading.Event() for name in self._sinks}
-        self._lanes = {
-            name: Lane(
+        self._workers = {
+            name: SinkWorker(
                 name,
                 sink,
                 self._outbox,
-                announcements,
+                retained_state,
                 clock,
                 Backoff(rng, BACKOFF_FIRST_S, BACKOFF_CEILING_S),
                 on_change,
@@ -230,8 +230,8 @@ class Publisher:
             for name, sink in self._sinks.items()
         }
         self._threads = [
-            threading.Thread(target=self._run, args=(lane,), name=f"publish-{name}", daemon=True)
-            for name, lane in self._lanes.items()
+            threading.Thread(target=self._run, args=(worker,), name=f"publish-{name}", daemon=True)
+            for name, worker in self._workers.items()
         ]
 
     def start(self) -> None:
@@ -239,17 +239,17 @@ class Publisher:
             thread.start()
 
     def wake(self) -> None:
-        """There is something new in the outbox. A lane that waits after a failure goes on waiting."""
+        """There is something new in the outbox. A worker that waits after a failure goes on waiting."""
         for wake in self._wakes.values():
             wake.set()
 
     def announce(self, message: Message) -> None:
         """Say what is true now: state, info, alarm, stats. It is said again on every connection until it changes."""
-        if self._announcements.announce(message):
+        if self._retained_state.announce(message):
             self.wake()
 
-    def counters(self) -> Mapping[str, LaneCounters]:
-        return {name: lane.counters for name, lane in self._lanes.items()}
+    def counters(self) -> Mapping[str, SinkCounters]:
+        return {name: worker.counters for name, worker in self._workers.items()}
 
     def outbox_status(self) -> OutboxStatus:
         return self._outbox.status()
@@ -292,21 +292,21 @@ class Publisher:
     def _started(self) -> list[threading.Thread]:
         return [thread for thread in self._threads if thread.ident is not None]
 
-    def _run(self, lane: Lane) -> None:
+    def _run(self, worker: SinkWorker) -> None:
         while True:
-            self._wakes[lane.name].clear()
+            self._wakes[worker.name].clear()
             is_last = (
                 self._stopping.is_set()
             )  # only a step that begins after `stop` has seen all there is to say
             try:
-                pause_s = lane.step()
+                pause_s = worker.step()
             except Exception:
-                log.exception("sink %s: a fault in its plugin", lane.name)
-                pause_s = lane.broken()
+                log.exception("sink %s: a fault in its plugin", worker.name)
+                pause_s = worker.broken()
             if is_last and pause_s > 0:
                 return
-            if lane.counters.is_up:
-                self._wakes[lane.name].wait(pause_s)
+            if worker.counters.is_up:
+                self._wakes[worker.name].wait(pause_s)
             else:
                 self._stopping.wait(pause_s)
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from edge.core.ports import Message
 from edge.messaging.payloads import ALARMS, alarm_cleared
 
-__all__ = ["Announcements"]
+__all__ = ["RetainedState"]
 
 
-class Announcements:
+class RetainedState:
     """The latest message per topic. Any thread may use it.
 
     It begins with every known alarm cleared, so that an alarm retained from a process that died does not stay.

@@ -1,7 +1,7 @@
 """docs/mqtt.md, printed from the payload models, so that it cannot disagree with them."""
 
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterable, Iterator
+from typing import Any, Final, Protocol
 
 from pydantic import BaseModel
 
@@ -20,7 +20,19 @@ from edge.messaging.payloads import (
 from edge.pictures.heatmap import FULL_SCALE
 from edge.pictures.press_picture import TEXT_KEYWORDS
 
-__all__ = ["COMMANDS", "TOPICS", "reference"]
+__all__ = ["TOPICS", "reference"]
+
+
+class DocumentedCommand(Protocol):
+    """What the page says of a command: its verb, the model of its arguments, and what it does."""
+
+    @property
+    def verb(self) -> str: ...
+    @property
+    def arguments(self) -> type[BaseModel]: ...
+    @property
+    def help(self) -> str: ...
+
 
 # topic below the root, QoS, whether retained, payload, what it is for
 TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
@@ -41,17 +53,6 @@ TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("stats", 0, False, StatsPayload, "counters, for dashboards"),
     ("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
     ("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
-)
-
-# verb, its arguments, what it does
-COMMANDS: Final[tuple[tuple[str, str, str], ...]] = (
-    ("trigger", "none", 'score the press that is held now; the way to inspect with `trigger = "command"`'),
-    ("relearn", "none", "learn the picture of the free gel anew; nothing may touch it"),
-    (
-        "replace_gel",
-        "`gel_id`, `limit_presses`, `note`; each may be left out",
-        "record that a new gel is mounted, count from 0 and learn its picture",
-    ),
 )
 
 _HEAD: Final = f"""\
@@ -101,10 +102,10 @@ score and names are written around them. The text chunks (iTXt) hold {{keywords}
 """
 
 
-def reference() -> str:
-    """The complete page, Markdown."""
+def reference(commands: Iterable[DocumentedCommand]) -> str:
+    """The complete page, Markdown. commands: what a station answers to."""
     pictures = _PICTURES.format(keywords=", ".join(f"`{keyword}`" for keyword in TEXT_KEYWORDS))
-    parts = [_HEAD, *_overview(), pictures.rstrip(), *_commands(), *_alarms(), *_payloads()]
+    parts = [_HEAD, *_overview(), pictures.rstrip(), *_commands(commands), *_alarms(), *_payloads()]
     return "\n".join(parts) + "\n"
 
 
@@ -115,11 +116,17 @@ def _overview() -> Iterator[str]:
         yield f"| `{topic}` | {qos} | {'yes' if retained else 'no'} | {name} | {meaning} |"
 
 
-def _commands() -> Iterator[str]:
+def _commands(commands: Iterable[DocumentedCommand]) -> Iterator[str]:
     yield "\n## Commands\n\n| verb | arguments | what it does |\n| --- | --- | --- |"
-    yield from (f"| `{verb}` | {arguments} | {meaning} |" for verb, arguments, meaning in COMMANDS)
+    yield from (f"| `{one.verb}` | {_arguments(one.arguments)} | {one.help} |" for one in commands)
     yield "\nFor example, published on `cmd/replace_gel`:\n"
     yield '```json\n{"transaction": "17", "arguments": {"gel_id": "batch7-3", "note": "torn"}}\n```'
+
+
+def _arguments(model: type[BaseModel]) -> str:
+    fields = model.model_fields.items()
+    names = [f"`{name}`" + ("" if field.is_required() else " (optional)") for name, field in fields]
+    return ", ".join(names) or "none"
 
 
 def _alarms() -> Iterator[str]:

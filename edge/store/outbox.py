@@ -16,7 +16,16 @@ from typing import Final, Self
 from edge.core.ports import Message
 from edge.store.database import Database
 
-__all__ = ["Bounds", "Outbox", "OutboxRow", "OutboxStatus", "Worth", "enforce", "put", "worth_of"]
+__all__ = [
+    "Bounds",
+    "DropPriority",
+    "Outbox",
+    "OutboxRow",
+    "OutboxStatus",
+    "drop_priority_of",
+    "enforce",
+    "put",
+]
 
 # What a row costs besides its payload: columns, three indexes, page slack. Measured on 4 KiB pages: 150 to 250 bytes.
 ROW_OVERHEAD_BYTES: Final = 256
@@ -25,8 +34,11 @@ ROW_OVERHEAD_BYTES: Final = 256
 EARLIEST_PLAUSIBLE_NS: Final = 1_577_836_800 * 10**9
 
 
-class Worth(IntEnum):
-    """What is dropped first when room runs out. RETAINED is never dropped: there is one row per topic at most."""
+class DropPriority(IntEnum):
+    """What is dropped first when room runs out; column `worth` of the tables.
+
+    RETAINED is never dropped: there is one row per topic at most.
+    """
 
     HEATMAP = 0
     PASS = 1
@@ -59,8 +71,8 @@ class OutboxRow:
 
 @dataclass(frozen=True)
 class OutboxStatus:
-    """rows, bytes: waiting now. refused: rows that a sink refused
-    and that are kept. dropped: `heatmap`, `pass`, `fail` to the number dropped since the database was made."""
+    """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: `heatmap`, `pass`, `fail`
+    to the number dropped since the database was made."""
 
     rows: int
     bytes: int
@@ -68,13 +80,13 @@ class OutboxStatus:
     dropped: Mapping[str, int]
 
 
-def worth_of(message: Message, verdict: str) -> Worth:
+def drop_priority_of(message: Message, verdict: str) -> DropPriority:
     """A retained message is kept, a picture goes first, and only a pass is worth less than the rest."""
     if message.retain:
-        return Worth.RETAINED
+        return DropPriority.RETAINED
     if message.content_type.startswith("image/"):
-        return Worth.HEATMAP
-    return Worth.PASS if verdict == "pass" else Worth.FAIL
+        return DropPriority.HEATMAP
+    return DropPriority.PASS if verdict == "pass" else DropPriority.FAIL
 
 
 def put(connection: sqlite3.Connection, messages: Iterable[Message], verdict: str, time_ns: int) -> None:
@@ -86,7 +98,7 @@ def put(connection: sqlite3.Connection, messages: Iterable[Message], verdict: st
             "INSERT INTO outbox (worth, created_ns, bytes, topic, qos, retain, content_type, expiry_s, payload) "
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
-                worth_of(message, verdict),
+                drop_priority_of(message, verdict),
                 time_ns,
                 len(message.payload) + ROW_OVERHEAD_BYTES,
                 message.topic,
@@ -104,13 +116,13 @@ def enforce(connection: sqlite3.Connection, bounds: Bounds, now_ns: int) -> None
     oldest_allowed = now_ns - int(bounds.max_age_s * 1e9)
     aged = connection.execute(
         "SELECT row_id, worth, bytes FROM outbox WHERE created_ns BETWEEN ? AND ? AND worth < ?",
-        (EARLIEST_PLAUSIBLE_NS, oldest_allowed, Worth.RETAINED),
+        (EARLIEST_PLAUSIBLE_NS, oldest_allowed, DropPriority.RETAINED),
     ).fetchall()
     _drop(connection, aged)
     while (excess := _bytes(connection) - bounds.max_bytes) > 0:
         victims = connection.execute(
             "SELECT row_id, worth, bytes FROM outbox WHERE worth < ? ORDER BY worth, row_id LIMIT 64",
-            (Worth.RETAINED,),
+            (DropPriority.RETAINED,),
         ).fetchall()
         if not victims:
             return
@@ -128,12 +140,12 @@ def _enough(victims: Sequence[tuple[int, int, int]], excess: int) -> list[tuple[
 
 
 def _drop(connection: sqlite3.Connection, victims: Iterable[tuple[int, int, int]]) -> None:
-    for row_id, worth, size in victims:
+    for row_id, priority, size in victims:
         connection.execute("DELETE FROM outbox WHERE row_id = ?", (row_id,))
         connection.execute(
             "INSERT INTO dropped VALUES (?, 1, ?) "
             "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
-            (worth, size),
+            (priority, size),
         )
 
 
@@ -214,7 +226,9 @@ class Outbox:
                 "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"
             ).fetchone()[0]
             dropped = dict(connection.execute("SELECT worth, rows FROM dropped").fetchall())
-        names = {worth.name.lower(): dropped.get(worth, 0) for worth in Worth if worth is not Worth.RETAINED}
+        names = {
+            one.name.lower(): dropped.get(one, 0) for one in DropPriority if one is not DropPriority.RETAINED
+        }
         return OutboxStatus(rows, size, refused, names)
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 # same message waited for its acknowledgement on a connection that had come up well, are taken as that.
 STRIKES: Final = 3
 
-# Requests that may wait while one is answered; more than a person or a line controller sends at once.
+# LoopCalls that may wait while one is answered; more than a person or a line controller sends at once.
 WAITING_COMMANDS: Final = 16
 
 

@@ -229,9 +229,9 @@ def test_two_gateways_on_one_database(bench: Bench) -> None:
 
     from edge.clock import SystemClock
     from edge.messaging.publisher import Publisher
-    from edge.messaging.retained_state import Announcements
+    from edge.messaging.retained_state import RetainedState
 
-    publisher = Publisher(bench.folder / "gelgate.db", {}, Announcements(), SystemClock(), random.Random(0))
+    publisher = Publisher(bench.folder / "gelgate.db", {}, RetainedState(), SystemClock(), random.Random(0))
     try:
         ended = gelgate("run", "--config", bench.config())
     finally:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -38,7 +39,9 @@ def test_a_running_gateway_ends_in_good_order(bench: Bench, number: signal.Signa
     out, err = running.communicate(timeout=START_TIMEOUT_S)
 
     assert running.returncode == 0, err
-    assert out.splitlines()[-1] == "0 presses: none"
+    presses, frames = out.splitlines()[-2:]
+    assert presses == "0 presses: none"
+    assert re.fullmatch(r"\d+ frames: \d+ dropped, \d+ late, \d+ repeated, \d+ corrupt", frames)
     assert "Traceback" not in err
     assert told(bench, "state")[-1]["state"] == "stopped"
 

@@ -11,7 +11,14 @@ from small_recordings import SERIAL, FakeClock, jpeg, write_recording
 
 from edge.clock import SystemClock
 from edge.core.backoff import Backoff
-from edge.core.errors import DeviceLost, DeviceNotFound, RecordingEnded, RecordingError
+from edge.core.errors import (
+    DeviceLost,
+    DeviceNotFound,
+    DeviceStalled,
+    FrameCorrupt,
+    RecordingEnded,
+    RecordingError,
+)
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Device, DeviceIdentity
 from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
@@ -103,15 +110,15 @@ def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
 
 
 def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> None:
-    """40 frames of 50 ms while nobody takes any: what is kept ends with the newest and spans at most 0.8 s."""
+    """24 frames of 50 ms while nobody takes any: what is kept ends with the newest and spans at most 0.8 s."""
     clock = FakeClock()
-    device = ScriptedDevice([*(jpeg(seed) for seed in range(40)), RecordingEnded("over")], clock)
+    device = ScriptedDevice([*(jpeg(seed) for seed in range(24)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock) as acquisition:
         wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
         frames = all_frames(acquisition)
-    assert frames[-1].payload == jpeg(39)
+    assert frames[-1].payload == jpeg(23)
     assert frames[-1].timestamp_ns - frames[0].timestamp_ns <= 800_000_000
-    assert acquisition.status.dropped + len(frames) == acquisition.status.frames == 40
+    assert acquisition.status.dropped + len(frames) == acquisition.status.frames == 24
 
 
 def test_faults_are_counted(tmp_path: Path) -> None:
@@ -301,3 +308,44 @@ def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -
     acquisition.close()
     assert "acquisition" not in [thread.name for thread in threading.enumerate()]
     assert acquisition.status.state is AcquisitionState.CLOSED
+
+
+def test_the_reader_steps_without_a_thread_and_without_time() -> None:
+    """Open, a frame, a broken one, unplugged, a pause, opened again, a frame: in the order in which steps are taken."""
+    clock = FakeClock()
+    devices = [
+        ScriptedDevice(
+            [jpeg(0), FrameCorrupt("half a frame"), DeviceLost("the sensor was unplugged")], clock
+        ),
+        ScriptedDevice([jpeg(1), RecordingEnded("over")], clock),
+    ]
+    waiting = list(devices)
+    acquisition = Acquisition(lambda: waiting.pop(0), clock, backoff=Backoff(random.Random(0), 0.5, 10.0))
+    pauses, states = [], []
+    for _ in range(6):
+        pauses.append(acquisition.step())
+        states.append(acquisition.status.state)
+    with pytest.raises(RecordingEnded):
+        acquisition.step()
+    taken = [acquisition.next(0), acquisition.next(0), acquisition.next(0)]
+    acquisition.close()
+
+    assert [pause > 0 for pause in pauses] == [False, False, False, True, False, False]
+    assert states[3] is AcquisitionState.FAULT
+    assert states[2] is states[4] is AcquisitionState.STREAMING
+    assert [frame.payload if frame else None for frame in taken] == [jpeg(0), jpeg(1), None]
+    assert (acquisition.status.corrupt, acquisition.status.reconnects) == (1, 1)
+    assert [device.closed for device in devices] == [1, 1]
+
+
+def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
+    """Short waits until the two seconds are over by the clock, then a fault; no thread sleeps for it."""
+    clock = FakeClock()
+    acquisition = Acquisition(lambda: ScriptedDevice([DeviceStalled("nothing yet")] * 2, clock), clock)
+    assert acquisition.step() == 0.0
+    assert acquisition.step() == 0.0
+    assert acquisition.status.state is AcquisitionState.STREAMING
+    clock.sleep(2.0)
+    assert acquisition.step() > 0
+    assert acquisition.status.state is AcquisitionState.FAULT
+    acquisition.close()

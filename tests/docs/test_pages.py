@@ -1,7 +1,6 @@
 """Documentation that cannot lie: printed pages are the program's, and what has a name is explained in docs/."""
 
 import importlib.util
-import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,9 +16,9 @@ from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
 from edge.cli.run import EXAMPLE
 from edge.config import Config, load_config
 from edge.core import errors
-from edge.gateway.gateway import Gateway
-from edge.messaging.topic_reference import COMMANDS, TOPICS
-from edge.store.press_store import Store
+from edge.gateway.commands import COMMANDS, station_handlers
+from edge.gateway.loop_calls import LoopCalls
+from edge.messaging.topic_reference import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -113,13 +112,16 @@ def test_every_topic_is_in_the_manual() -> None:
 
 
 def test_every_command_verb_is_in_the_manual() -> None:
-    """The verbs that a running gateway answers to are those of the table, and their arguments are named."""
-    answered = {name.removeprefix("_on_") for name in vars(Gateway) if name.startswith("_on_")}
-    arguments = {word for _, words, _ in COMMANDS for word in re.findall(r"`(\w+)`", words)}
+    """What a running station answers to is the table that the page prints, with every argument of every verb."""
+    handlers = station_handlers(LoopCalls())
+    rows = {line.split("`")[1]: line for line in PRINTED["mqtt.md"].splitlines() if line.startswith("| `")}
 
-    assert answered == {verb for verb, *_ in COMMANDS}
-    assert arguments < set(inspect.signature(Store.replace_gel).parameters)
-    assert [verb for verb in answered if f"`{verb}`" not in PRINTED["mqtt.md"]] == []
+    assert set(handlers) == {command.verb for command in COMMANDS}
+    for command in COMMANDS:
+        assert command.help in rows[command.verb]
+        assert [
+            name for name in command.arguments.model_fields if f"`{name}`" not in rows[command.verb]
+        ] == []
 
 
 def test_every_error_is_in_the_manual_and_in_the_tree() -> None:

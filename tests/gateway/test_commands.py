@@ -11,6 +11,7 @@ from station import Motion, press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import GelgateError
+from edge.gateway.commands import station_handlers
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
 
@@ -41,14 +42,15 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
     def insist() -> None:
         deadline = time.monotonic() + 40
         while not any(report.result.verdict == "pass" for report in reports) and time.monotonic() < deadline:
-            answers.append(answered(lambda: gateway._on_trigger({})))
+            answers.append(answered(lambda: ask["trigger"]({})))
             time.sleep(0.02)
-        answers.append(answered(lambda: gateway._on_trigger({})))
-        answers.append(answered(lambda: gateway._on_replace_gel({"gel_id": "next", "limit_presses": 7})))
-        answers.append(answered(lambda: gateway._on_replace_gel({"gel_id": "next"})))
+        answers.append(answered(lambda: ask["trigger"]({})))
+        answers.append(answered(lambda: ask["replace_gel"]({"gel_id": "next", "limit_presses": 7})))
+        answers.append(answered(lambda: ask["replace_gel"]({"gel_id": "next"})))
         stop.set()
 
     with Gateway.open(config, SystemClock(), reports.append) as gateway:
+        ask = station_handlers(gateway.loop.calls)
         asker = threading.Thread(target=insist)
         asker.start()
         gateway.run(stop)
@@ -61,8 +63,8 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
     assert replaced == ""
     assert again.startswith("gel 'next' was already used")
     assert sum(report.result.verdict == "pass" for report in reports) == 1
-    assert gateway._gel is not None
-    assert (gateway._gel.gel_id, gateway._gel.limit_presses) == ("next", 7)
+    gel = gateway.loop.session.gel
+    assert (gel.gel_id, gel.limit_presses) == ("next", 7)
 
 
 @pytest.mark.parametrize(

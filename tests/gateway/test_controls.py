@@ -7,7 +7,7 @@ import pytest
 from small_recordings import FakeClock, write_recording
 
 from edge.config import PluginTable
-from edge.gateway.parts import device_opener
+from edge.gateway.opening import device_opener
 from plugins.devices import usb_mock
 
 

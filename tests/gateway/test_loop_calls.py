@@ -5,56 +5,58 @@ import threading
 import pytest
 
 from edge.core.errors import GelgateError
-from edge.gateway.loop_calls import Requests
+from edge.gateway.loop_calls import LoopCalls
 
 
 def test_the_loop_does_what_is_asked_and_the_asker_gets_the_answer() -> None:
-    """The answer comes from the thread that serves."""
-    requests, answers = Requests(), []
-    asker = threading.Thread(target=lambda: answers.append(requests.ask(threading.get_ident)))
+    """The answer comes from the thread that serves, out of the state that it gives."""
+    calls, answers = LoopCalls[str](), []
+    asker = threading.Thread(
+        target=lambda: answers.append(calls.ask(lambda name: (name, threading.get_ident())))
+    )
     asker.start()
     while asker.is_alive():
-        requests.serve()
+        calls.serve("loop")
 
-    assert answers == [threading.get_ident()]
+    assert answers == [("loop", threading.get_ident())]
 
 
 def test_what_was_refused_is_not_done_later() -> None:
     """An asker who was told that nothing happened is not surprised afterwards."""
-    requests, done = Requests(answer_s=0.01), []
+    calls, done = LoopCalls[str](answer_s=0.01), []
 
     with pytest.raises(GelgateError, match=r"did not get to it within 0\.01 s, and has not done it"):
-        requests.ask(lambda: done.append(1))
-    requests.serve()
+        calls.ask(lambda _: done.append(1))
+    calls.serve("loop")
 
     assert done == []
 
 
 def test_a_fault_is_the_askers() -> None:
     """It is raised where it was asked for, and the loop goes on."""
-    requests, told = Requests(), []
+    calls, told = LoopCalls[str](), []
 
-    def fault() -> None:
+    def fault(_: object) -> None:
         raise ValueError("no such gel")
 
     def ask() -> None:
         try:
-            requests.ask(fault)
+            calls.ask(fault)
         except ValueError as error:
             told.append(str(error))
 
     asker = threading.Thread(target=ask)
     asker.start()
     while asker.is_alive():
-        requests.serve()
+        calls.serve("loop")
 
     assert told == ["no such gel"]
 
 
 def test_after_the_end_nothing_is_taken() -> None:
     """Nobody waits for a loop that is over."""
-    requests = Requests()
-    requests.close()
+    calls = LoopCalls[str]()
+    calls.close("loop")
 
     with pytest.raises(GelgateError, match="the station is ending"):
-        requests.ask(lambda: None)
+        calls.ask(lambda _: None)

@@ -60,7 +60,7 @@ def test_a_sink_that_breaks_while_it_is_closed_does_not_keep_the_others_open(tmp
 
     from edge.core.ports import Message
     from edge.messaging.publisher import Publisher
-    from edge.messaging.retained_state import Announcements
+    from edge.messaging.retained_state import RetainedState
     from edge.store.press_store import Store
 
     class Plain:
@@ -78,7 +78,7 @@ def test_a_sink_that_breaks_while_it_is_closed_does_not_keep_the_others_open(tmp
     path, good = tmp_path / "gelgate.db", Plain()
     with Store(path):
         running = Publisher(
-            path, {"bad": Broken(), "good": good}, Announcements(), SystemClock(), random.Random(0)
+            path, {"bad": Broken(), "good": good}, RetainedState(), SystemClock(), random.Random(0)
         )
         running.start()
         running.stop()

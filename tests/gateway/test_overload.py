@@ -12,7 +12,8 @@ from edge.core.verdict import Kind
 from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.overload import FrameCounts, OverloadRule
 from edge.gateway.recorder import PressReport
-from edge.gateway.status import Reporter, Summary
+from edge.gateway.status import StationStatus
+from edge.gateway.summary import Summary
 from edge.messaging.payloads import ResultPayload
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
@@ -98,7 +99,7 @@ def test_stats_say_what_became_of_the_frames() -> None:
     summary.see(AcquisitionStatus(frames=100, corrupt=4, stale=5, dropped=16), undecodable=1)
     summary.add(rejected("stale: old", 0.05))
     summary.add(scored(191.0))
-    Reporter(said.append, FakeClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
+    StationStatus(said.append, FakeClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
 
     stats = json.loads(said[-1].payload)
     names = (
@@ -116,9 +117,9 @@ def test_stats_say_what_became_of_the_frames() -> None:
 def test_the_alarm_is_raised_and_cleared_on_its_topic() -> None:
     """The sentence while it lasts, an empty payload when it is over."""
     said: list[Message] = []
-    reporter = Reporter(said.append, FakeClock())
-    reporter.overload("this machine is too slow")
-    reporter.overload(None)
+    status = StationStatus(said.append, FakeClock())
+    status.overload("this machine is too slow")
+    status.overload(None)
 
     assert [message.topic for message in said] == ["alarm/overload"] * 2
     assert json.loads(said[0].payload)["text"] == "this machine is too slow"

@@ -18,7 +18,7 @@ from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.gateway import Gateway
 from edge.gateway.inspector import Inspector
 from edge.gateway.played import check_played
-from edge.gateway.status import Summary
+from edge.gateway.summary import Summary
 from edge.messaging.local_broker import LocalBroker
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer

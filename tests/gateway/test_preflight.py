@@ -1,10 +1,21 @@
-"""A receiver's address is tried before the start."""
+"""What is tried before the start: every part once, and what was opened is what the start goes on with."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from station import station_config
 
-from edge.config import PluginTable
-from edge.core.errors import ConfigError
-from edge.gateway.preflight import _reachable
+from edge.clock import SystemClock
+from edge.config import PluginTable, load_config
+from edge.core.errors import ConfigError, DeviceLost
+from edge.gateway.gateway import Gateway
+from edge.gateway.preflight import _reachable, preflight
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from plugins.devices.usb_mock import UsbMock
 
 
 @pytest.mark.parametrize("host", ["broker..plant", "x" * 70 + ".plant"])
@@ -12,3 +23,46 @@ def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
     """Python refuses to look such a name up with an error of its own kind."""
     with pytest.raises(ConfigError, match=r"cannot be the name of a host; correct sinks\.1\.options\.host"):
         _reachable(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
+
+
+class Counted:
+    """How often each thing that costs time at a start was done."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.calls: Counter[str] = Counter()
+        for owner, name in ((Bundle, "load"), (Scorer, "check_golden"), (UsbMock, "open")):
+            monkeypatch.setattr(owner, name, self._counting(f"{owner.__name__}.{name}", getattr(owner, name)))
+
+    def _counting(self, key: str, real: Callable[..., object]) -> Callable[..., object]:
+        def counted(*arguments: object, **options: object) -> object:
+            self.calls[key] += 1
+            return real(*arguments, **options)
+
+        return staticmethod(counted) if key == "Bundle.load" else counted  # type: ignore[return-value]
+
+
+def test_a_start_after_the_check_opens_everything_once(
+    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bundle is loaded and hashed once, its golden frames are scored once, the sensor is opened once."""
+    counted = Counted(monkeypatch)
+    config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
+    with preflight(config, clock) as checked, Gateway.open(config, clock, checked=checked) as gateway:
+        assert [finding.error for finding in checked.findings] == [None] * 4
+        gateway.run(threading.Event(), presses=1)
+
+    assert counted.calls == {"Bundle.load": 1, "Scorer.check_golden": 1, "UsbMock.open": 1}
+
+
+def test_a_check_without_a_start_gives_the_sensor_back(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """`gelgate check` twice in a row, and from two processes, finds it free."""
+    config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
+    with preflight(config, clock) as checked:
+        device = checked.take_device()
+        assert device is not None
+        device.close()
+    with preflight(config, clock) as checked:
+        held = checked._device
+    assert held is not None
+    with pytest.raises(DeviceLost):
+        held.read(clock.monotonic_ns() + 10**9)

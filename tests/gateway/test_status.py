@@ -5,7 +5,7 @@ import json
 from small_recordings import FakeClock
 
 from edge.core.ports import Message
-from edge.gateway.status import Reporter
+from edge.gateway.status import StationStatus
 
 
 class Heard:
@@ -30,27 +30,27 @@ class Heard:
 def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
     """A sensor alone is not enough: before the free gel is learnt no press is seen."""
     heard = Heard()
-    reporter = Reporter(heard, FakeClock())
-    reporter.awaits("the sensor")
-    reporter.awaits("the free gel")
-    reporter.awaits(None)
-    reporter.stopped()
+    status = StationStatus(heard, FakeClock())
+    status.set_waiting_for("the sensor")
+    status.set_waiting_for("the free gel")
+    status.set_waiting_for(None)
+    status.stopped()
 
     assert heard.states == ["starting", "starting", "ready", "stopped"]
     assert heard.reasons == ["waiting for the sensor", "waiting for the free gel", None, None]
 
 
-def test_one_fault_mended_is_not_ready_while_another_lasts() -> None:
+def test_one_fault_cleared_is_not_ready_while_another_lasts() -> None:
     """The sensor comes back while the disk is still full."""
     heard = Heard()
-    reporter = Reporter(heard, FakeClock())
-    reporter.fault("device", "the sensor is gone.")
-    reporter.fault("store", "the disk is full.")
-    reporter.mended("device")
+    status = StationStatus(heard, FakeClock())
+    status.set_fault("device", "the sensor is gone.")
+    status.set_fault("store", "the disk is full.")
+    status.clear_fault("device")
 
     assert (heard.states[-1], heard.reasons[-1]) == ("halted", "the disk is full.")
     assert heard.alarms == {"alarm/store"}
-    reporter.mended("store")
+    status.clear_fault("store")
     assert heard.states[-1] == "ready"
     assert heard.alarms == set()
 
@@ -58,7 +58,7 @@ def test_one_fault_mended_is_not_ready_while_another_lasts() -> None:
 def test_a_fault_that_lasts_is_said_once() -> None:
     """And again when its sentence is another."""
     heard = Heard()
-    reporter = Reporter(heard, FakeClock())
+    status = StationStatus(heard, FakeClock())
 
-    assert [reporter.fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
+    assert [status.set_fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
     assert heard.reasons == ["full", "read-only"]

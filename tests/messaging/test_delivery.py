@@ -13,8 +13,8 @@ from edge.core.verdict import Kind
 from edge.gateway.commands import Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
-from edge.messaging.publisher import IDLE_S, Lane, Publisher
-from edge.messaging.retained_state import Announcements
+from edge.messaging.publisher import IDLE_S, Publisher, SinkWorker
+from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox
 from edge.store.press_store import Press, Recorded, Store
 from edge.store.ulid import new_ulid
@@ -59,7 +59,7 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
 ) -> None:
     """Each press arrives at least once and, counted by id, exactly once; its heatmap too; `last` is the newest.
 
-    The lane is stepped by hand, so that the subscriber is always back before the gateway sends.
+    The worker is stepped by hand, so that the subscriber is always back before the gateway sends.
     """
     broker, protocol = any_broker
     path = tmp_path / "gelgate.db"
@@ -69,20 +69,20 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
     with Store(path) as store, Outbox(path) as outbox:
         outbox.register(["mqtt"])
         backoff = Backoff(random.Random(1), 0.05, 0.2)
-        lane = Lane("mqtt", sink, outbox, Announcements(), SystemClock(), backoff, lambda *_: None)
+        worker = SinkWorker("mqtt", sink, outbox, RetainedState(), SystemClock(), backoff, lambda *_: None)
         for outage in range(2):
             heard.append(listen(broker, client_id=f"listener{outage}"))
-            while lane.step() != IDLE_S:
+            while worker.step() != IDLE_S:
                 SystemClock().sleep(0.02)
             ids += [record(store, len(ids)) for _ in range(10)]
-            lane.step()  # one batch: some presses are out, some are not
+            worker.step()  # one batch: some presses are out, some are not
             hears_all_acknowledged(heard, ids, outbox)
             broker.kill()
             ids += [record(store, len(ids)) for _ in range(5)]
-            assert lane.step() > 0
+            assert worker.step() > 0
             broker.start()
         heard.append(listen(broker, client_id="last"))
-        while lane.step() != IDLE_S:
+        while worker.step() != IDLE_S:
             SystemClock().sleep(0.02)
         hears_all_acknowledged(heard, ids, outbox)
 
@@ -123,7 +123,7 @@ def test_two_processes_of_one_station_never_share_a_database_but_two_sinks_do(
     listener = listen(broker)
     sinks = {name: sink_to(broker, protocol=protocol, client_id=name) for name in ("one", "two")}
     with Store(path) as store:
-        publisher = Publisher(path, sinks, Announcements(), SystemClock(), random.Random(1))
+        publisher = Publisher(path, sinks, RetainedState(), SystemClock(), random.Random(1))
         publisher.start()
         ids = [record(store, n) for n in range(20)]
         publisher.wake()
@@ -141,12 +141,12 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
     sink_to: Callable[..., MqttSink],
     listen: Callable[..., Listener],
 ) -> None:
-    """The gateway's own composition in small: announcements, outbox, commands on one connection."""
+    """The gateway's own composition in small: retained state, outbox, commands on one connection."""
     listener = listen(mosquitto)
     commands = Commands({"ping": lambda arguments: {"echo": arguments["text"]}}, SystemClock())
     sink = sink_to(mosquitto, commands)
     with Store(tmp_path / "gelgate.db") as store:
-        publisher = Publisher(store.path, {"mqtt": sink}, Announcements(), SystemClock(), random.Random(1))
+        publisher = Publisher(store.path, {"mqtt": sink}, RetainedState(), SystemClock(), random.Random(1))
         publisher.start()
         publisher.announce(state_message(StatePayload(time_ns=T0, state="halted", reason="no sensor")))
         listener.wait_for(lambda heard: len(heard.payloads("state")) == 2)

@@ -13,7 +13,7 @@ from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
 from edge.core.verdict import Kind
-from edge.gateway.commands import Commands
+from edge.gateway.commands import COMMANDS, Commands
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
@@ -54,7 +54,7 @@ def test_the_reference_page_is_the_one_the_models_print() -> None:
     """docs/mqtt.md is current; `gelgate topics > docs/mqtt.md` makes it so."""
     page = Path(__file__).resolve().parents[2] / "docs" / "mqtt.md"
 
-    assert page.read_text(encoding="utf-8") == reference()
+    assert page.read_text(encoding="utf-8") == reference(COMMANDS)
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
@@ -206,7 +206,7 @@ def test_ulids_sort_by_time_and_are_canonical() -> None:
         new_ulid(-1)
 
 
-COMMANDS = Commands(
+ANSWERS = Commands(
     {
         "ping": lambda arguments: {"echo": arguments.get("text")},
         "refuse": lambda arguments: (_ for _ in ()).throw(ConfigError("no bundle is named 'x'")),
@@ -241,7 +241,7 @@ def test_every_request_has_an_answer(
     verb: str, payload: bytes, transaction: str | None, status: str, words: str
 ) -> None:
     """The transaction comes back; a fault is a sentence in the answer, never an exception."""
-    answer = json.loads(COMMANDS(verb, payload))
+    answer = json.loads(ANSWERS(verb, payload))
 
     assert (answer["transaction"], answer["verb"], answer["status"]) == (transaction, verb, status)
     assert words in (answer["error"] or "")

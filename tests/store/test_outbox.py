@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from edge.core.ports import Message
-from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, Outbox, Worth, worth_of
+from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, DropPriority, Outbox, drop_priority_of
 from edge.store.press_store import MakeMessages, Press, Store
 
 DAY_S = 86400.0
@@ -137,19 +137,19 @@ def test_row_ids_are_never_used_again(store: Store, outbox: Outbox, make_press: 
 
 
 @pytest.mark.parametrize(
-    ("message", "verdict", "worth"),
+    ("message", "verdict", "priority"),
     [
-        (Message("heatmap/x", b"", content_type="image/png"), "fail", Worth.HEATMAP),
-        (Message("result", b""), "pass", Worth.PASS),
-        (Message("result", b""), "fail", Worth.FAIL),
-        (Message("result", b""), "unsure", Worth.FAIL),
-        (Message("result", b""), "error", Worth.FAIL),
-        (Message("last", b"", retain=True), "pass", Worth.RETAINED),
+        (Message("heatmap/x", b"", content_type="image/png"), "fail", DropPriority.HEATMAP),
+        (Message("result", b""), "pass", DropPriority.PASS),
+        (Message("result", b""), "fail", DropPriority.FAIL),
+        (Message("result", b""), "unsure", DropPriority.FAIL),
+        (Message("result", b""), "error", DropPriority.FAIL),
+        (Message("last", b"", retain=True), "pass", DropPriority.RETAINED),
     ],
 )
-def test_what_a_message_is_worth(message: Message, verdict: str, worth: Worth) -> None:
+def test_which_message_is_dropped_first(message: Message, verdict: str, priority: DropPriority) -> None:
     """Pictures least, passes next, everything a person must see most, and one retained row per topic always."""
-    assert worth_of(message, verdict) is worth
+    assert drop_priority_of(message, verdict) is priority
 
 
 def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
@@ -184,7 +184,7 @@ def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
     assert dropped[-1] == (6, 3, 3)
 
 
-def test_of_equal_worth_the_oldest_goes_first(path: Path, make_press: MakePress) -> None:
+def test_of_equal_priority_the_oldest_goes_first(path: Path, make_press: MakePress) -> None:
     """The newest results are the ones kept."""
     size = 1000 + ROW_OVERHEAD_BYTES
     with Store(path, Bounds(max_bytes=3 * size)) as store, Outbox(path) as outbox:

@@ -13,8 +13,8 @@ from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Message
 from edge.messaging.payloads import ALARMS, StatePayload, state_message
-from edge.messaging.publisher import IDLE_S, OFFER_REFUSED_S, Lane, Publisher, PublisherLock
-from edge.messaging.retained_state import Announcements
+from edge.messaging.publisher import IDLE_S, OFFER_REFUSED_S, Publisher, PublisherLock, SinkWorker
+from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, Press, Store
 
@@ -74,20 +74,22 @@ def outbox(path: Path) -> Iterator[Outbox]:
         yield opened
 
 
-def lane(
+def worker(
     outbox: Outbox,
     sink: ScriptedSink,
     name: str = "mqtt",
-    announcements: Announcements | None = None,
+    retained_state: RetainedState | None = None,
     clock: HandClock | None = None,
     changes: list[tuple[bool, str]] | None = None,
-) -> Lane:
+) -> SinkWorker:
     def note(name: str, is_up: bool, sentence: str) -> None:
         if changes is not None:
             changes.append((is_up, sentence))
 
     backoff = Backoff(random.Random(1), 0.1, 5.0)
-    return Lane(name, sink, outbox, announcements or Announcements(), clock or HandClock(), backoff, note)
+    return SinkWorker(
+        name, sink, outbox, retained_state or RetainedState(), clock or HandClock(), backoff, note
+    )
 
 
 def record(store: Store, messages_of: MessagesOf, *presses: Press) -> None:
@@ -95,8 +97,8 @@ def record(store: Store, messages_of: MessagesOf, *presses: Press) -> None:
         store.record_press(press, messages_of(press))
 
 
-def drain(lane: Lane) -> None:
-    while lane.step() == 0.0:
+def drain(worker: SinkWorker) -> None:
+    while worker.step() == 0.0:
         pass
 
 
@@ -109,7 +111,7 @@ def test_rows_are_sent_in_order_and_leave(
     presses = [make_press(n) for n in range(20)]
     record(store, messages_of, *presses)
 
-    drain(lane(outbox, sink))
+    drain(worker(outbox, sink))
 
     assert [result["press_id"] for result in sink.results()] == [press.press_id for press in presses]
     assert outbox.status().rows == 0
@@ -121,7 +123,7 @@ def test_a_sink_that_is_away_loses_nothing(
     """Away at first, and again in between: each result arrives, in order, and the change is told once each time."""
     sink, changes = ScriptedSink(), []
     outbox.register(["mqtt"])
-    one = lane(outbox, sink, changes=changes)
+    one = worker(outbox, sink, changes=changes)
     sink.is_away = True
     record(store, messages_of, make_press(1))
     for _ in range(5):
@@ -161,14 +163,14 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
 
     Without the memory of what was taken, a result went out again at every attempt, as long as the disk was full.
     """
-    sink, changes, announcements = ScriptedSink(), [], Announcements()
+    sink, changes, retained_state = ScriptedSink(), [], RetainedState()
     with FullOutbox(path) as outbox:
         outbox.register(["mqtt"])
         record(store, messages_of, make_press(1), make_press(2))
-        one = lane(outbox, sink, announcements=announcements, changes=changes)
+        one = worker(outbox, sink, retained_state=retained_state, changes=changes)
         outbox.is_full = True
         pauses = [one.step() for _ in range(8)]
-        announcements.announce(state_message(StatePayload(time_ns=1, state="halted", reason="full")))
+        retained_state.announce(state_message(StatePayload(time_ns=1, state="halted", reason="full")))
         one.step()
 
         assert len(sink.results()) == 1
@@ -191,7 +193,7 @@ def test_rows_that_waited_are_marked_as_replayed(
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     record(store, messages_of, make_press(1))
-    one = lane(outbox, sink)
+    one = worker(outbox, sink)
     drain(one)
     record(store, messages_of, make_press(2))
     drain(one)
@@ -213,7 +215,7 @@ def test_a_lost_acknowledgement_means_the_same_press_twice(
     """At least once: the repetition has the same id and, but for its mark, the same content."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
-    one = lane(outbox, sink)
+    one = worker(outbox, sink)
     drain(one)
     record(store, messages_of, make_press(1))
     sink.loses_next_acknowledgement = True
@@ -228,7 +230,7 @@ def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, ma
     """It is counted and kept; an hour later it is offered again."""
     sink, clock = ScriptedSink(), HandClock()
     outbox.register(["mqtt"])
-    one = lane(outbox, sink, clock=clock)
+    one = worker(outbox, sink, clock=clock)
     sink.refuses = {"huge"}
     store.record_press(make_press(1), lambda gel: [Message("huge", b"x"), Message("result", b"{}")])
     drain(one)
@@ -251,15 +253,15 @@ def test_each_sink_goes_at_its_own_pace(
     """One sink away: the other has everything, and the rows stay for the first."""
     away, there = ScriptedSink(), ScriptedSink()
     outbox.register(["away", "there"])
-    lanes = lane(outbox, away, "away"), lane(outbox, there, "there")
+    workers = worker(outbox, away, "away"), worker(outbox, there, "there")
     away.is_away = True
     record(store, messages_of, make_press(1), make_press(2))
-    lanes[0].step()
-    drain(lanes[1])
+    workers[0].step()
+    drain(workers[1])
     assert (len(there.results()), len(away.results())) == (2, 0)
 
     away.is_away = False
-    drain(lanes[0])
+    drain(workers[0])
     assert len(away.results()) == 2
     assert outbox.status().rows == 0
 
@@ -270,7 +272,7 @@ def test_retained_topics_never_go_back_in_time(
     """Through an outage in the middle of a batch, what `last` and `gel` say only ever gets newer."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
-    one = lane(outbox, sink)
+    one = worker(outbox, sink)
     for n in range(0, 30, 3):
         record(store, messages_of, *(make_press(n + k) for k in range(3)))
         sink.loses_next_acknowledgement = n % 2 == 0
@@ -288,14 +290,14 @@ def test_a_new_connection_hears_the_newest_retained_messages(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
     """A broker that restarted without memory gets the delivered `gel`, not the one announced at start."""
-    announcements, sink = Announcements(), ScriptedSink()
-    announcements.announce(Message("gel", b'{"presses":0}', retain=True))
+    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
     outbox.register(["mqtt"])
-    one = lane(outbox, sink, announcements=announcements)
+    one = worker(outbox, sink, retained_state=retained_state)
     record(store, messages_of, make_press(1), make_press(2))
     drain(one)
 
-    said = {m.topic: m.payload for m in announcements.all() if m.payload}
+    said = {m.topic: m.payload for m in retained_state.all() if m.payload}
     said = {topic: json.loads(payload) for topic, payload in said.items() if topic != "last/heatmap"}
 
     assert said["gel"]["presses"] == 2
@@ -304,20 +306,20 @@ def test_a_new_connection_hears_the_newest_retained_messages(
 
 def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
     """An older row delivered later by another sink is not remembered over a newer one."""
-    announcements = Announcements()
-    announcements.remember(Message("gel", b"5", retain=True), 50)
-    announcements.remember(Message("gel", b"3", retain=True), 30)
+    retained_state = RetainedState()
+    retained_state.remember(Message("gel", b"5", retain=True), 50)
+    retained_state.remember(Message("gel", b"3", retain=True), 30)
 
-    assert [m.payload for m in announcements.all() if m.topic == "gel"] == [b"5"]
+    assert [m.payload for m in retained_state.all() if m.topic == "gel"] == [b"5"]
 
 
 def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outbox) -> None:
     """A state that changed twice while the sink was away is said once, as it is now."""
-    announcements, sink = Announcements(), ScriptedSink()
-    one = lane(outbox, sink, announcements=announcements)
+    retained_state, sink = RetainedState(), ScriptedSink()
+    one = worker(outbox, sink, retained_state=retained_state)
     sink.is_away = True
     for number, state in enumerate(("starting", "ready", "halted")):
-        announcements.announce(state_message(StatePayload(time_ns=number, state=state)))  # type: ignore[arg-type]
+        retained_state.announce(state_message(StatePayload(time_ns=number, state=state)))  # type: ignore[arg-type]
         one.step()
     sink.is_away = False
     drain(one)
@@ -330,7 +332,7 @@ def test_every_alarm_is_cleared_at_the_start(outbox: Outbox) -> None:
     """An alarm retained from a process that died does not outlive it."""
     sink = ScriptedSink()
 
-    drain(lane(outbox, sink))
+    drain(worker(outbox, sink))
 
     assert {m.topic for m in sink.taken if m.retain and not m.payload} == {f"alarm/{name}" for name in ALARMS}
 
@@ -339,11 +341,11 @@ def test_a_refused_announcement_does_not_block_the_rows(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
     """A broker that forbids the state topic still gets the results."""
-    announcements, sink = Announcements(), ScriptedSink()
-    announcements.announce(state_message(StatePayload(time_ns=0, state="ready")))
+    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state.announce(state_message(StatePayload(time_ns=0, state="ready")))
     sink.refuses = {"state"}
     outbox.register(["mqtt"])
-    one = lane(outbox, sink, announcements=announcements)
+    one = worker(outbox, sink, retained_state=retained_state)
     record(store, messages_of, make_press(1))
 
     drain(one)
@@ -365,14 +367,14 @@ def test_pauses_double_up_to_a_ceiling_with_a_random_half() -> None:
 
 def test_an_idle_lane_waits(store: Store, outbox: Outbox) -> None:
     """Nothing to do: no busy loop."""
-    one = lane(outbox, ScriptedSink())
+    one = worker(outbox, ScriptedSink())
     drain(one)
 
     assert one.step() == IDLE_S
 
 
 def publisher(path: Path, **sinks: ScriptedSink) -> Publisher:
-    return Publisher(path, sinks, Announcements(), HandClock(), random.Random(1))
+    return Publisher(path, sinks, RetainedState(), HandClock(), random.Random(1))
 
 
 def test_stopping_sends_what_is_there_and_closes_the_sinks(
@@ -395,7 +397,7 @@ def test_stopping_sends_what_is_there_and_closes_the_sinks(
 def test_what_is_announced_just_before_the_end_is_said(
     store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """The last word, `stopped`, arrives even when the lane is in the middle of a row while it is spoken."""
+    """The last word, `stopped`, arrives even when the worker is in the middle of a row while it is spoken."""
 
     class Slow(ScriptedSink):
         def __init__(self) -> None:

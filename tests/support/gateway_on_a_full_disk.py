@@ -19,7 +19,7 @@ from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
 
 FREE = resource.RLIM_INFINITY
-# More than the announcements of a halt, less than the heatmap of one press (some 60 kB).
+# More than what a halt says, less than the heatmap of one press (some 60 kB).
 ROOM_BYTES = 12_000
 
 

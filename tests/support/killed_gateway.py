@@ -50,8 +50,8 @@ def _await_delivery(database: Path) -> None:
 
 def main(config: Path, deadly: int) -> None:
     deadline = Deadline(deadly)
-    logging.getLogger("edge.gateway.gateway").setLevel(logging.DEBUG)
-    logging.getLogger("edge.gateway.gateway").addHandler(deadline)
+    logging.getLogger("edge.gateway").setLevel(logging.DEBUG)
+    logging.getLogger("edge.gateway").addHandler(deadline)
     connect = sqlite3.connect
 
     def traced(*arguments: object, **options: object) -> sqlite3.Connection:

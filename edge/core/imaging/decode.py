@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.frames import CameraFrame, Picture
-from edge.core.imaging.image_bytes import damage, kind, picture_size
+from edge.core.imaging.image_bytes import kind
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["VIEW_SIZE", "decode", "decode_view"]
@@ -47,10 +47,9 @@ def decode_view(frame: CameraFrame, profile: SensorProfile) -> NDArray[np.float3
 
 
 def _cropped(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.uint8]:
-    fault = damage(frame.payload)
-    if fault is not None:
-        raise FrameCorrupt(f"frame {frame.sequence} is {fault}; look for lost USB packets")
-    found = picture_size(frame.payload)
+    if frame.damage is not None:
+        raise FrameCorrupt(f"frame {frame.sequence} is {frame.damage}; look for lost USB packets")
+    found = frame.size
     if found != profile.native:
         raise FrameCorrupt(
             f"frame {frame.sequence} is {_sized(found)}, profile '{profile.name}' expects {_sized(profile.native)}; "

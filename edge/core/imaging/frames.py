@@ -1,9 +1,13 @@
 """The values that flow from the camera to the detector."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from edge.core.imaging.image_bytes import damage, picture_size
 
 __all__ = ["CameraFrame", "Picture"]
 
@@ -21,6 +25,24 @@ class CameraFrame:
     timestamp_ns: int
     sequence: int
     is_on_demand: bool = False
+
+    @cached_property
+    def damage(self) -> str | None:
+        """Why the payload is not one complete JPEG or PNG, or None; looked at once, whoever asks."""
+        return damage(self.payload)
+
+    @cached_property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) by the payload's header, or None when there is none to be read; looked at once."""
+        return picture_size(self.payload)
+
+    def numbered(self, sequence: int) -> Self:
+        """The same frame with another sequence; what is known of its payload stays known."""
+        frame = replace(self, sequence=sequence)
+        frame.__dict__.update(
+            {name: self.__dict__[name] for name in ("damage", "size") if name in self.__dict__}
+        )
+        return frame
 
 
 @dataclass(frozen=True)

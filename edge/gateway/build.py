@@ -1,0 +1,116 @@
+"""The composition root: from a configuration to the parts of a station, built in order and not yet started.
+
+This is the only place that knows which parts exist.
+"""
+
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+
+from edge import registry
+from edge.config import Config, PluginTable
+from edge.core.contact.rules import ContactSettings
+from edge.core.ports import Clock, Device, Sink
+from edge.core.sink_context import Place, Station, topic_root
+from edge.gateway.acquisition import Acquisition
+from edge.gateway.commands import Commands, station_handlers
+from edge.gateway.inspector import Inspector
+from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.opening import device_opener, open_scorer
+from edge.gateway.preflight import Preflight
+from edge.gateway.station_loop import Parts, StationLoop
+from edge.gateway.status import StationStatus
+from edge.messaging.payloads import StatePayload, state_message
+from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.retained_state import RetainedState
+from edge.store.outbox import Bounds
+from edge.store.press_store import Store
+from edge.store.reference_files import ReferenceFolder
+
+__all__ = ["build", "sink_names"]
+
+
+def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight | None = None) -> Parts:
+    """Every part; what cannot work is refused here. closing: gets what takes the parts down again, in reverse.
+
+    checked: what a check before the start has opened already. Errors: ConfigError, BundleError, StoreError.
+    """
+    scorer = (checked.scorer if checked else None) or open_scorer(config)[0]
+    table, calls, retained_state = config.station, LoopCalls[StationLoop](), RetainedState()
+    store = closing.enter_context(_open_store(config))
+    # The lock before the sinks: a second gateway would push this one off the broker before it is refused.
+    lock = PublisherLock(config.store.path)
+    closing.callback(lock.close)
+    context = _sink_context(config, clock, retained_state, Commands(station_handlers(calls), clock))
+    sinks = _open_sinks(config, context, closing)
+    publisher = Publisher(config.store.path, sinks, retained_state, clock, random.Random(), lock=lock)
+    status = StationStatus(publisher.announce, clock)
+    closing.callback(publisher.stop)
+    closing.callback(status.stopped)
+    status.set_waiting_for("the sensor")
+    opener = _opener(config, scorer.bundle.profile.controls, clock, closing, checked)
+    acquisition = Acquisition(opener, clock, status.sensor_changed)
+    closing.callback(acquisition.close)
+    return Parts(
+        inspector=Inspector(scorer, clock),
+        contact=ContactSettings(is_external=config.inspection.trigger == "command"),
+        place=Place(table.site, table.line, table.station),
+        store=store,
+        references=ReferenceFolder(config.store.path.with_suffix(".references")),
+        retained_state=retained_state,
+        publisher=publisher,
+        status=status,
+        acquisition=acquisition,
+        calls=calls,
+        clock=clock,
+    )
+
+
+def sink_names(tables: list[PluginTable]) -> list[str]:
+    """The plugin's name, numbered where it is used twice: the names under which the outbox remembers who has what."""
+    seen: Counter[str] = Counter()
+    names = []
+    for table in tables:
+        seen[table.plugin] += 1
+        names.append(table.plugin if seen[table.plugin] == 1 else f"{table.plugin}-{seen[table.plugin]}")
+    return names
+
+
+def _open_store(config: Config) -> Store:
+    bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
+    return Store(config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction)
+
+
+def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:
+    table = config.station
+    lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway vanished without a word")
+    return Station(
+        root=topic_root(table.prefix, table.site, table.line, table.station),
+        client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
+        will=state_message(lost),
+        birth=retained_state.all,
+        on_command=commands,
+    )
+
+
+def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[str, Sink]:
+    sinks: dict[str, Sink] = {}
+    for name, chosen in zip(sink_names(config.sinks), config.sinks, strict=True):
+        plugin = registry.sink(chosen.plugin)
+        sinks[name] = sink = plugin.open(plugin.Options.model_validate(chosen.options), context)
+        closing.callback(sink.close)  # harmless after the publisher's own closing
+    return sinks
+
+
+def _opener(
+    config: Config, controls: Mapping[str, int], clock: Clock, closing: ExitStack, checked: Preflight | None
+) -> Callable[[], Device]:
+    """Opens the sensor; the first time it is the one that the check before the start has open already."""
+    again = device_opener(config.device, controls, clock)
+    first = checked.take_device() if checked else None
+    if first is None:
+        return again
+    closing.callback(first.close)  # in case nobody ever asks for it
+    waiting = [first]
+    return lambda: waiting.pop() if waiting else again()

@@ -1,0 +1,134 @@
+"""One sensor with the gel on it: from its frames to judged presses, and from a free gel to how worn it is.
+
+It exists from the first frame on: before that it is not known which sensor, and so which gel, is worn by a press.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Iterator
+from typing import Final
+
+from edge.core.contact.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
+from edge.core.contact.rules import ContactSettings
+from edge.core.contact.wear import wear
+from edge.core.imaging.frames import CameraFrame
+from edge.core.ports import Clock
+from edge.core.press_detector import PressDetector
+from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.press_pipeline import PressTaker
+from edge.gateway.recorder import JudgedPress, PressReport, Recorder
+from edge.gateway.status import StationStatus
+from edge.store.gel_ledger import GelRecord
+from edge.store.reference_files import ReferenceFolder
+
+__all__ = ["InspectionSession"]
+
+log = logging.getLogger(__name__)
+
+# What is waited for before anything is inspected.
+FREE_GEL: Final = "the free gel, to learn its picture"
+
+
+class InspectionSession:
+    """Presses of one sensor. Used by the loop alone.
+
+    gel: the one that is mounted, with its count. Judged presses wait here until they are recorded, in order.
+    """
+
+    def __init__(
+        self,
+        gel: GelRecord,
+        inspector: Inspector,
+        settings: ContactSettings,
+        references: ReferenceFolder,
+        recorder: Recorder,
+        status: StationStatus,
+        clock: Clock,
+    ) -> None:
+        self.gel = gel
+        self._references = references
+        self._recorder = recorder
+        self._status = status
+        self._unrecorded: deque[JudgedPress] = deque()
+        stored = references.load(gel.serial, gel.gel_id, "last")
+        detector = PressDetector(inspector.bundle.profile, settings, stored)
+        self._taker = PressTaker(detector, inspector, clock, self._see)
+        status.gel(gel)
+        status.set_waiting_for(FREE_GEL)
+
+    @property
+    def has_contact(self) -> bool:
+        """Whether something presses the gel."""
+        return self._taker.tracker.has_contact
+
+    @property
+    def contact_state(self) -> str:
+        """The state of the contact table, as a command's answer names it."""
+        return self._taker.tracker.state.value
+
+    @property
+    def corrupt(self) -> int:
+        """Frames that arrived and could not be decoded."""
+        return self._taker.detector.corrupt
+
+    @property
+    def has_unrecorded(self) -> bool:
+        """Whether a judged press waits for the store."""
+        return bool(self._unrecorded)
+
+    def feed(self, frame: CameraFrame) -> None:
+        """One camera frame; a press that it decides waits to be recorded."""
+        self._add(self._taker.feed(frame))
+
+    def record(self) -> Iterator[PressReport]:
+        """Write what waits, oldest first. Errors: StoreError; that press and those behind it go on waiting."""
+        while self._unrecorded:
+            report = self._recorder.record(self._unrecorded[0])
+            self._unrecorded.popleft()
+            self.see_gel(report.gel)
+            self._status.gel_wear(report.gel)
+            yield report
+
+    def trigger(self) -> str | None:
+        """A verdict is asked for now; gives why there will be none, or None."""
+        return self._taker.trigger()
+
+    def relearn(self) -> None:
+        """Learn the free gel again."""
+        self._status.set_waiting_for(FREE_GEL)
+        self._add(self._taker.relearn())
+
+    def see_gel(self, gel: GelRecord) -> None:
+        """What the ledger says is mounted; another gel than before makes all that was learnt of the old one void."""
+        is_other = gel.gel_id != self.gel.gel_id
+        self.gel = gel
+        if is_other:
+            self._status.gel(gel)
+            self._recorder.wear_index = None
+            self.relearn()
+
+    def _add(self, inspections: list[Inspection]) -> None:
+        self._unrecorded += [self._recorder.prepare(inspection) for inspection in inspections]
+
+    def _see(self, event: Event) -> None:
+        log.debug("%s", event)
+        match event:
+            case StartedTouched():
+                log.warning("something presses the gel at the start; nothing is inspected until it is free")
+                self._status.set_waiting_for(f"{FREE_GEL}; something presses it")
+            case ReferenceReady():
+                self._status.set_waiting_for(None)
+                self._measure_wear()
+            case ReferenceRefreshed():
+                self._measure_wear()
+
+    def _measure_wear(self) -> None:
+        """The free gel was seen: keep its picture, and compare it with the first of this gel."""
+        reference = self._taker.tracker.reference
+        if reference is None:
+            return
+        serial, gel_id = self.gel.serial, self.gel.gel_id
+        self._references.save(serial, gel_id, reference)
+        first = self._references.load(serial, gel_id, "first")
+        if first is not None and first.view.shape == reference.view.shape:
+            self._recorder.wear_index = wear(first.view, reference.view).index

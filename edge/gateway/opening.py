@@ -1,0 +1,40 @@
+"""How the configured bundle and sensor are opened, by the check before a start and by the start itself."""
+
+from collections.abc import Callable, Mapping
+
+from edge import registry
+from edge.config import Config, PluginTable
+from edge.core.plugins import PlaysRecording
+from edge.core.ports import Clock, Device
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from edge.recording.format import Recording
+
+__all__ = ["device_opener", "open_scorer", "played_recording"]
+
+
+def open_scorer(config: Config) -> tuple[Scorer, float]:
+    """The configured bundle, ready to score, and the largest difference of its golden scores. Errors: BundleError."""
+    scorer = Scorer(Bundle.load(config.inspection.bundle), threads=config.inspection.threads)
+    return scorer, scorer.check_golden()
+
+
+def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:
+    """Opens the configured device, the same one each time.
+
+    Camera controls are those of the bundle's sensor profile; the configuration may set some of them otherwise.
+    """
+    plugin = registry.device(table.plugin)
+    given = dict(table.options)
+    if "controls" in plugin.Options.model_fields:
+        given["controls"] = {**controls, **given.get("controls", {})}
+    options = plugin.Options.model_validate(given)
+
+    return lambda: plugin.open(options, clock)
+
+
+def played_recording(table: PluginTable) -> Recording | None:
+    """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError."""
+    plugin = registry.device(table.plugin)
+    options = plugin.Options.model_validate(table.options)
+    return Recording.open(plugin.recording(options)) if isinstance(plugin, PlaysRecording) else None

@@ -1,0 +1,205 @@
+"""The loop of a running station: frames, calls of other threads, presses to be recorded, and what is said every 10 s.
+
+`step` is one turn without waiting, so a test can drive it in any order; `run` adds the waiting.
+"""
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from edge.core.contact.rules import ContactSettings
+from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import QualitySettings
+from edge.core.ports import Clock, DeviceIdentity
+from edge.core.sink_context import Place
+from edge.gateway.acquisition import Acquisition
+from edge.gateway.inspection_session import InspectionSession
+from edge.gateway.inspector import Inspector
+from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.overload import OverloadRule
+from edge.gateway.recorder import PressReport, Recorder
+from edge.gateway.status import StationStatus
+from edge.gateway.summary import Summary
+from edge.messaging.publisher import Publisher
+from edge.messaging.retained_state import RetainedState
+from edge.store.press_store import Store
+from edge.store.reference_files import ReferenceFolder
+
+__all__ = ["OnPress", "Parts", "StationLoop"]
+
+log = logging.getLogger(__name__)
+
+# The loop looks up from waiting for a frame this often, to serve calls and notice faults.
+WAIT_S: Final = 0.2
+STATS_EVERY_S: Final = 10.0
+# A frame older than this when it is looked at could not be judged any more.
+LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
+# How long a store that refuses writes is left alone before it is tried again.
+STORE_RETRY_S: Final = 1.0
+
+OnPress = Callable[[PressReport], None]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a station is made of, built and not yet started. Whoever built it closes it."""
+
+    inspector: Inspector
+    contact: ContactSettings
+    place: Place
+    store: Store
+    references: ReferenceFolder
+    retained_state: RetainedState
+    publisher: Publisher
+    status: StationStatus
+    acquisition: Acquisition
+    calls: "LoopCalls[StationLoop]"
+    clock: Clock
+
+
+class StationLoop:
+    """What a station does between reading and publishing. One thread uses it; others go through `Parts.calls`.
+
+    is_halted: the store refused a press or a gel in the last step; no frame should be looked at until it takes it.
+    """
+
+    def __init__(self, parts: Parts, on_press: OnPress = lambda report: None) -> None:
+        self.summary = Summary()
+        self.is_halted = False
+        self._parts = parts
+        self._on_press = on_press
+        self._session: InspectionSession | None = None
+        self._overload = OverloadRule()
+        self._dropped_before = 0
+        self._was_held_up = False
+        self._last_stats_ns = parts.clock.monotonic_ns()
+
+    @property
+    def calls(self) -> "LoopCalls[StationLoop]":
+        """By which other threads have something done."""
+        return self._parts.calls
+
+    @property
+    def session(self) -> InspectionSession:
+        """The sensor and its gel. Errors: DeviceNotFound before the first frame."""
+        if self._session is None:
+            raise DeviceNotFound("no frame has arrived from a sensor yet, so it is not known what is meant")
+        return self._session
+
+    def run(self, stop: threading.Event, presses: int | None = None) -> None:
+        """Step until `stop` is set, a recording ends, or so many presses were recorded.
+
+        Errors: StoreError when the store refuses a press to the end; BundleMismatch for a sensor of another mode.
+        """
+        try:
+            while not stop.is_set() and (presses is None or self.summary.presses < presses):
+                if self.is_halted:
+                    stop.wait(STORE_RETRY_S)
+                self.step(None if self.is_halted else self._parts.acquisition.next(WAIT_S))
+        except RecordingEnded as end:
+            self.summary.has_ended = True
+            log.info("%s", end)
+        finally:
+            self._parts.calls.close(self)
+        self._record()
+        self.publish_stats()
+
+    def step(self, frame: CameraFrame | None) -> None:
+        """One turn, with the next frame if there is one. A halted loop is given none."""
+        self.is_halted = False
+        self._parts.calls.serve(self)
+        try:
+            if frame is not None:
+                self._look_at(frame)
+            self._record()
+        except StoreError as error:
+            self.is_halted = True
+            self._set_store_fault(error)
+        if self._parts.clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
+            self.publish_stats()
+
+    def replace_gel(self, gel_id: str | None, limit_presses: int | None, note: str) -> None:
+        """Record that a new gel is mounted, and learn its picture. Errors: DeviceNotFound, StoreError."""
+        serial, time_ns = self.session.gel.serial, self._parts.clock.time_ns()
+        self.session.see_gel(self._parts.store.replace_gel(serial, time_ns, gel_id, limit_presses, note))
+
+    def publish_stats(self) -> None:
+        """Say what was counted so far, and look for a gel that another process replaced."""
+        parts = self._parts
+        self._last_stats_ns = parts.clock.monotonic_ns()
+        self.summary.see(parts.acquisition.status, self._session.corrupt if self._session else 0)
+        self._say_load()
+        try:
+            if self._session is not None:
+                self._session.see_gel(parts.store.gel(self._session.gel.serial, parts.clock.time_ns()))
+            outbox = parts.publisher.outbox_status()
+        except StoreError as error:
+            self._set_store_fault(error)
+            return
+        if not self.is_halted:
+            parts.status.clear_fault("store")
+        parts.status.stats(self.summary, parts.acquisition.status, outbox)
+        errors = [c.last_error for c in parts.publisher.counters().values() if c.refused]
+        parts.status.refused(outbox.refused, errors)
+
+    def _look_at(self, frame: CameraFrame) -> None:
+        session = self._session or self._start_session()
+        self._count_lost(frame, session)
+        session.feed(frame)
+
+    def _start_session(self) -> InspectionSession:
+        """The first frame: now the sensor is known, and with it the gel that is worn. Errors: StoreError."""
+        parts = self._parts
+        identity = parts.acquisition.status.identity
+        if identity is None:
+            raise DeviceNotFound("a frame arrived from a sensor that has not said who it is")
+        self._check_mode(identity)
+        gel = parts.store.gel(identity.serial, parts.clock.time_ns())
+        parts.status.clear_fault("store")
+        recorder = Recorder(parts.store, parts.inspector, identity.serial, parts.place, parts.clock)
+        parts.status.info(parts.inspector.bundle, identity)
+        self._session = InspectionSession(
+            gel, parts.inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
+        )
+        return self._session
+
+    def _check_mode(self, identity: DeviceIdentity) -> None:
+        bundle = self._parts.inspector.bundle
+        (w, h), (found_w, found_h) = bundle.profile.native, identity.mode
+        if identity.mode != bundle.profile.native:
+            raise BundleMismatch(
+                f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
+                f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
+            )
+
+    def _count_lost(self, frame: CameraFrame, session: InspectionSession) -> None:
+        """Note what this machine was too slow for."""
+        dropped, now_ns = self._parts.acquisition.status.dropped, self._parts.clock.monotonic_ns()
+        self.summary.add_lost(
+            is_late=not frame.is_on_demand and now_ns - frame.timestamp_ns > LATE_NS,
+            was_interrupted=dropped > self._dropped_before and session.has_contact,
+        )
+        self._dropped_before = dropped
+
+    def _record(self) -> None:
+        """Write the presses that wait. Errors: StoreError; nothing is lost by it."""
+        for report in self._session.record() if self._session else ():
+            self._parts.status.clear_fault("store")
+            self._parts.publisher.wake()
+            self.summary.add(report)
+            self._on_press(report)
+
+    def _set_store_fault(self, error: StoreError) -> None:
+        self._was_held_up = True
+        if self._parts.status.set_fault("store", str(error)):
+            log.error("%s", error)
+
+    def _say_load(self) -> None:
+        """Frames that a refusing store cost have their own alarm."""
+        if self._was_held_up:
+            self._overload.skip(self.summary.frames)
+            self._was_held_up = False
+        self._parts.status.overload(self._overload.step(self.summary.frames))

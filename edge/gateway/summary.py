@@ -1,0 +1,57 @@
+"""What a run did, counted by the loop: presses, verdicts, times, and what became of the frames."""
+
+from collections import Counter, deque
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from edge.core.imaging.quality import Reason
+from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.overload import FrameCounts
+from edge.gateway.recorder import PressReport
+
+__all__ = ["Summary"]
+
+LATENCIES_KEPT: Final = 1000
+
+
+@dataclass
+class Summary:
+    """What a run did. verdicts: word to number, `error` for a press without a verdict.
+
+    latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
+    came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
+    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice. has_ended: a recording was
+    played to its end.
+    """
+
+    presses: int = 0
+    has_ended: bool = False
+    verdicts: Counter[str] = field(default_factory=Counter)
+    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+    frames: FrameCounts = field(default_factory=FrameCounts)
+    frames_corrupt: int = 0
+    frames_stale: int = 0
+
+    def add(self, report: PressReport) -> None:
+        """One more press."""
+        result = report.result
+        self.presses += 1
+        self.verdicts[result.verdict or "error"] += 1
+        if result.score is not None and "total" in result.latency_ms:
+            self.latencies_ms.append(result.latency_ms["total"])
+        if (result.reason or "").startswith(f"{Reason.STALE}:"):
+            self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
+
+    def add_lost(self, *, is_late: bool, was_interrupted: bool) -> None:
+        """What this machine was too slow for at one frame (see FrameCounts)."""
+        self.frames = replace(
+            self.frames,
+            late=self.frames.late + is_late,
+            interrupted=self.frames.interrupted + was_interrupted,
+        )
+
+    def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
+        """Take over what the reader thread counted. undecodable: frames that arrived and could not be decoded."""
+        self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
+        self.frames_corrupt = sensor.corrupt + undecodable
+        self.frames_stale = sensor.stale

@@ -1,0 +1,88 @@
+"""The station's loop, one step at a time: nothing sleeps, and a test decides what comes when."""
+
+import json
+from pathlib import Path
+
+import pytest
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.errors import DeviceNotFound, StoreError
+from edge.gateway.commands import COMMANDS, Command
+from edge.messaging.payloads import CommandArguments
+
+VERBS: dict[str, Command[CommandArguments]] = {command.verb: command for command in COMMANDS}
+
+
+def test_a_recording_gives_its_presses_without_any_time_passing(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Three presses, the second one dented, numbered 1 to 3."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        station.play()
+
+    assert [report.result.verdict for report in station.reports] == ["pass", "fail", "pass"]
+    assert [report.result.sequence for report in station.reports] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_nothing_can_be_asked_before_the_sensor_is_known(
+    tmp_path: Path, recording: Path, bundle: Path, verb: str
+) -> None:
+    """Which gel would be meant? The refusal says that no frame has come yet."""
+    with (
+        SteppedStation(station_config(tmp_path, recording, bundle)) as station,
+        pytest.raises(DeviceNotFound, match="no frame has arrived"),
+    ):
+        VERBS[verb].do(station.loop, VERBS[verb].arguments.of({}))
+
+
+def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Halted with a reason while it lasts; commands are still answered; then the same press is recorded, once."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        with station.refusing("presses"):
+            while not station.loop.is_halted:
+                station.play(1)
+            station.loop.step(None)
+            assert station.loop.is_halted
+            assert station.reports == []
+            assert VERBS["relearn"].do(station.loop, VERBS["relearn"].arguments.of({}))["state"]
+            state = {m.topic: m.payload for m in station.parts.retained_state.all()}["state"]
+        station.loop.step(None)
+        assert not station.loop.is_halted
+
+    assert json.loads(state)["state"] == "halted"
+    assert "no room" in json.loads(state)["reason"]
+    assert [report.result.sequence for report in station.reports] == [1]
+
+
+def test_a_run_that_ends_with_a_press_it_cannot_record_says_so(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """A verdict that is nowhere is an error of the run, not a line in a log."""
+    import threading
+
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station, station.refusing("presses"):
+        while not station.loop.is_halted:
+            station.play(1)
+        stop = threading.Event()
+        stop.set()
+        with pytest.raises(StoreError, match="no room"):
+            station.loop.run(stop)
+
+
+def test_a_new_gel_starts_from_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Its count is 0, its picture is learnt again, and the sequence of presses goes on."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        while not station.reports:
+            station.play(1)
+        replace = VERBS["replace_gel"]
+        answer = replace.do(station.loop, replace.arguments.of({"gel_id": "next", "limit_presses": 7}))
+        state = json.loads({m.topic: m.payload for m in station.parts.retained_state.all()}["state"])
+        with pytest.raises(StoreError, match="'next' was already used"):
+            replace.do(station.loop, replace.arguments.of({"gel_id": "next"}))
+
+    assert answer == {"gel_id": "next", "presses": 0, "limit_presses": 7}
+    assert (state["state"], state["reason"]) == ("starting", "waiting for the free gel, to learn its picture")

@@ -1,0 +1,74 @@
+"""A station without threads and without time of its own: a test says when the sensor is read and the loop looks."""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from small_recordings import FakeClock
+
+from edge.config import load_config
+from edge.core.errors import RecordingEnded
+from edge.gateway.build import build
+from edge.gateway.recorder import PressReport
+from edge.gateway.station_loop import StationLoop
+
+
+class SteppedStation:
+    """`read` is the reader's thread, `look` is the loop's; the clock moves as the recording is read."""
+
+    def __init__(self, config: Path) -> None:
+        self.clock = FakeClock()
+        self.reports: list[PressReport] = []
+        self.has_ended = False
+        self._closing = ExitStack()
+        self.parts = build(load_config(config), self.clock, self._closing)
+        self.loop = StationLoop(self.parts, self.reports.append)
+
+    def read(self, steps: int) -> None:
+        """So many steps of the reader: the first opens the sensor, each other one reads a frame."""
+        for _ in range(steps):
+            try:
+                self.parts.acquisition.step()
+            except RecordingEnded:
+                self.has_ended = True
+                return
+
+    def look(self) -> None:
+        """Let the loop look at every frame that waits; it stops where it halts."""
+        while (frame := self.parts.acquisition.next(0)) is not None:
+            self.loop.step(frame)
+            if self.loop.is_halted:
+                return
+
+    def play(self, steps: int | None = None) -> None:
+        """Read and look in turn, to the recording's end unless so many steps are named."""
+        while not self.has_ended and steps != 0:
+            self.read(1)
+            self.look()
+            steps = None if steps is None else steps - 1
+
+    @contextmanager
+    def refusing(self, table: str) -> Iterator[None]:
+        """Inside, the database takes no new row of that table: "no room"."""
+        path = self.parts.store.path
+        _execute(path, f"CREATE TRIGGER no BEFORE INSERT ON {table} BEGIN SELECT RAISE(FAIL, 'no room'); END")
+        try:
+            yield
+        finally:
+            _execute(path, "DROP TRIGGER no")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.close()
+
+
+def _execute(path: Path, statement: str) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(statement)
