@@ -19,7 +19,7 @@ def test_a_press_that_is_held_while_frames_are_dropped_has_one_verdict(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
     """The loop looks at nothing for 2 s of the first press: an interruption is counted, and both presses are judged."""
-    with SteppedStation(station_config(tmp_path, long_presses, bundle)) as station:
+    with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         station.play(33)  # the sensor is open, and pressed for four frames
         station.read(38)
         station.play()
@@ -35,7 +35,7 @@ def test_what_was_dropped_is_published_and_the_alarm_is_cleared_when_it_heals(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
     """Raised with the stats of that time, cleared with the next ones, in which nothing was dropped."""
-    with SteppedStation(station_config(tmp_path, long_presses, bundle)) as station:
+    with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         station.parts.publisher.start()
         station.play(20)
         station.read(38)
@@ -57,7 +57,7 @@ def test_frames_that_a_halted_store_costs_are_no_overload(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
     """A full disk has its own alarm; that the queue ran over meanwhile says nothing of the machine's speed."""
-    with SteppedStation(station_config(tmp_path, long_presses, bundle)) as station:
+    with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         with station.refusing("presses"):
             while not station.loop.is_halted:
                 station.play(1)
