@@ -15,7 +15,7 @@ from edge.core.errors import GelgateError
 from edge.core.ports import Clock
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.payloads import (
+from edge.messaging.command_payloads import (
     CommandArguments,
     CommandRequest,
     CommandResponse,

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.core.gel import MOST_PRESSES, GelState
+from edge.core.gel import GelState
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.verdict import Kind
@@ -24,15 +24,10 @@ __all__ = [
     "ALARMS",
     "MOST_DEFECTS",
     "AlarmPayload",
-    "CommandArguments",
-    "CommandRequest",
-    "CommandResponse",
     "DefectPlace",
     "GelPayload",
     "InfoPayload",
-    "NoArguments",
     "Payload",
-    "ReplaceGelArguments",
     "ResultPayload",
     "StatePayload",
     "StatsPayload",
@@ -288,55 +283,6 @@ class StatsPayload(Payload):
     outbox_rows: int = Field(default=0, ge=0)
     outbox_bytes: int = Field(default=0, ge=0)
     dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
-
-
-class CommandRequest(BaseModel):
-    """What arrives on `cmd/<verb>`. Retained requests are ignored: they would run again on every connection."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
-
-    transaction: str = Field(
-        min_length=1, max_length=128, description="chosen by the asker, returned in the response"
-    )
-    arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
-
-
-class CommandArguments(BaseModel):
-    """Arguments of a verb; each verb has its own."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
-
-    @classmethod
-    def of(cls, arguments: Mapping[str, Any]) -> Self:
-        """Read the arguments of a request. Errors: ValueError, one sentence."""
-        try:
-            return cls.model_validate(dict(arguments))
-        except ValidationError as error:
-            known = ", ".join(cls.model_fields) or "none"
-            faults = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-            raise ValueError(f"{faults} (known arguments: {known})") from error
-
-
-class NoArguments(CommandArguments):
-    """Of `cmd/trigger` and `cmd/relearn`."""
-
-
-class ReplaceGelArguments(CommandArguments):
-    """Of `cmd/replace_gel`."""
-
-    gel_id: str | None = Field(default=None, min_length=1, max_length=64)
-    limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
-    note: str = Field(default="", max_length=1000)
-
-
-class CommandResponse(Payload):
-    """What leaves on `cmd/<verb>/response`, or on the request's MQTT 5 response topic."""
-
-    transaction: str | None = Field(description="that of the request; null if it could not be read")
-    verb: str
-    status: Literal["ok", "error"]
-    error: str | None = None
-    data: dict[str, Any] = Field(default_factory=dict)
 
 
 def state_message(payload: StatePayload) -> Message:

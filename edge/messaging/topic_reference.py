@@ -6,11 +6,10 @@ from typing import Any, Final, Protocol
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
+from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
-    CommandRequest,
-    CommandResponse,
     GelPayload,
     InfoPayload,
     ResultPayload,

@@ -81,6 +81,6 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
 )
 def test_arguments_that_cannot_be_are_refused(arguments: dict[str, object], words: str) -> None:
     """Each in a sentence that names the argument."""
-    from edge.messaging.payloads import ReplaceGelArguments
+    from edge.messaging.command_payloads import ReplaceGelArguments
 
     assert words in answered(lambda: ReplaceGelArguments.of(arguments))

@@ -9,7 +9,7 @@ from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceNotFound, StoreError
 from edge.gateway.commands import COMMANDS, Command
-from edge.messaging.payloads import CommandArguments
+from edge.messaging.command_payloads import CommandArguments
 
 VERBS: dict[str, Command[CommandArguments]] = {command.verb: command for command in COMMANDS}
 
