@@ -1,20 +1,25 @@
 # Everything runs in the project's own environment; the first run of each target makes it.
 PYTHON ?= python3
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
-# What the tests install; `make test EXTRAS=test,train` adds torch, and with it the tests of backbone training.
-EXTRAS ?= test
+# The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
+TORCH ?= torch==2.13.0
 
-.PHONY: demo test lint docs heads measure bench test-hardware kernel-lab clean
+.PHONY: demo test test-train test-plain lint docs heads measure bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
 
-# On cores that others use as well, two threads of linear algebra wait for each other by spinning: 20 times slower.
-test: export OPENBLAS_NUM_THREADS ?= 1
-test: export OMP_NUM_THREADS ?= 1
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest
+
+# What `make test` skips: training of the backbone, and checkpoints.
+test-train: $(VENV)/.train
+	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/benchmark/test_evaluation.py
+
+# Every verb in an environment of its own, made by `pip install .` without extras.
+test-plain: $(VENV)/.test
+	$(BIN)/pytest tests/project -m plain
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -54,8 +59,12 @@ $(VENV)/.demo: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet -e '.[$(EXTRAS)]'
+	$(BIN)/python -m pip install --quiet -e '.[test]'
 	touch $@ $(VENV)/.demo
+
+$(VENV)/.train: pyproject.toml | $(VENV)/.test
+	$(BIN)/python -m pip install --quiet -e '.[test,train]' '$(TORCH)'
+	touch $@
 
 # The real broker, and the emulator of another processor, for the tests. Where apt or root is missing they fall back
 # to amqtt, or skip, and say so.

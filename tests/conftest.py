@@ -7,11 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.threads import one_blas_thread
+
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and every program that they start with them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_blas_thread() -> Iterator[None]:
+    """As in the program: two threads of linear algebra spin on cores that others use as well."""
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -4,34 +4,18 @@ int8 products of two neighbours are added in 16 bits by processors without VNNI 
 before Zen 4), where onnxruntime lets the sum saturate unless told otherwise. Such a processor is emulated here.
 """
 
-import os
-import platform
-import shutil
-import subprocess
-import sys
-import sysconfig
 from importlib.resources import files
 from pathlib import Path
 
+import haswell
 import numpy as np
 import onnx
 import pytest
+from haswell import needs_emulator, run_on_haswell
 from onnx import TensorProto, helper, numpy_helper
 
 from edge.model import session as runtime
 from edge.model.session import open_session
-
-_ROOT = Path(__file__).parents[2]
-_EMULATOR = shutil.which("qemu-x86_64") if platform.machine() == "x86_64" else None
-_MISSING = "SKIPPED, NOT TESTED: an x86_64 machine with qemu-x86_64 (Debian: qemu-user) is needed"
-_RUN = """
-import sys
-import numpy as np
-from edge.model.session import open_session, saturates
-session = open_session(open(sys.argv[1], "rb").read(), 1, "graph")
-np.save(sys.argv[3], session.run(None, {"x": np.load(sys.argv[2])})[0])
-print(saturates())
-"""
 
 
 def probe() -> bytes:
@@ -88,25 +72,18 @@ def test_wide_sums_are_asked_for_only_where_they_are_needed(
             options.get_session_config_entry("session.x64quantprecision")
 
 
-@pytest.mark.skipif(_EMULATOR is None, reason=_MISSING)
+@needs_emulator
 def test_int8_sums_do_not_saturate_on_a_processor_without_vnni(tmp_path: Path) -> None:
     """Under an emulated Haswell, 72 products near one still add up to 72 times their mean, as they do here."""
     x = np.random.default_rng(0).uniform(0.9, 1, (1, 8, 16, 16)).astype(np.float32)
     here = open_session(probe(), 1, "graph").run(None, {"x": x})[0]
     assert np.abs(here - 72 * 0.95).max() < 2
-    (tmp_path / "graph.onnx").write_bytes(probe())
-    np.save(tmp_path / "x.npy", x)
-    words = [_EMULATOR, "-cpu", "Haswell", Path(sys.executable).resolve(), "-c", _RUN]
-    given = [tmp_path / name for name in ("graph.onnx", "x.npy", "there.npy")]
-    places = [str(_ROOT), sysconfig.get_path("purelib"), sysconfig.get_path("platlib")]
-    own = {"PYTHONPATH": ":".join(places), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [*map(str, words), *map(str, given)],
-        env=os.environ | own,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "True"
-    assert np.array_equal(np.load(given[-1]), here)
+    assert np.array_equal(run_on_haswell(probe(), {"x": x}, tmp_path)[0], here)
+
+
+def test_a_measurement_says_which_kind_of_processor_it_is_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the time of an int8 trunk is the processor's, and the reader of a figure sees it."""
+    monkeypatch.setattr(haswell, "saturates", lambda: True)
+    assert "without VNNI" in haswell.processor_kind()
+    monkeypatch.setattr(haswell, "saturates", lambda: False)
+    assert "with VNNI" in haswell.processor_kind()

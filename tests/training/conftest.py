@@ -1,14 +1,28 @@
-"""What the tests of training share."""
+"""What the tests of training share. Without torch none of them is collected; `test_torch.py` says so, once."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-import torch
 
-from calibration.training.network import Trunk
+from edge.extras import is_installed
+
+if TYPE_CHECKING:
+    from calibration.training.network import Trunk
+
+if not is_installed("torch"):
+    collect_ignore = [
+        path.name for path in Path(__file__).parent.glob("test_*.py") if path.name != "test_torch.py"
+    ]
 
 
 @pytest.fixture(scope="module")
-def trunk() -> Trunk:
+def trunk() -> "Trunk":
     """A random network whose batch norms have seen something."""
+    import torch
+
+    from calibration.training.network import Trunk
+
     torch.manual_seed(0)
     network = Trunk()
     with torch.no_grad():
