@@ -1,0 +1,141 @@
+"""Every verb in an environment made by `pip install .` alone: it works, or says at its start what it needs.
+
+Run by `make test-plain`; the environment takes half a minute where pip has the wheels already.
+"""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnx.parser
+import pytest
+from station import JSONL, press_recording, station_config
+
+from edge import registry
+
+pytestmark = pytest.mark.plain
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# In the order in which they are run: the line, its exit code, and words of what it says.
+VERBS: list[tuple[str, int, str]] = [
+    ("devices", 0, ""),
+    ("docs", 0, "architecture"),
+    ("topics", 0, "result"),
+    ("install-service --print", 0, "udev"),
+    ("simulate demo -o simulated --run nominal --presses 1", 0, "recording: simulated"),
+    ("record copy --device recorded --option recording=nominal --option pace=0", 0, ""),
+    ("fit nominal -o pz0 --part PZ0", 0, "bundle PZ0/default written"),
+    ("fit nominal -o other --part PZ0 --set ridge=0.3", 3, "gelgate[export]"),
+    ("fit nominal -o other --part PZ0 --region 0,0,96x96", 3, "gelgate[export]"),
+    ("verify pz0", 0, "sound"),
+    ("inspect pz0", 0, "padim"),
+    ("wrap theirs.onnx nominal -o theirs --part PZ0", 0, "written"),
+    ("evaluate pz0 dataset --part * --position * --bootstrap 20 --sheet sheet.png", 0, "image_auroc"),
+    ("check --config gelgate.toml", 0, "ok"),
+    ("run --config gelgate.toml", 0, "12 presses"),
+    ("gel show --config gelgate.toml", 0, "12"),
+    ("watch --port 1 --timeout 1 --count 1", 1, ""),
+    ("export tiles pz0/trunk.onnx", 3, "gelgate[export]"),
+    ("export merge pz0", 3, "gelgate[export]"),
+    ("export backbone weights.pth", 3, "gelgate[train]"),
+    ("train-backbone training", 3, "gelgate[train]"),
+    ("evaluate-backbone evaluation", 3, "gelgate[benchmark]"),
+]
+# `make demo` runs it in an environment with the one package, a broker, that it needs where mosquitto is missing.
+ELSEWHERE = {"demo"}
+
+THEIRS = """
+    < ir_version: 8, opset_import: ["" : 17] >
+    theirs (uint8[n, h, w, 3] frames) => (float[n, h, w] score_map, float[n] score)
+    {
+        pixels = Cast <to = 1> (frames)
+        score_map = ReduceMean <axes = [3], keepdims = 0> (pixels)
+        score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
+    }
+"""
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The `bin` of a new environment with the tree as git knows it, and no extras."""
+    home, source = tmp_path_factory.mktemp("environment"), tmp_path_factory.mktemp("source")
+    words = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+    subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
+    subprocess.run([home / "bin" / "pip", "install", "--quiet", str(source)], check=True)
+    return home / "bin"
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with presses, a dataset of two pictures, somebody's graph and a station's configuration."""
+    folder = tmp_path_factory.mktemp("desk")
+    press_recording(folder / "nominal", 12, seed=1)
+    (folder / "theirs.onnx").write_bytes(onnx.parser.parse_model(THEIRS).SerializeToString())
+    station_config(folder, folder / "nominal", folder / "pz0", sinks=JSONL % (folder / "out"))
+    frames = sorted((folder / "nominal" / "frames").iterdir())[34:38]
+    mask = np.zeros((240, 320), np.uint8)
+    mask[100:140, 140:180] = 255
+    for number, path in enumerate(frames):
+        kind = "good" if number % 2 else "dent"
+        name = f"bolt_test_s{number:03d}_p01"
+        picture = cv2.imread(str(path))
+        if kind == "dent":
+            picture[mask > 0] = 255
+            (folder / "dataset/ground_truth/dent").mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / f"dataset/ground_truth/dent/{name}_mask.png"), mask)
+        (folder / "dataset/test" / kind).mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / f"dataset/test/{kind}/{name}.png"), picture)
+    return folder
+
+
+def test_every_verb_works_or_names_its_extra(plain: Path, desk: Path) -> None:
+    """No verb ends in a traceback, and none refuses after it has worked."""
+    faults = {}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    for line, code, words in VERBS:
+        done = subprocess.run(
+            [plain / "gelgate", *shlex.split(line)],
+            cwd=desk, env=environment, capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+        said = done.stdout + done.stderr
+        if done.returncode != code or words not in said or "Traceback" in said:
+            faults[line] = (done.returncode, said[-600:])
+        if code == 3:
+            assert "%" not in said, line  # no stage had begun
+
+    assert faults == {}
+
+
+def test_the_table_has_every_verb() -> None:
+    """A new verb is run here, too."""
+    assert {line.split()[0] for line, _, _ in VERBS} == set(registry.names("commands")) - ELSEWHERE
+
+
+def test_nothing_is_installed_that_nothing_imports(plain: Path) -> None:
+    """The packages of the extras are absent, and so is what only the card once named."""
+    listed = subprocess.run(
+        [plain / "pip", "list"], capture_output=True, text=True, check=True
+    ).stdout.lower()
+    packages = {line.split()[0] for line in listed.splitlines()[2:] if line.strip()}
+
+    assert not packages & {
+        "hidapi",
+        "depthai",
+        "matplotlib",
+        "scipy",
+        "scikit-learn",
+        "onnx",
+        "torch",
+        "amqtt",
+    }
+    assert "threadpoolctl" in packages
