@@ -55,6 +55,7 @@ def evaluate_backbone(
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _chosen_sets(tactile, screws, only or [], trials)
     graphs = _graphs(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"], random)
+    _say_missing(sets)
     is_terminal = sys.stderr.isatty()
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
         found = evaluate(
@@ -86,13 +87,16 @@ def _chosen_sets(
         if name not in SETS:
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
     sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
-    for chosen in sets.values():
-        if chosen.missing:
-            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
     return {
         name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
     }
+
+
+def _say_missing(sets: dict[str, "EvaluationSet"]) -> None:
+    for chosen in sets.values():
+        if chosen.missing:
+            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
 
 
 def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
