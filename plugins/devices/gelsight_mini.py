@@ -11,6 +11,7 @@ import usb.core
 import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
+from edge.core.plugins import DevicePlugin, Resettable
 from edge.core.ports import Clock, Device, Sighting
 from plugins.devices.uvc.controls import report_unset
 from plugins.devices.uvc.faults import guarded
@@ -45,8 +46,8 @@ class GelsightMiniOptions(BaseModel):
     )
 
 
-class GelsightMini:
-    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
+class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOptions]):
+    """The plugin."""
 
     Options = GelsightMiniOptions
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded, RecordingError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, damage
+from edge.core.plugins import DevicePlugin
 from edge.core.ports import Clock, Device, Sighting
 from edge.recording.format import Recording
 
@@ -108,8 +109,8 @@ class RecordedSensor:
         self._gone = self._gone or f"recording {self._recording.folder} was closed"
 
 
-class Recorded:
-    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
+class Recorded(DevicePlugin[RecordedOptions]):
+    """The plugin."""
 
     Options = RecordedOptions
 

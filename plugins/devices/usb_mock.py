@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from edge.clock import SystemClock
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.image_bytes import comment, kind, with_comment
+from edge.core.plugins import DevicePlugin
 from edge.core.ports import Clock, Device, Sighting
 from edge.recording.format import Recording, RecordingHeader
 from plugins.devices.uvc.identity import choose, survey
@@ -93,8 +94,8 @@ class Bench:
         self.bus.plug_in(self.sensor, port=port)
 
 
-class UsbMock:
-    """The plugin (see `edge.core.plugins.DevicePlugin`)."""
+class UsbMock(DevicePlugin[UsbMockOptions]):
+    """The plugin."""
 
     Options = UsbMockOptions
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.errors import SinkRejected, SinkUnavailable
+from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 
@@ -83,8 +84,8 @@ class JsonlSink:
                 raise
 
 
-class Jsonl:
-    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+class Jsonl(SinkPlugin[JsonlOptions]):
+    """The plugin."""
 
     Options = JsonlOptions
 

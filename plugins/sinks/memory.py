@@ -7,6 +7,7 @@ import threading
 
 from pydantic import BaseModel, ConfigDict
 
+from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 
@@ -39,8 +40,8 @@ class MemorySink:
         """Nothing to give back; the messages stay readable."""
 
 
-class Memory:
-    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+class Memory(SinkPlugin[MemoryOptions]):
+    """The plugin."""
 
     Options = MemoryOptions
 

@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edge.core.backoff import Backoff
 from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
+from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.mqtt_connection import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
@@ -272,8 +273,8 @@ class MqttSink:
                 log.warning("a response was not delivered: %s", error)
 
 
-class Mqtt:
-    """The plugin (see `edge.core.plugins.SinkPlugin`)."""
+class Mqtt(SinkPlugin[MqttOptions]):
+    """The plugin."""
 
     Options = MqttOptions
 

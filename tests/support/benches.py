@@ -11,16 +11,18 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 import pytest
 from small_recordings import FakeClock
 
-from edge.core.ports import Device, Message, Sink
+from edge.core.ports import Device, DeviceIdentity, Message, Sink
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_connection import Broker, Connection, Received
 from edge.recording.format import RecordingHeader, RecordingWriter
 from plugins.conformance.device import PERIOD_S, SIZE
 from plugins.devices import recorded, usb_mock
+from plugins.devices.v4l2.sensor import V4l2Sensor
 from plugins.sinks import jsonl, memory, mqtt
 
 __all__ = ["DEVICES", "SINKS", "Make"]
@@ -61,6 +63,32 @@ class UsbMockBench(RecordedBench):
 
     def unplug(self) -> None:
         usb_mock.plugin.bench(self._options).unplug()
+
+
+class V4l2Bench:
+    """The real sensor's reader behind OpenCV's capture, which blocks until it gives up: it knows no deadline."""
+
+    def __init__(self) -> None:
+        self.clock, self._is_plugged_in = FakeClock(), True
+        self._payloads: list[bytes] = []
+
+    def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
+        self._payloads = list(payloads)
+        identity = DeviceIdentity("GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7", SIZE, 25.0)
+        return V4l2Sensor(
+            identity, self, self.clock, is_present=lambda: self._is_plugged_in, on_close=lambda: None
+        )
+
+    def unplug(self) -> None:
+        self._payloads, self._is_plugged_in = [], False
+
+    def read(self) -> tuple[bool, object]:
+        """As OpenCV's capture: (whether a frame came, its bytes)."""
+        if not self._payloads:
+            return False, None
+        return True, np.frombuffer(self._payloads.pop(0), np.uint8)[None]
+
+    def release(self) -> None: ...
 
 
 class MemoryBench:

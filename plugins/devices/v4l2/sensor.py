@@ -60,7 +60,6 @@ class V4l2Sensor:
         on_close: Callable[[], None],
     ) -> None:
         self.identity = identity
-        self.on_demand = False
         self.unset_controls: dict[str, str] = {}
         self._capture, self._clock = capture, clock
         self._is_present, self._on_close = is_present, on_close
