@@ -26,6 +26,8 @@ PRESSES: Final = 8
 DTYPES: Final = ("float32", "int64", "bool")
 # Of the largest value: float32 sums through some thousand additions and a square root.
 PARITY: Final = 1e-4
+# Between the methods that compare places (1.6 and more on these features) and those that do not (1.1 at most).
+MOVED: Final = 1.3
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,15 @@ def check_damage_scores_higher(case: DetectorCase) -> None:
     require(bool(found.min() > sound.max()), f"damaged presses score {found}, sound ones {sound}")
 
 
+def check_it_compares_places_if_it_says_so(case: DetectorCase) -> None:
+    """A press moved by half a frame scores well above one in place if `compares_places` says so, else alike."""
+    bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
+    moved = {tap: np.roll(m, (m.shape[2] // 2, m.shape[3] // 2), (2, 3)) for tap, m in asked.items()}
+    ratio = float(case.score(moved, bank).score.mean() / case.score(asked, bank).score.mean())
+    found = f"a moved press scores {ratio:.2f} of one in place, compares_places is {case.detector.compares_places}"
+    require((ratio > MOVED) == case.detector.compares_places, found)
+
+
 def check_reference(case: DetectorCase) -> None:
     """Where there is a float64 oracle, the graph agrees with it."""
     if isinstance(case.detector, HasReference):
@@ -191,6 +202,7 @@ DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = (
     check_head,
     check_a_press_is_scored_by_itself,
     check_damage_scores_higher,
+    check_it_compares_places_if_it_says_so,
     check_reference,
     check_no_presses,
     check_one_press,

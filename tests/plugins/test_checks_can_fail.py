@@ -77,6 +77,7 @@ WRONG_DETECTORS = {
     "check_fit_can_be_repeated": Changed(SUBSPACE, fit=in_place),
     "check_bank": Changed(SUBSPACE, fit=fit_changed(lambda bank: with_array(bank, lambda a: a.astype(np.float64)))),
     "check_head": Changed(SUBSPACE, head=lambda *given: SUBSPACE.head(*given).replace(b"score_map", b"score_mop")),
+    "check_it_compares_places_if_it_says_so": Changed(SUBSPACE, compares_places=True),
     "check_reference": Changed(SUBSPACE, reference_score=wrong_reference),
     "check_no_presses": Changed(SUBSPACE, fit=repaired),
     "check_features_that_are_not_finite": Changed(SUBSPACE, fit=repaired),

@@ -1,11 +1,16 @@
 """Every built-in plugin passes the checks that are published for plugins by others."""
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 import benches
 import pytest
 
+from calibration.benchmark.evaluation import compared_detectors
 from edge import registry
+from edge.core.detector import HasReference
+from export.prebuilt_heads import prebuilt
 from plugins.conformance import (
     DETECTOR_CHECKS,
     DEVICE_CHECKS,
@@ -14,6 +19,8 @@ from plugins.conformance import (
     DeviceBench,
     SinkBench,
 )
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def named(check: Callable[..., None]) -> str:
@@ -25,6 +32,21 @@ def named(check: Callable[..., None]) -> str:
 def test_a_built_in_detector_conforms(method: str, check: Callable[[DetectorCase], None]) -> None:
     """The check's own docstring states the fact."""
     check(DetectorCase(registry.detector(method)))
+
+
+def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
+    """Heads ship for those that name frames; the model card compares those that are no baseline; all have oracles."""
+    detectors = {name: registry.detector(name) for name in registry.names("detectors")}
+    heads = {
+        file.name.partition("_")[0] for file in (ROOT / "plugins/detectors/prebuilt_heads").glob("*.onnx")
+    }
+    compared = json.loads((ROOT / "plugins/backbones/tactile_resnet18_evaluation.json").read_text())[
+        "settings"
+    ]
+
+    assert set(prebuilt()) == heads
+    assert set(compared_detectors()) == set(compared)
+    assert all(isinstance(one, HasReference) for one in detectors.values())
 
 
 @pytest.mark.parametrize("check", DEVICE_CHECKS, ids=named)
