@@ -15,7 +15,7 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import typer
 
-from calibration.benchmark import model_card as card
+from calibration.benchmark import model_card
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
@@ -251,7 +251,7 @@ def _written(value: object) -> str:
 
 def backbone_page() -> str:
     """How the weights that ship were trained, and what they can and cannot do."""
-    return card.page(FOLDER.parent / "plugins" / "backbones")
+    return model_card.page(FOLDER.parent / "plugins" / "backbones")
 
 
 # Errors

@@ -13,7 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined, TemplateError
 
 from calibration.benchmark.trial import FORMAT
-from calibration.training.recipe import Recipe
+from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 from plugins.backbones.tactile import tactile_resnet18
@@ -65,7 +65,7 @@ def card(
         evaluation=evaluation if _is_of(facts, evaluation) else None,
         trials=trials if trials and trials["format"] == TRIALS_FORMAT and trials["rows"] else None,
         commands=[*_training_commands(facts), _evaluation_command(evaluation)],
-        meanings={name: field.description for name, field in Recipe.model_fields.items()},
+        meanings={name: field.description for name, field in TrainConfig.model_fields.items()},
         mm_per_px=MINI_LR_MM_PER_PX,
     )
 
@@ -143,7 +143,7 @@ def _number(value: float | str) -> str:
 def _training_commands(facts: Mapping[str, Any]) -> list[str]:
     """One line per run that led to the weights; a run that was cut says after how many steps."""
     runs = [*facts.get("before", []), {"recipe": facts["recipe"], "steps": facts["recipe"]["steps"]}]
-    shipped = Recipe.shipped().model_dump() | {"start": None}
+    shipped = TrainConfig.shipped().model_dump() | {"start": None}
     lines = []
     for number, run in enumerate(runs, start=1):
         changes = [

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from calibration.benchmark.trial import PROFILE, REGION, Trial
 from calibration.fitting.nominal_presses import MAX_NO_CONTACT, NominalPresses, named_presses
-from calibration.simulator import optics
-from calibration.simulator import sensor_appearance as look
+from calibration.simulator import optics, sensor_appearance
 from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from edge.core.contact.mask import Touch
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
@@ -206,16 +205,16 @@ def _edited(
     r2 = (x - x[row, column]) ** 2 + (y - y[row, column]) ** 2
     radius, high = rng.uniform(0.3, 0.7), rng.uniform(*high_mm) * rng.choice([-1, 1])
     bump = np.asarray(high * np.exp(-0.5 * r2 / (radius / 2) ** 2), np.float32)
-    unit = min(LOOKS.values(), key=lambda one: float(np.abs(_free(one) - background).mean()))
+    unit = min(SENSORS.values(), key=lambda one: float(np.abs(_free(one) - background).mean()))
     nx, ny = optics.normals(bump, LR)
-    free = look.background(unit, LR)
+    free = sensor_appearance.background(unit, LR)
     lit = optics.illumination(
-        nx, ny, free, look.response(unit, LR), unit.slope_response[:, 12:].astype(np.float32)
+        nx, ny, free, sensor_appearance.response(unit, LR), unit.slope_response[:, 12:].astype(np.float32)
     )
     changed = rgb + (lit - free).transpose(1, 2, 0)
     return np.clip(np.round(changed), 0, 255).astype(np.uint8), np.abs(bump) > MASK_DEPTH_MM
 
 
-def _free(unit: look.Look) -> F32:
-    planes: F32 = look.background(unit, LR)
+def _free(unit: sensor_appearance.SensorAppearance) -> F32:
+    planes: F32 = sensor_appearance.background(unit, LR)
     return planes.transpose(1, 2, 0)

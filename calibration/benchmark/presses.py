@@ -18,9 +18,9 @@ from calibration.simulator.plan import PressPlan, dataset_plan, placed_damage
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
-from calibration.simulator.reproducible_math import steady_opencv
-from calibration.simulator.scene import Defects, JitterTable, Nominal, Scene
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams, named_streams
 
@@ -135,20 +135,20 @@ class _Rendered:
                 "positions": scene.at[:1],
                 "camera": scene.camera.model_copy(update={"modes": ("lr",), "sensor": condition.sensor}),
                 "effects": (*scene.effects, *condition.effects),
-                "nominal": Nominal(specimens=sizes.pieces, presses=sizes.presses),
+                "nominal": NominalPieces(specimens=sizes.pieces, presses=sizes.presses),
                 "defects": Defects(
                     kinds=scene.defects.kinds, severity=scene.defects.severity, images=sizes.damaged
                 ),
             }
         )
         self.streams: Streams = named_streams(seed)
-        sensor = LOOKS[condition.sensor]
+        sensor = SENSORS[condition.sensor]
         self.gel = Renderer(
             LR, self.scene.effects, sensor, scene.press_jitter, self.streams, "gel1", self.scene.at[0]
         )
 
     def trial(self) -> Trial:
-        with steady_opencv():
+        with reproducible_opencv():
             pictures = sorted(self._pictures(), key=lambda picture: picture.plan.name)
             free = [
                 self.gel.free_gel(("free", number), self.condition.learnt_at)

@@ -50,7 +50,7 @@ from edge.model.manifest import (
 )
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
-from edge.model.tile_runner import plainest, untouched_tiles
+from edge.model.tile_runner import most_typical, untouched_tiles
 
 T = TypeVar("T")
 
@@ -285,7 +285,7 @@ class _Fit:
 
     def _free_gel(self) -> NDArray[np.uint8] | None:
         free = self.presses.no_contact
-        return plainest(free) if free is not None and self._skipped() else None
+        return most_typical(free) if free is not None and self._skipped() else None
 
     def _facts(self, bank: Bank, threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
         recipe = self.recipe

@@ -25,7 +25,7 @@ def _known() -> Iterator[str]:
     from calibration.simulator.effects import EFFECTS
     from calibration.simulator.parts import PARTS
     from calibration.simulator.scene import load_scene, scene_names
-    from calibration.simulator.sensor_appearance import LOOKS
+    from calibration.simulator.sensor_appearance import SENSORS
 
     for name in scene_names():
         scene = load_scene(name)
@@ -35,7 +35,7 @@ def _known() -> Iterator[str]:
     yield "\nfor the file of a scene:"
     parts = (f"{name} ({' '.join(part.positions)})" for name, part in PARTS.items())
     yield f"  parts    {', '.join(parts)}"
-    for what, names in (("defects", DEFECTS), ("effects", EFFECTS), ("sensors", LOOKS)):
+    for what, names in (("defects", DEFECTS), ("effects", EFFECTS), ("sensors", SENSORS)):
         yield f"  {what}  {', '.join(names)}"
 
 

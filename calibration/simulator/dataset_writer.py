@@ -28,9 +28,9 @@ from calibration.simulator.field_of_view import HR, LR, Field
 from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
-from calibration.simulator.reproducible_math import steady_opencv
+from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -157,7 +157,7 @@ def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
 
 
 def _write_piece(task: _Task) -> int:
-    with steady_opencv():
+    with reproducible_opencv():
         return _written(task)
 
 
@@ -173,7 +173,7 @@ def _written(task: _Task) -> int:
 
 @lru_cache(maxsize=2)
 def _renderer(scene: Scene, seed: int, field: Field, gel: str, position: str) -> Renderer:
-    sensor = LOOKS[scene.camera.sensor]
+    sensor = SENSORS[scene.camera.sensor]
     return Renderer(field, scene.effects, sensor, scene.press_jitter, named_streams(seed), gel, position)
 
 

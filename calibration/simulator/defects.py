@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibration.simulator import reproducible_math as steady
+from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32, Field, grids
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.shapes import f32, ramp, rotate
@@ -83,7 +83,7 @@ def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A round hollow up to 0.4 mm deep with the displaced metal as a low rim: a knock by something blunt."""
     d = piece.defect
     r = np.sqrt(along * along + across * across) / np.float32(0.8 * d.width)
-    rim = steady.exp(-(((r - 1.05) / 0.22) ** 2))
+    rim = reproducible_math.exp(-(((r - 1.05) / 0.22) ** 2))
     return f32(height - np.float32(0.4 * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim)
 
 
@@ -92,7 +92,9 @@ def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     d = piece.defect
     rng = np.random.default_rng(d.seed)
     length, width = 1.1 * d.width, 0.16 * d.width
-    ragged = 0.7 + 0.3 * steady.sin(along * np.float32(rng.uniform(6, 11)) + np.float32(rng.uniform(0, 6)))
+    ragged = 0.7 + 0.3 * reproducible_math.sin(
+        along * np.float32(rng.uniform(6, 11)) + np.float32(rng.uniform(0, 6))
+    )
     ridge = _bell(np.abs(along) / np.float32(length)) * _bell(np.abs(across) / np.float32(width))
     near_top = ramp((height - np.float32(piece.top(1.0) - 0.6)) / np.float32(0.3))
     return f32(height + np.float32(0.22 * d.severity) * ridge * ragged * near_top)
@@ -104,7 +106,7 @@ def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     bend = np.float32(0.12 / d.size) * along * along
     u = np.abs(across - bend) / np.float32(0.11 * d.width)
     along_it = ramp((np.float32(1.8 * d.size) - np.abs(along)) / np.float32(0.5))
-    lips = steady.exp(-(((u - 1.5) / 0.45) ** 2))
+    lips = reproducible_math.exp(-(((u - 1.5) / 0.45) ** 2))
     furrow = np.maximum(1 - u, 0)
     return f32(
         height + along_it * np.float32(d.severity) * (np.float32(0.025) * lips - np.float32(0.16) * furrow)
@@ -128,7 +130,8 @@ def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     r = np.sqrt((along / np.float32(1.7)) ** 2 + across**2) / np.float32(0.95 * d.width)
     patch = ramp((1 - r) * 2.5)
     marks = sum(
-        steady.sin(across * np.float32(k) + np.float32(p)) for k, p in rng.uniform((18, 0), (45, 6.3), (3, 2))
+        reproducible_math.sin(across * np.float32(k) + np.float32(p))
+        for k, p in rng.uniform((18, 0), (45, 6.3), (3, 2))
     )
     exposed = ramp((height - np.float32(piece.top(1.2) - 0.5)) / np.float32(0.4))
     taken = np.float32(0.12) + np.float32(0.02) * marks
@@ -139,17 +142,17 @@ def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A chip broken out along a slanted, uneven face, up to 0.8 mm deep."""
     d = piece.defect
     rng = np.random.default_rng(d.seed)
-    angle = steady.arctan2(across, along)
+    angle = reproducible_math.arctan2(across, along)
     lobes = (
         1
-        + 0.18 * steady.sin(3 * angle + np.float32(rng.uniform(0, 6)))
-        + 0.1 * steady.sin(5 * angle + np.float32(rng.uniform(0, 6)))
+        + 0.18 * reproducible_math.sin(3 * angle + np.float32(rng.uniform(0, 6)))
+        + 0.1 * reproducible_math.sin(5 * angle + np.float32(rng.uniform(0, 6)))
     )
     r = np.sqrt(along * along + across * across) / (np.float32(0.9 * d.width) * lobes)
     face = (
         np.float32(0.8 * d.severity)
         * ramp((1 - r) * 2)
-        * (np.float32(0.75) + np.float32(0.25) * steady.tanh(along))
+        * (np.float32(0.75) + np.float32(0.25) * reproducible_math.tanh(along))
     )
     return f32(height - face)
 
@@ -173,7 +176,7 @@ def _impact_mark(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     length = _bell(np.abs(along) / np.float32(1.2 * d.width))
     u = across / np.float32(0.38 * d.width)
     notch = np.maximum(1 - np.where(u > 0, 0.8 * u, -2.2 * u), 0)
-    lip = steady.exp(-(((u + 0.75) / 0.3) ** 2))
+    lip = reproducible_math.exp(-(((u + 0.75) / 0.3) ** 2))
     change = np.float32(0.08) * lip - np.float32(0.35) * notch
     return f32(height + np.float32(d.severity) * length * change)
 

@@ -4,8 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from calibration.simulator import camera, gel, optics, pose
-from calibration.simulator import gel_surface as coat
+from calibration.simulator import camera, gel, gel_surface, optics, pose
 from edge.core.suggest import suggestion
 
 __all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]
@@ -36,13 +35,13 @@ EFFECTS: Mapping[str, Effect] = {
         Effect("partial_contact", "pose", pose.partial_contact, ("partial_contact",)),
         Effect("deformation", "surface", gel.deformation),
         Effect("residual_imprint", "surface", gel.residual_imprint),
-        Effect("dust", "surface", coat.dust, ("dust",)),
-        Effect("wear", "surface", coat.wear, ("wear",)),
+        Effect("dust", "surface", gel_surface.dust, ("dust",)),
+        Effect("wear", "surface", gel_surface.wear, ("wear",)),
         Effect("illumination", "light", optics.illumination),
         Effect("shadows", "light", optics.shadows),
         Effect("specular", "light", optics.specular),
-        Effect("grain", "light", coat.grain, ("grain",)),
-        Effect("markers", "light", coat.markers),
+        Effect("grain", "light", gel_surface.grain, ("grain",)),
+        Effect("markers", "light", gel_surface.markers),
         Effect("vignette", "camera", camera.vignette),
         Effect("lens_blur", "camera", camera.lens_blur),
         Effect("motion_blur", "camera", camera.motion_blur, ("motion_blur",)),

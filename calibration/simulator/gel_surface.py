@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator import reproducible_math as steady
+from calibration.simulator import reproducible_math
 from calibration.simulator.constants import CROP_MM, GRAIN_FREE, GRAIN_SIGMA_MM
 from calibration.simulator.field_of_view import F32, Field, grids
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = [
     "Dust",
-    "Wear",
+    "GelWear",
     "dust",
     "dust_relief",
     "grain",
@@ -78,7 +78,7 @@ def dust_relief(of: Dust, presses: int, field: Field) -> F32:
             break
         window = _window(field, gx, gy, 3 * radius)
         r2 = (x[window] - np.float32(gx)) ** 2 + (y[window] - np.float32(gy)) ** 2
-        relief[window] += np.float32(height) * steady.exp(-r2 / np.float32(2 * radius * radius))
+        relief[window] += np.float32(height) * reproducible_math.exp(-r2 / np.float32(2 * radius * radius))
     return relief
 
 
@@ -103,7 +103,7 @@ _MOST_MARKS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Wear:
+class GelWear:
     """What presses do to one gel, oldest first.
 
     scratches: float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press. stains: float64 (n, 5): x, y mm,
@@ -114,7 +114,7 @@ class Wear:
     stains: NDArray[np.float64]
 
 
-def new_wear(rng: np.random.Generator) -> Wear:
+def new_wear(rng: np.random.Generator) -> GelWear:
     """The marks that one gel will ever get: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains."""
     n = _MOST_MARKS
     place = np.array(_SPREAD_MM) * 0.75
@@ -137,13 +137,13 @@ def new_wear(rng: np.random.Generator) -> Wear:
             np.cumsum(rng.exponential(_PRESSES_PER_STAIN, n)),
         ]
     )
-    return Wear(scratches, stains)
+    return GelWear(scratches, stains)
 
 
 _SCRATCH_HALF_WIDTH_MM = 0.05
 
 
-def wear_relief(of: Wear, presses: int, field: Field) -> F32:
+def wear_relief(of: GelWear, presses: int, field: Field) -> F32:
     """The scratches that are there after so many presses, as shallow furrows in mm (negative), float32 (h, w)."""
     relief = np.zeros(field.shape, dtype=np.float32)
     x, y = grids(field)
@@ -158,13 +158,13 @@ def wear_relief(of: Wear, presses: int, field: Field) -> F32:
             - np.float32(math.sin(turn)) * dx
             + np.float32(0.03) * along * along
         )
-        line = steady.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
+        line = reproducible_math.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
         ends = np.clip((np.float32(length / 2) - np.abs(along)) / np.float32(0.3), 0, 1)
         relief[window] -= np.float32(depth) * line * ends
     return relief
 
 
-def wear_stains(of: Wear, presses: int, field: Field) -> F32:
+def wear_stains(of: GelWear, presses: int, field: Field) -> F32:
     """The share of light that the coat still returns after so many presses, float32 (h, w), 1 where it is new."""
     keeps = np.ones(field.shape, dtype=np.float32)
     x, y = grids(field)
@@ -174,7 +174,9 @@ def wear_stains(of: Wear, presses: int, field: Field) -> F32:
         # A stain darkens for as long again as it took to appear.
         share = min(1.0, (presses - came) / max(came, 1.0))
         r2 = (x - np.float32(sx)) ** 2 + (y - np.float32(sy)) ** 2
-        keeps *= np.float32(1) - np.float32(lost * share) * steady.exp(-r2 / np.float32(2 * radius * radius))
+        keeps *= np.float32(1) - np.float32(lost * share) * reproducible_math.exp(
+            -r2 / np.float32(2 * radius * radius)
+        )
     return keeps
 
 

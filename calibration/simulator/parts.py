@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.simulator import reproducible_math as steady
+from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32
 from calibration.simulator.pose import HeightField, Jitter
 from calibration.simulator.shapes import FLOOR_MM, box, disc, f32, plateau, ramp, rotate
@@ -42,7 +42,7 @@ def _thread(turn: float) -> HeightField:
 
     def height(x_mm: F32, y_mm: F32) -> F32:
         side = np.clip(x_mm / np.float32(_THREAD_RADIUS_MM), -1, 1)
-        angle = steady.arcsin(side) / np.float32(2 * math.pi)
+        angle = reproducible_math.arcsin(side) / np.float32(2 * math.pi)
         phase = y_mm / np.float32(_THREAD_PITCH_MM) - angle + np.float32(turn)
         from_crest = np.abs(phase - np.round(phase)) * np.float32(_THREAD_PITCH_MM)
         flat = np.float32(_THREAD_PITCH_MM / 16)
@@ -114,8 +114,8 @@ def _bracket(x_mm: F32, y_mm: F32) -> F32:
 def _pinion(x_mm: F32, y_mm: F32) -> F32:
     """A pinion 7 mm across, face on: twelve teeth, a recessed web and a hub with a bore and a flat."""
     radius = np.sqrt(x_mm * x_mm + y_mm * y_mm)
-    angle = steady.arctan2(y_mm, x_mm)
-    wave = np.clip(steady.cos(12 * angle) * 2.2, -1, 1)
+    angle = reproducible_math.arctan2(y_mm, x_mm)
+    wave = np.clip(reproducible_math.cos(12 * angle) * 2.2, -1, 1)
     outline = radius - np.float32(3.1) - np.float32(0.42) * wave
     height = plateau(f32(outline), 0.0, FLOOR_MM, 0.12)
     web = np.abs(radius - np.float32(1.95)) - np.float32(0.45)
@@ -166,7 +166,7 @@ class Specimen:
     def __call__(self, x_mm: F32, y_mm: F32) -> F32:
         height = self.nominal(x_mm * np.float32(self.scale), y_mm * np.float32(self.scale))
         for kx, ky, phase, amplitude in self.marks:
-            wave = steady.sin(np.float32(kx) * x_mm + np.float32(ky) * y_mm + np.float32(phase))
+            wave = reproducible_math.sin(np.float32(kx) * x_mm + np.float32(ky) * y_mm + np.float32(phase))
             height = f32(height + np.float32(amplitude) * wave)
         return height
 

@@ -14,7 +14,7 @@ from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
-from calibration.simulator.scene import Run, Scene
+from calibration.simulator.scene import Scene, SceneRun
 from calibration.simulator.streams import Streams, named_streams
 
 __all__ = ["PressPlan", "damage", "dataset_plan", "piece", "placed_damage", "recording_plan"]
@@ -175,7 +175,7 @@ def _timed(press: PressPlan, index: int, since_power_on: int) -> PressPlan:
     )
 
 
-def recording_plan(scene: Scene, run: Run, seed: int, press_s: float) -> list[PressPlan]:
+def recording_plan(scene: Scene, run: SceneRun, seed: int, press_s: float) -> list[PressPlan]:
     """Every press of a recording. Each press is of another piece; damaged ones are spread at random, never first.
 
     No two runs of a scene press the same piece.

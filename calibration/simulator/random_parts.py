@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.simulator import reproducible_math as steady
+from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau, ramp, rotate
@@ -144,10 +144,10 @@ def _ridges(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         u, v = rotate(x, y, turn)
-        phase = (u + np.float32(wave) * steady.sin(v * np.float32(bend))) * np.float32(
+        phase = (u + np.float32(wave) * reproducible_math.sin(v * np.float32(bend))) * np.float32(
             2 * math.pi / wavelength
         )
-        crest = steady.power(0.5 + 0.5 * steady.cos(phase), power)
+        crest = reproducible_math.power(0.5 + 0.5 * reproducible_math.cos(phase), power)
         patch = ramp(-box(x, y, float(reach[0]), float(reach[1])) / np.float32(0.3))
         return f32(np.float32(depth) * (crest - 1) * patch)
 
@@ -207,7 +207,7 @@ def _ripple(half: Half, rng: np.random.Generator) -> Relief:
         total = np.zeros_like(x)
         for (kx, ky), phase, rise in waves:
             total += np.float32(rise) * (
-                steady.sin(np.float32(kx) * x + np.float32(ky) * y + np.float32(phase)) - 1
+                reproducible_math.sin(np.float32(kx) * x + np.float32(ky) * y + np.float32(phase)) - 1
             )
         return total
 

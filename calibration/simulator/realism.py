@@ -18,7 +18,7 @@ from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import Renderer
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.shapes import f32
 from calibration.simulator.streams import named_streams
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
@@ -159,7 +159,7 @@ def main(folder: Path) -> None:
     }
     print("free gel: mean, sd, 1 %, 50 %, 99 % of red | green | blue; noise is on")
     for name, path in units.items():
-        simulated = f32(Renderer(LR, DEFAULT_EFFECTS, LOOKS[name]).free_gel())
+        simulated = f32(Renderer(LR, DEFAULT_EFFECTS, SENSORS[name]).free_gel())
         for what, rgb in (("real", read_rgb(path)), ("simulated", simulated)):
             print(f"  {name} {what:<10}" + " | ".join(_text(row) for row in levels(rgb)))
     ball = ball_figures(folder / "skleff1994__gs_sdk")

@@ -17,9 +17,9 @@ from calibration.simulator.motion import Moment, PressMotion
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
-from calibration.simulator.reproducible_math import steady_opencv
-from calibration.simulator.scene import Run, Scene
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.scene import Scene, SceneRun
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -55,7 +55,13 @@ class _Task:
 
 
 def record_run(
-    scene: Scene, run: Run, folder: Path, seed: int, *, workers: int = 1, progress: Progress | None = None
+    scene: Scene,
+    run: SceneRun,
+    folder: Path,
+    seed: int,
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
 ) -> Path:
     """Write one run of a scene as a recording in `folder`, and return the folder.
 
@@ -84,7 +90,7 @@ def record_run(
     return folder
 
 
-def _stamp(scene: Scene, run: Run, seed: int) -> dict[str, object]:
+def _stamp(scene: Scene, run: SceneRun, seed: int) -> dict[str, object]:
     text = scene.model_dump_json() + run.model_dump_json()
     digest = hashlib.sha256(text.encode()).hexdigest()
     return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
@@ -162,7 +168,7 @@ def _motion(scene: Scene) -> PressMotion:
     return PressMotion(m.approach_s, m.press_s, m.settle_s, m.hold_s, m.lift_s, scene.camera.fps)
 
 
-def _tasks(scene: Scene, run: Run, seed: int) -> Iterator[_Task]:
+def _tasks(scene: Scene, run: SceneRun, seed: int) -> Iterator[_Task]:
     motion = _motion(scene)
     idle = round(scene.motion.idle_s * scene.camera.fps)
     plans = recording_plan(scene, run, seed, motion.frames / scene.camera.fps)
@@ -180,12 +186,12 @@ def _renderer(scene: Scene, seed: int) -> Renderer:
     field = {"lr": LR, "hr": HR, "native": native_field(scene.camera.reduction)}[mode]
     # The bytes of a recording are JPEG anyhow: the effect chooses their quality, and is not applied twice.
     effects = tuple(name for name in scene.effects if name != "jpeg")
-    sensor = LOOKS[scene.camera.sensor]
+    sensor = SENSORS[scene.camera.sensor]
     return Renderer(field, effects, sensor, scene.press_jitter, named_streams(seed), session=scene.name)
 
 
 def _frames(task: _Task) -> list[FrameOut]:
-    with steady_opencv():
+    with reproducible_opencv():
         if task.press is None:
             return _idle_frames(task)
         return list(

@@ -15,9 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator import camera, gel, optics, pose
-from calibration.simulator import gel_surface as coat
-from calibration.simulator import sensor_appearance as look
+from calibration.simulator import camera, gel, gel_surface, optics, pose, sensor_appearance
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS, chosen
 from calibration.simulator.field_of_view import F32, LR, Field
@@ -58,7 +56,9 @@ class Renderer:
 
     field: Field = LR
     effects: Iterable[str] = DEFAULT_EFFECTS
-    sensor: look.Look = dataclasses.field(default_factory=lambda: look.LOOKS["unit_b"])
+    sensor: sensor_appearance.SensorAppearance = dataclasses.field(
+        default_factory=lambda: sensor_appearance.SENSORS["unit_b"]
+    )
     jitter: Jitter = dataclasses.field(default_factory=Jitter)
     streams: Streams = dataclasses.field(default_factory=lambda: named_streams(0))
     gel_id: str = "gel1"
@@ -93,9 +93,9 @@ class Renderer:
         if "residual_imprint" in self._on and previous is not None:
             imprint_mm = gel.residual_imprint(imprint_mm, *previous)
         if "dust" in self._on:
-            imprint_mm = coat.dust(imprint_mm, self._dust_relief(presses))
+            imprint_mm = gel_surface.dust(imprint_mm, self._dust_relief(presses))
         if "wear" in self._on:
-            imprint_mm = coat.wear(imprint_mm, self._wear_relief(presses))
+            imprint_mm = gel_surface.wear(imprint_mm, self._wear_relief(presses))
         return imprint_mm
 
     def light(self, surface_mm: F32, presses: int = 0) -> F32:
@@ -108,11 +108,11 @@ class Renderer:
         if "specular" in self._on:
             planes = optics.specular(planes, nx, ny)
         if "grain" in self._on:
-            planes = coat.grain(planes, surface_mm, self._grain_texture)
+            planes = gel_surface.grain(planes, surface_mm, self._grain_texture)
         if "wear" in self._on:
             planes *= self._wear_stains(presses)
         if "markers" in self._on:
-            planes = coat.markers(planes, surface_mm, self.field)
+            planes = gel_surface.markers(planes, surface_mm, self.field)
         rim = camera.gel_rim(self.field)
         if rim is not None:
             planes *= rim
@@ -214,36 +214,36 @@ class Renderer:
     @cached_property
     def _lamps(self) -> tuple[F32, F32, F32]:
         """Planes of the free gel before the lens, grey levels per normal, and the quadratic part."""
-        seen = look.background(self.sensor, self.field)
+        seen = sensor_appearance.background(self.sensor, self.field)
         # The measured colours have the lens in them; the lens is an effect of its own.
         lens = camera.lens_falloff(self.field)
         curvature = self.sensor.slope_response[:, 12:].astype(np.float32)
-        return seen / lens, look.response(self.sensor, self.field) / lens, curvature
+        return seen / lens, sensor_appearance.response(self.sensor, self.field) / lens, curvature
 
     @cached_property
     def _grain_texture(self) -> F32:
-        return coat.grain_texture(self.streams("grain", self.gel_id), self.field)
+        return gel_surface.grain_texture(self.streams("grain", self.gel_id), self.field)
 
     @cached_property
-    def _dust(self) -> coat.Dust:
-        return coat.new_dust(self.streams("dust", self.gel_id))
+    def _dust(self) -> gel_surface.Dust:
+        return gel_surface.new_dust(self.streams("dust", self.gel_id))
 
     @cached_property
-    def _wear(self) -> coat.Wear:
-        return coat.new_wear(self.streams("wear", self.gel_id))
+    def _wear(self) -> gel_surface.GelWear:
+        return gel_surface.new_wear(self.streams("wear", self.gel_id))
 
     def _dust_relief(self, presses: int) -> F32:
-        number = coat.marks_at(self._dust.grains, presses)
-        return self._kept("dust", number, lambda: coat.dust_relief(self._dust, presses, self.field))
+        number = gel_surface.marks_at(self._dust.grains, presses)
+        return self._kept("dust", number, lambda: gel_surface.dust_relief(self._dust, presses, self.field))
 
     def _wear_relief(self, presses: int) -> F32:
-        number = coat.marks_at(self._wear.scratches, presses)
-        return self._kept("relief", number, lambda: coat.wear_relief(self._wear, presses, self.field))
+        number = gel_surface.marks_at(self._wear.scratches, presses)
+        return self._kept("relief", number, lambda: gel_surface.wear_relief(self._wear, presses, self.field))
 
     def _wear_stains(self, presses: int) -> F32:
         # Stains darken slowly: every 20 presses is often enough.
         step = presses // 20
-        return self._kept("stains", step, lambda: coat.wear_stains(self._wear, 20 * step, self.field))
+        return self._kept("stains", step, lambda: gel_surface.wear_stains(self._wear, 20 * step, self.field))
 
     def _kept(self, what: str, state: int, make: Callable[[], F32]) -> F32:
         """A picture of the coat, made again only when its state has changed."""

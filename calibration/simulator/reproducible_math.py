@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["arcsin", "arctan2", "combined", "cos", "exp", "power", "sin", "steady_opencv", "tanh"]
+__all__ = ["arcsin", "arctan2", "combined", "cos", "exp", "power", "reproducible_opencv", "sin", "tanh"]
 
 F32 = NDArray[np.float32]
 
@@ -69,7 +69,7 @@ def combined(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -
 
 
 @contextmanager
-def steady_opencv() -> Iterator[None]:
+def reproducible_opencv() -> Iterator[None]:
     """OpenCV on its baseline code for a while; a setting of the whole process, put back at the end."""
     before = cv2.useOptimized()
     cv2.setUseOptimized(False)

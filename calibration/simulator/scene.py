@@ -15,12 +15,22 @@ from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS, chosen
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["SCENES", "Camera", "Defects", "Motion", "Nominal", "Run", "Scene", "load_scene", "scene_names"]
+__all__ = [
+    "SCENES",
+    "Camera",
+    "Defects",
+    "Motion",
+    "NominalPieces",
+    "Scene",
+    "SceneRun",
+    "load_scene",
+    "scene_names",
+]
 
 SCENES = Path(__file__).parent / "scenes"
 """The scenes that come with the product, known by their file names."""
@@ -47,7 +57,7 @@ class Camera(_Table):
     @field_validator("sensor")
     @classmethod
     def _known_sensor(cls, name: str) -> str:
-        return _known(name, LOOKS, "sensor")
+        return _known(name, SENSORS, "sensor")
 
 
 class Motion(_Table):
@@ -74,7 +84,7 @@ class JitterTable(_Table):
     depth_fraction: Annotated[float, Field(ge=0, le=0.3)]
 
 
-class Nominal(_Table):
+class NominalPieces(_Table):
     """A dataset's sound pieces: how many, and how often each is pressed at each position."""
 
     specimens: Annotated[int, Field(ge=1, le=10_000)]
@@ -100,7 +110,7 @@ class Defects(_Table):
         return self
 
 
-class Run(_Table):
+class SceneRun(_Table):
     """One recording of a scene: how many presses, how many of them on damaged pieces, and with how worn a gel."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$", max_length=40)]
@@ -130,9 +140,9 @@ class Scene(_Table):
     depth_mm: Annotated[float, Field(gt=0, le=2)] | None = None
     mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
     jitter: JitterTable | None = None
-    nominal: Nominal | None = None
+    nominal: NominalPieces | None = None
     defects: Defects = Defects()
-    runs: tuple[Run, ...] = ()
+    runs: tuple[SceneRun, ...] = ()
 
     @field_validator("part")
     @classmethod

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator import reproducible_math as steady
+from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32, Field, unit_grids
 
-__all__ = ["LOOKS", "Look", "background", "random_look", "response"]
+__all__ = ["SENSORS", "SensorAppearance", "background", "random_appearance", "response"]
 
 F64 = NDArray[np.float64]
 
@@ -194,7 +194,7 @@ def _table(rows: tuple[tuple[float, ...], ...]) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class SensorAppearance:
     """One sensor's colours.
 
     free_gel: float64 (3, 15), log of the level of the untouched gel as a polynomial in u and v.
@@ -208,34 +208,36 @@ class Look:
     def __post_init__(self) -> None:
         for array in (self.free_gel, self.slope_response):
             if array.shape != (3, 15):
-                raise ValueError(f"a look has two tables of shape (3, 15), found {array.shape}")
+                raise ValueError(f"a appearance has two tables of shape (3, 15), found {array.shape}")
 
 
-LOOKS = {
-    "unit_a": Look("unit_a", _table(_UNIT_A)),
-    "unit_b": Look("unit_b", _table(_UNIT_B)),
-    "unit_c": Look("unit_c", _table(_UNIT_C)),
+SENSORS = {
+    "unit_a": SensorAppearance("unit_a", _table(_UNIT_A)),
+    "unit_b": SensorAppearance("unit_b", _table(_UNIT_B)),
+    "unit_c": SensorAppearance("unit_c", _table(_UNIT_C)),
 }
 
 
-def random_look(rng: np.random.Generator) -> Look:
+def random_appearance(rng: np.random.Generator) -> SensorAppearance:
     """A sensor between the measured ones, with another exposure and white balance: for training."""
     share = rng.dirichlet((1.0, 1.0, 1.0))
-    free = sum(w * look.free_gel for w, look in zip(share, LOOKS.values(), strict=True))
+    free = sum(w * appearance.free_gel for w, appearance in zip(share, SENSORS.values(), strict=True))
     # Between units the mean level differs by a factor 0.78 to 1.25, the channels among themselves by about 10 %.
     level = rng.normal(0.0, 0.12) + rng.normal(0.0, 0.05, 3)
     gain = np.exp(level) * rng.normal(1.0, 0.1)
     table = np.asarray(free, dtype=np.float64).copy()
     table[:, 0] += level
-    base = LOOKS["unit_b"].slope_response
-    return replace(LOOKS["unit_b"], name="random", free_gel=table, slope_response=base * gain[:, None])
+    base = SENSORS["unit_b"].slope_response
+    return replace(SENSORS["unit_b"], name="random", free_gel=table, slope_response=base * gain[:, None])
 
 
-def background(look: Look, over: Field) -> F32:
+def background(appearance: SensorAppearance, over: Field) -> F32:
     """The untouched gel, float32 (3, h, w), grey levels 0 to 255."""
     u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
     powers = [(i, j) for i in range(5) for j in range(5 - i)]
-    return steady.exp(steady.combined(look.free_gel, [_power(u, i) * _power(v, j) for i, j in powers]))
+    return reproducible_math.exp(
+        reproducible_math.combined(appearance.free_gel, [_power(u, i) * _power(v, j) for i, j in powers])
+    )
 
 
 def _power(x: F64, exponent: int) -> F64:
@@ -246,9 +248,9 @@ def _power(x: F64, exponent: int) -> F64:
     return product
 
 
-def response(look: Look, over: Field) -> F32:
+def response(appearance: SensorAppearance, over: Field) -> F32:
     """Grey levels per nx and per ny, float32 (3, 2, h, w): the lights fall off across the gel."""
     u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
-    table = look.slope_response[:, :12].reshape(6, 6)
-    combined = steady.combined(table, [np.ones_like(u), u, v, u * u, v * v, u * v])
+    table = appearance.slope_response[:, :12].reshape(6, 6)
+    combined = reproducible_math.combined(table, [np.ones_like(u), u, v, u * u, v * v, u * v])
     return combined.astype(np.float32).reshape(3, 2, *over.shape)

@@ -8,14 +8,14 @@ from pydantic import ValidationError
 
 from calibration.simulator.dataset_writer import write_dataset
 from calibration.simulator.record import record_run
-from calibration.simulator.scene import SCENES, Nominal, Run, Scene, load_scene
+from calibration.simulator.scene import SCENES, NominalPieces, Scene, SceneRun, load_scene
 from edge.core.detector import Progress
 from edge.core.errors import ConfigError
 from edge.validation_messages import sentences
 
 __all__ = ["paper_scenes", "simulate_dataset", "simulate_recording"]
 
-Table = TypeVar("Table", Nominal, Run)
+Table = TypeVar("Table", NominalPieces, SceneRun)
 
 
 def paper_scenes() -> list[Scene]:
@@ -74,7 +74,7 @@ def _pressed(scene: Scene, presses: int | None) -> Scene:
     return scene.model_copy(update={"nominal": nominal})
 
 
-def _run(scene: Scene, name: str | None, presses: int | None) -> Run:
+def _run(scene: Scene, name: str | None, presses: int | None) -> SceneRun:
     if not scene.runs:
         raise ConfigError(f"scene '{scene.name}' describes a dataset; it has no [[runs]] to record")
     found = scene.runs[0] if name is None else next((run for run in scene.runs if run.name == name), None)

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from calibration.training.recipe import Recipe
+from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 
 __all__ = ["Checkpoint", "latest", "load", "save", "weights_sha256"]
@@ -34,7 +34,7 @@ class Checkpoint:
     before: the runs whose weights this one began with, oldest first: `recipe` and `steps` of each.
     """
 
-    recipe: Recipe
+    recipe: TrainConfig
     step: int
     weights: Tensors
     first_moment: Tensors
@@ -104,7 +104,7 @@ def latest(folder: Path) -> Path | None:
     return found[-1] if found else None
 
 
-def load(folder: Path, recipe: Recipe | None = None) -> Checkpoint:
+def load(folder: Path, recipe: TrainConfig | None = None) -> Checkpoint:
     """The newest checkpoint of a run. recipe: what the caller is about to train; None accepts any.
 
     Errors: ConfigError when there is none, it is damaged, or it was made with other settings.
@@ -114,7 +114,7 @@ def load(folder: Path, recipe: Recipe | None = None) -> Checkpoint:
         raise ConfigError(f"no checkpoint in '{folder}'; start without --resume")
     try:
         state = json.loads((at / _STATE).read_text())
-        found, hashes = Recipe.from_json(json.dumps(state["recipe"])), state["sha256"]
+        found, hashes = TrainConfig.from_json(json.dumps(state["recipe"])), state["sha256"]
         parts = {name: _read(at / f"{name}.pt", hashes[name]) for name in _PARTS}
     except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
         raise ConfigError(

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from calibration.training.recipe import Recipe
-    from calibration.training.train import Run
+    from calibration.training.train import TrainingRun
+    from calibration.training.train_config import TrainConfig
 
 __all__ = ["train_backbone"]
 
@@ -40,9 +40,9 @@ def train_backbone(
     from edge.extras import needs
 
     needs("train", "train-backbone")
-    from calibration.training.train import Run
+    from calibration.training.train import TrainingRun
 
-    run = Run(
+    run = TrainingRun(
         out,
         resume=out if resume else None,
         minutes=minutes,
@@ -58,19 +58,19 @@ def train_backbone(
         make(out, package)
 
 
-def _recipe(file: Path | None, settings: list[str], start: Path | None) -> "Recipe":
+def _recipe(file: Path | None, settings: list[str], start: Path | None) -> "TrainConfig":
     """The run that ships, with the changes of the file and of the command line. Errors: ConfigError."""
     from calibration.training.checkpoint import weights_sha256
-    from calibration.training.recipe import Recipe
+    from calibration.training.train_config import TrainConfig
     from edge.cli.named_values import named_values
 
-    changes = (Recipe.read(file) if file else {}) | named_values("--set", settings)
+    changes = (TrainConfig.read(file) if file else {}) | named_values("--set", settings)
     if start:
         changes["start"] = weights_sha256(start)
-    return Recipe.shipped(**changes)
+    return TrainConfig.shipped(**changes)
 
 
-def _train(recipe: "Recipe", run: "Run") -> None:
+def _train(recipe: "TrainConfig", run: "TrainingRun") -> None:
     import sys
 
     from calibration.progress import progress

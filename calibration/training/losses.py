@@ -13,8 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from calibration.training.recipe import STAGES, Distance, Recipe
 from calibration.training.render import Spacing, slopes
+from calibration.training.train_config import STAGES, Distance, TrainConfig
 from calibration.training.training_pairs import Pairs
 
 __all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation", "window_cells"]
@@ -37,7 +37,7 @@ class Losses:
     push: Tensor
     rank: Tensor
 
-    def total(self, recipe: Recipe) -> Tensor:
+    def total(self, recipe: TrainConfig) -> Tensor:
         return (
             recipe.geometry_weight * self.geometry
             + recipe.pair_weight * (self.pull + self.push)
@@ -45,7 +45,7 @@ class Losses:
         )
 
 
-def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Recipe) -> Losses:
+def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: TrainConfig) -> Losses:
     """The losses of one batch. maps: the trunk's output for `batch.frames`."""
     geometry = _geometry(batch)
     parts: list[Tensor] = []
@@ -104,7 +104,7 @@ def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Dist
     return torch.sqrt((second.square().sum(dim=-1) + nearest).clamp(min=0) + 1e-6)
 
 
-def changed_cells(change_mm: Tensor, stride: int, recipe: Recipe) -> tuple[Tensor, Tensor]:
+def changed_cells(change_mm: Tensor, stride: int, recipe: TrainConfig) -> tuple[Tensor, Tensor]:
     """Float masks (n, rows, columns): cells that damage changed, and cells that it left alone, neighbours included."""
     most = F.max_pool2d(change_mm[:, None], stride)
     around = F.max_pool2d(most, 3, stride=1, padding=1)

@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from calibration.training.recipe import STAGES
+from calibration.training.train_config import STAGES
 
-__all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "Trunk", "heads", "state_arrays"]
+__all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "TrunkNetwork", "heads", "state_arrays"]
 
 # As the ONNX trunk normalises, so that the same graph serves ImageNet weights and these.
 MEAN = (0.485, 0.456, 0.406)
@@ -21,7 +21,7 @@ _CHANNELS = (64, 128, 256)
 GEOMETRY_CHANNELS = 4
 
 
-class Block(nn.Module):  # type: ignore[misc]
+class ResidualBlock(nn.Module):  # type: ignore[misc]
     """Two 3x3 convolutions beside a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
@@ -42,7 +42,7 @@ class Block(nn.Module):  # type: ignore[misc]
         return torch.relu(self.bn2(self.conv2(x)) + beside)
 
 
-class Trunk(nn.Module):  # type: ignore[misc]
+class TrunkNetwork(nn.Module):  # type: ignore[misc]
     """Frames (n, 3, h, w), grey levels 0 to 255 RGB, to the maps of layer1, layer2 and layer3 (strides 4, 8, 16)."""
 
     def __init__(self) -> None:
@@ -53,7 +53,11 @@ class Trunk(nn.Module):  # type: ignore[misc]
         inputs = 64
         for stage, outputs in zip(STAGES, _CHANNELS, strict=True):
             stride = 1 if stage == "layer1" else 2
-            setattr(self, stage, nn.Sequential(Block(inputs, outputs, stride), Block(outputs, outputs, 1)))
+            setattr(
+                self,
+                stage,
+                nn.Sequential(ResidualBlock(inputs, outputs, stride), ResidualBlock(outputs, outputs, 1)),
+            )
             inputs = outputs
         self.register_buffer("_scale", 1 / (255 * torch.tensor(STD).view(1, 3, 1, 1)), persistent=False)
         self.register_buffer(
@@ -82,7 +86,7 @@ def heads() -> nn.ModuleDict:
     )
 
 
-def state_arrays(trunk: Trunk) -> dict[str, NDArray[np.float32]]:
+def state_arrays(trunk: TrunkNetwork) -> dict[str, NDArray[np.float32]]:
     """The weights under torchvision's names, float32 arrays, without batch counters."""
     return {
         name: value.detach().float().cpu().numpy().copy()

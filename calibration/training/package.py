@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.training import checkpoint as checkpoints
-from calibration.training.recipe import STAGES
+from calibration.training.train_config import STAGES
 from edge.core.errors import GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from calibration.training.recipe import Recipe
 from calibration.training.render import Spacing
+from calibration.training.train_config import TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import GelgateError
 
@@ -29,7 +29,7 @@ _PATIENCE_S = 5.0
 Packed = tuple[int, NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], Spacing]
 
 
-def draw_step(recipe: Recipe, step: int, device: torch.device) -> Pairs:
+def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
     """The training batch of one step."""
     return draw_pairs(
         recipe.seed,
@@ -43,7 +43,7 @@ def draw_step(recipe: Recipe, step: int, device: torch.device) -> Pairs:
 
 
 @contextmanager
-def drawn_ahead(recipe: Recipe, first: int) -> Iterator[Callable[[int], Pairs]]:
+def drawn_ahead(recipe: TrainConfig, first: int) -> Iterator[Callable[[int], Pairs]]:
     """Gives the batches of the steps from `first` on, in order, on the CPU.
 
     Errors: GelgateError when the drawing process has died.
@@ -78,7 +78,7 @@ def drawn_ahead(recipe: Recipe, first: int) -> Iterator[Callable[[int], Pairs]]:
         batches.close()
 
 
-def _draw(recipe: Recipe, first: int, batches: "Queue[Packed]") -> None:
+def _draw(recipe: TrainConfig, first: int, batches: "Queue[Packed]") -> None:
     """The drawing process: until the recipe's last step, or until nobody is there to take a batch."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)

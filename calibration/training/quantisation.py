@@ -11,13 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from calibration.training.network import Block, Trunk
-from calibration.training.recipe import STAGES
+from calibration.training.network import ResidualBlock, TrunkNetwork
+from calibration.training.train_config import STAGES
 
 __all__ = ["rounded_activation", "rounded_maps", "rounded_weight"]
 
 
-def rounded_maps(trunk: Trunk, frames: Tensor) -> list[Tensor]:
+def rounded_maps(trunk: TrunkNetwork, frames: Tensor) -> list[Tensor]:
     """What `trunk(frames)` gives, in int8's values. The statistics of batch norms are used and left as they are."""
     x = rounded_activation(trunk.normalised(frames))
     x = trunk.maxpool(rounded_activation(torch.relu(_folded(x, trunk.conv1, trunk.bn1))))
@@ -29,7 +29,7 @@ def rounded_maps(trunk: Trunk, frames: Tensor) -> list[Tensor]:
     return maps
 
 
-def _block(x: Tensor, block: Block) -> Tensor:
+def _block(x: Tensor, block: ResidualBlock) -> Tensor:
     beside = x if block.downsample is None else rounded_activation(_folded(x, *block.downsample))
     x = rounded_activation(torch.relu(_folded(x, block.conv1, block.bn1)))
     x = rounded_activation(_folded(x, block.conv2, block.bn2))

@@ -35,7 +35,7 @@ from calibration.simulator.constants import (
 )
 
 __all__ = [
-    "Look",
+    "BatchAppearance",
     "Spacing",
     "blur",
     "deform",
@@ -56,7 +56,7 @@ Spacing = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Look:
+class BatchAppearance:
     """The colours of n sensors over a grid.
 
     free: (n, 3, h, w), the untouched gel. per_normal: (n, 3, 2, h, w), grey levels per nx and ny. curvature: (n, 3, 3),
@@ -156,11 +156,13 @@ def per_normal(tables: Tensor, u: Tensor, v: Tensor) -> Tensor:
     return torch.einsum("ncdk,khw->ncdhw", tables[:, :, :12].unflatten(2, (2, 6)), terms)
 
 
-def shade(nx: Tensor, ny: Tensor, look: Look) -> Tensor:
+def shade(nx: Tensor, ny: Tensor, appearance: BatchAppearance) -> Tensor:
     """Planes under the three lights, not yet below 0."""
-    linear = look.per_normal[:, :, 0] * nx[:, None] + look.per_normal[:, :, 1] * ny[:, None]
+    linear = appearance.per_normal[:, :, 0] * nx[:, None] + appearance.per_normal[:, :, 1] * ny[:, None]
     squares = torch.stack([nx * nx, ny * ny, nx * ny], dim=1)
-    return (linear + torch.einsum("nck,nkhw->nchw", look.curvature, squares) + look.free).clamp(min=0)
+    return (linear + torch.einsum("nck,nkhw->nchw", appearance.curvature, squares) + appearance.free).clamp(
+        min=0
+    )
 
 
 def shadows(planes: Tensor, surface_mm: Tensor, keeps: Tensor, spacing: Spacing) -> Tensor:

@@ -29,14 +29,14 @@ from calibration.training.losses import (
     separation,
     window_cells,
 )
-from calibration.training.network import Trunk, heads
+from calibration.training.network import TrunkNetwork, heads
 from calibration.training.prefetch import draw_step, drawn_ahead
 from calibration.training.quantisation import rounded_maps
-from calibration.training.recipe import STAGES, Recipe
+from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["Run", "learning_rate", "train"]
+__all__ = ["TrainingRun", "learning_rate", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
@@ -45,7 +45,7 @@ _LOSS_NAMES = tuple(f.name for f in fields(Losses))
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainingRun:
     """How a run is carried out, which does not change what is learnt.
 
     folder: where checkpoints, log and figure go. resume: a run to carry on, None to start. minutes: stop and save after
@@ -66,7 +66,7 @@ class Run:
     start: Path | None = None
 
 
-def learning_rate(recipe: Recipe, step: int) -> float:
+def learning_rate(recipe: TrainConfig, step: int) -> float:
     """One cycle: a cosine rise from a 25th of the peak over the warm-up, then a cosine fall to almost nothing."""
     done = step / max(recipe.steps, 1)
     if done < recipe.warm_up:
@@ -78,10 +78,10 @@ def learning_rate(recipe: Recipe, step: int) -> float:
 class _Learner:
     """Network, heads and optimiser, in step with each other."""
 
-    def __init__(self, recipe: Recipe, device: torch.device) -> None:
+    def __init__(self, recipe: TrainConfig, device: torch.device) -> None:
         self.recipe, self.device = recipe, device
         torch.manual_seed(recipe.seed)
-        self.trunk = Trunk().to(device)
+        self.trunk = TrunkNetwork().to(device)
         self.heads = heads().to(device)
         self.trunk = self.trunk.to(memory_format=torch.channels_last)
         if device.type == "cuda":
@@ -189,7 +189,10 @@ def _nothing(_: int) -> None:
 
 
 def train(
-    recipe: Recipe, run: Run, say: Callable[[str], None] = _say, advance: Callable[[int], None] = _nothing
+    recipe: TrainConfig,
+    run: TrainingRun,
+    say: Callable[[str], None] = _say,
+    advance: Callable[[int], None] = _nothing,
 ) -> Path:
     """Train to the recipe's last step or to the run's time limit; the folder of the last checkpoint.
 
@@ -252,7 +255,7 @@ def _device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def _start(learner: _Learner, run: Run) -> list[dict[str, Any]]:
+def _start(learner: _Learner, run: TrainingRun) -> list[dict[str, Any]]:
     """Restore when asked to, and give the log so far."""
     if run.resume is None:
         if checkpoints.latest(run.folder) is not None:
@@ -282,7 +285,7 @@ def _begin(learner: _Learner, start: Path) -> None:
     learner.begin_with(checkpoints.load(start))
 
 
-def _save(learner: _Learner, run: Run, log: list[dict[str, Any]]) -> Path:
+def _save(learner: _Learner, run: TrainingRun, log: list[dict[str, Any]]) -> Path:
     at = checkpoints.save(run.folder, learner.checkpoint())
     try:
         (run.folder / _LOG).write_text("".join(json.dumps(entry) + "\n" for entry in log))
@@ -305,7 +308,7 @@ def _entry(learner: _Learner, found: Losses, steps_per_second: float) -> dict[st
     return entry
 
 
-def _line(entry: dict[str, Any], recipe: Recipe) -> str:
+def _line(entry: dict[str, Any], recipe: TrainConfig) -> str:
     words = [f"{name} {value:.4g}" for name, value in entry.items() if name not in ("step", "rate")]
     left = (recipe.steps - entry["step"]) * 2 * recipe.pairs / max(entry["frames_per_second"], 1e-9) / 60
     return f"step {entry['step']}/{recipe.steps}  {'  '.join(words)}  {left:.0f} min left"

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.training import render
 from calibration.training.jpeg import compressed
 from calibration.training.random_defects import damaged
 from calibration.training.random_parts import Parts, draw_parts, draw_waves, turned, waves
 from calibration.training.random_sampling import Draws, draws_for
-from calibration.training.render import Look, Spacing
+from calibration.training.render import BatchAppearance, Spacing
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
@@ -97,7 +97,7 @@ def _drawn(
     surface = torch.cat([surfaces[:pairs], surfaces[2 * pairs :]])
     lens_mm = float(host.uniform(0.02, 0.05))
     u, v = render.unit_grid(side, spacing, centre, device)
-    frames = _photograph(draws, surface, _draw_look(draws, pairs, u, v), x, y, spacing, lens_mm)
+    frames = _photograph(draws, surface, _draw_appearance(draws, pairs, u, v), x, y, spacing, lens_mm)
     return Pairs(frames, surface, change, spacing)
 
 
@@ -151,10 +151,10 @@ def _heights(draws: Draws, parts: Parts, views: _Views) -> Tensor:
     return sound + waves(marks, views.x, views.y) + views.tilt_mm
 
 
-def _draw_look(draws: Draws, n: int, u: Tensor, v: Tensor) -> Look:
+def _draw_appearance(draws: Draws, n: int, u: Tensor, v: Tensor) -> BatchAppearance:
     """Sensors about the two training units: exposure, white balance, falloff, colour mixing and response all vary."""
-    free = torch.stack([torch.tensor(LOOKS[name].free_gel.tolist()) for name in TRAINING_UNITS])
-    answer = torch.stack([torch.tensor(LOOKS[name].slope_response.tolist()) for name in TRAINING_UNITS])
+    free = torch.stack([torch.tensor(SENSORS[name].free_gel.tolist()) for name in TRAINING_UNITS])
+    answer = torch.stack([torch.tensor(SENSORS[name].slope_response.tolist()) for name in TRAINING_UNITS])
     free, answer = free.to(draws.device), answer.to(draws.device)
     share = draws.uniform(0, 1, n)[:, None, None]
     level = draws.normal(0.15, n, 1) + draws.normal(0.07, n, 3)
@@ -166,7 +166,7 @@ def _draw_look(draws: Draws, n: int, u: Tensor, v: Tensor) -> Look:
     # Filters leak: up to a quarter of each channel comes from the others.
     leak = draws.uniform(0, 0.25, n)[:, None, None]
     mixing = (1 - leak) * torch.eye(3, device=draws.device) + leak * draws.uniform(0, 0.6, n, 3, 3)
-    return Look(
+    return BatchAppearance(
         free=torch.einsum("ncd,ndhw->nchw", mixing, render.free_gel(table, u, v)),
         per_normal=torch.einsum("ncd,ndkhw->nckhw", mixing, render.per_normal(answers, u, v)),
         curvature=torch.einsum("ncd,ndk->nck", mixing, answers[:, :, 12:]),
@@ -174,7 +174,13 @@ def _draw_look(draws: Draws, n: int, u: Tensor, v: Tensor) -> Look:
 
 
 def _photograph(
-    draws: Draws, surface: Tensor, look: Look, x: Tensor, y: Tensor, spacing: Spacing, lens_mm: float
+    draws: Draws,
+    surface: Tensor,
+    appearance: BatchAppearance,
+    x: Tensor,
+    y: Tensor,
+    spacing: Spacing,
+    lens_mm: float,
 ) -> Tensor:
     """Frames of 2n imprints through n gels and cameras."""
     n = len(surface) // 2
@@ -187,7 +193,11 @@ def _photograph(
     left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
     seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
     nx, ny = render.normals(*render.slopes(seen, spacing))
-    planes = render.shade(nx, ny, Look(both(look.free), both(look.per_normal), both(look.curvature)))
+    planes = render.shade(
+        nx,
+        ny,
+        BatchAppearance(both(appearance.free), both(appearance.per_normal), both(appearance.curvature)),
+    )
     planes = render.shadows(planes, seen, 1 - 0.4 * both(draws.uniform(0, 1, n)), spacing)
     planes = render.gloss(planes, nx, ny, both(draws.uniform(0, 26, n)))
     planes = planes * light[:, None]

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from edge.core.contact.mask import TOUCH_LEVELS
 from edge.core.imaging.tiles import Tiles
 
-__all__ = ["QUIET_LEVELS", "FreeGel", "TileRunner", "TiledMaps", "plainest", "untouched_tiles"]
+__all__ = ["FREE_LEVELS", "FreeGel", "TileRunner", "TiledMaps", "most_typical", "untouched_tiles"]
 
 # A tile looks like the free gel when no block of it differs by more: half of what counts as touch, above the noise.
-QUIET_LEVELS = TOUCH_LEVELS / 2
+FREE_LEVELS = TOUCH_LEVELS / 2
 
 # Side in pixels of the blocks that are compared: 8 of 1280x720 are one pixel of the view in which touch is found.
 BLOCK_SIDE = 8
@@ -83,14 +83,14 @@ class FreeGel:
         for index in sorted(self.untouched):
             runner.run(rgb, index, self._maps)
 
-    def quiet(self, frame: NDArray[np.uint8]) -> frozenset[int]:
+    def matching(self, frame: NDArray[np.uint8]) -> frozenset[int]:
         """The untouched tiles in which a frame, uint8 (h, w, 3), looks like the free gel."""
         difference = _blocks(frame) - self._blocks
-        is_far = np.einsum("hwc,hwc->hw", difference, difference) > QUIET_LEVELS**2
+        is_far = np.einsum("hwc,hwc->hw", difference, difference) > FREE_LEVELS**2
         tiles = self._runner.tiles
         return frozenset(i for i in self.untouched if not is_far[_reach(tiles.places[i], tiles.size)].any())
 
-    def lay(self, index: int, into: Mapping[str, NDArray[np.float32]]) -> None:
+    def paste(self, index: int, into: Mapping[str, NDArray[np.float32]]) -> None:
         """The free gel's features of a tile, laid into its place of the mosaics."""
         for tap, mosaic in into.items():
             place = self._runner.place(tap, index)
@@ -113,19 +113,19 @@ class TiledMaps:
         self.arrays = {tap: np.zeros((frames, *shape), np.float32) for tap, shape in maps.items()}
         self._runner, self._free = runner, free
         # The tiles of each frame's mosaic that hold the free gel's features already.
-        self._laid: list[frozenset[int]] = [frozenset()] * frames
+        self._pasted: list[frozenset[int]] = [frozenset()] * frames
 
     def show(self, frames: NDArray[np.uint8]) -> None:
         """Bring the mosaics to these frames, uint8 (n, h, w, 3)."""
         for number, frame in enumerate(frames):
             mosaics = {tap: array[number] for tap, array in self.arrays.items()}
-            quiet = frozenset() if self._free is None else self._free.quiet(frame)
+            matching = frozenset() if self._free is None else self._free.matching(frame)
             for index in range(len(self._runner.tiles)):
-                if index not in quiet:
+                if index not in matching:
                     self._runner.run(frame, index, mosaics)
-                elif self._free is not None and index not in self._laid[number]:
-                    self._free.lay(index, mosaics)
-            self._laid[number] = quiet
+                elif self._free is not None and index not in self._pasted[number]:
+                    self._free.paste(index, mosaics)
+            self._pasted[number] = matching
 
 
 def untouched_tiles(tiles: Tiles, touched: NDArray[np.bool_]) -> tuple[int, ...]:
@@ -138,7 +138,7 @@ def untouched_tiles(tiles: Tiles, touched: NDArray[np.bool_]) -> tuple[int, ...]
     )
 
 
-def plainest(frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+def most_typical(frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Of frames of the free gel, uint8 (m, h, w, 3), the one nearest to their mean: it carries the noise of one."""
     blocks = np.stack([_blocks(frame) for frame in frames])
     distance = np.square(blocks - blocks.mean(axis=0)).sum(axis=(1, 2, 3))

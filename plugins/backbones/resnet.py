@@ -50,14 +50,14 @@ def build_trunk(
         raise ConfigError(f"a trunk needs distinct taps, found {list(taps)}; for instance {', '.join(TAPS)}")
     wanted = {tap: last_block(net, tap) for tap in taps}
     check_state(state, net, until=taps)
-    drawing = _Trunk(net, state, weights)
-    outputs = drawing.run(_normalised(drawing.graph, mean, std), set(wanted.values()))
+    builder = _TrunkBuilder(net, state, weights)
+    outputs = builder.run(_normalised(builder.graph, mean, std), set(wanted.values()))
     for tap, block in wanted.items():
         value, channels = outputs[block]
         size: tuple[int | str, int | str] = (1, 1) if tap == "avgpool" else (f"{tap}_h", f"{tap}_w")
-        drawing.graph.output(tap, value, ("n", channels, *size))
+        builder.graph.output(tap, value, ("n", channels, *size))
     colours = {"mean": ",".join(map(str, mean)), "std": ",".join(map(str, std))}
-    return drawing.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
+    return builder.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
 
 
 def folded(state: State, conv: Conv) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -82,8 +82,8 @@ def _normalised(graph: Graph, mean: Sequence[float], std: Sequence[float]) -> Va
     return graph.op("Add", scaled, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
 
 
-class _Trunk:
-    """The drawing of one trunk."""
+class _TrunkBuilder:
+    """Builds one trunk, layer after layer."""
 
     def __init__(self, net: Topology, state: State, weights: Literal["float32", "float16"]) -> None:
         self.graph = Graph(net.name)

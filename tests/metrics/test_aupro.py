@@ -1,4 +1,4 @@
-"""AU-PRO equals the official definition, written here a second time in the plainest way."""
+"""AU-PRO equals the official definition, written here a second time in the most_typical way."""
 
 from itertools import pairwise
 from typing import Any

@@ -21,7 +21,7 @@ from edge.model.manifest import GridEntry
 from edge.model.onnx_prune import cut_trunk
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
-from edge.model.tile_runner import QUIET_LEVELS, FreeGel, TiledMaps, TileRunner, plainest, untouched_tiles
+from edge.model.tile_runner import FREE_LEVELS, FreeGel, TiledMaps, TileRunner, most_typical, untouched_tiles
 from export.merge import merge_bundle
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.backbones.tiled import tile_trunk
@@ -115,7 +115,7 @@ def test_kept_tiles_score_the_same(bundle: Bundle) -> None:
 def test_a_contact_where_none_belongs_is_seen(bundle: Bundle, place: tuple[int, int]) -> None:
     """A press that touches a tile without nominal contact scores as if no tile were ever skipped there.
 
-    Checked by removal: with `quiet` answering all untouched tiles, the foreign contact scores like a nominal press.
+    Checked by removal: with `matching` answering all untouched tiles, the foreign contact scores like a nominal press.
     """
     row, column = place
     odd = presses(1, 5)[0]
@@ -144,7 +144,7 @@ def test_another_light_skips_nothing(bundle: Bundle) -> None:
     """A level that moved by more than the bound costs time, not sight."""
     scorer = Scorer(bundle)
     before = scorer.tiles_run
-    scorer.score(np.clip(presses(1, 5)[0].astype(int) + int(QUIET_LEVELS), 0, 255).astype(np.uint8))
+    scorer.score(np.clip(presses(1, 5)[0].astype(int) + int(FREE_LEVELS), 0, 255).astype(np.uint8))
     assert scorer.tiles_run - before == 8
 
 
@@ -178,16 +178,16 @@ def test_any_set_of_tiles_may_be_skipped(untouched: set[int], marks: list[tuple[
     of_gel.show(gel[None])
     before = runner.runs
     skipping.show(frame[None])
-    quiet = free.quiet(frame)
-    assert runner.runs - before == 8 - len(quiet)
-    assert quiet <= untouched
+    matching = free.matching(frame)
+    assert runner.runs - before == 8 - len(matching)
+    assert matching <= untouched
     for index, (top, left) in enumerate(TILES.places):
-        expected = of_gel if index in quiet else whole
+        expected = of_gel if index in matching else whole
         for tap in MAPS:
             place = (0, *runner.place(tap, index))
             np.testing.assert_array_equal(skipping.arrays[tap][place], expected.arrays[tap][place])
         if any(top <= row < top + 64 and left <= column < left + 64 for row, column in marks):
-            assert index not in quiet
+            assert index not in matching
 
 
 def test_a_frame_of_odd_size_is_compared_whole() -> None:
@@ -198,15 +198,15 @@ def test_a_frame_of_odd_size_is_compared_whole() -> None:
     free = FreeGel(TileRunner(SESSION, tiles, maps), maps, gel, range(len(tiles)))
     marked = gel.copy()
     marked[97:, 158:] = 255
-    assert free.quiet(gel) == frozenset(range(len(tiles)))
-    assert free.quiet(marked) == frozenset(range(13))  # 13 ends one pixel before 14
+    assert free.matching(gel) == frozenset(range(len(tiles)))
+    assert free.matching(marked) == frozenset(range(13))  # 13 ends one pixel before 14
 
 
-def test_the_plainest_frame_is_one_of_them() -> None:
+def test_the_most_typical_frame_is_one_of_them() -> None:
     """The nearest to the mean: an odd one out is not taken."""
     frames = free_gel(4, 2)
     frames[2] += 30
-    assert any((plainest(frames) == frames[k]).all() for k in (0, 1, 3))
+    assert any((most_typical(frames) == frames[k]).all() for k in (0, 1, 3))
 
 
 def test_a_bundle_survives_writing(fitted: Fitted, tmp_path: Path) -> None:

@@ -5,20 +5,29 @@ from pathlib import Path
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.parts import PARTS
-from calibration.simulator.scene import Camera, Defects, JitterTable, Motion, Nominal, Run, Scene, scene_names
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.scene import (
+    Camera,
+    Defects,
+    JitterTable,
+    Motion,
+    NominalPieces,
+    Scene,
+    SceneRun,
+    scene_names,
+)
+from calibration.simulator.sensor_appearance import SENSORS
 
 MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
 
 
 def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
     """Parts, defects, effects, sensors and the scenes that come along."""
-    names = [*PARTS, *DEFECTS, *EFFECTS, *LOOKS, *scene_names()]
+    names = [*PARTS, *DEFECTS, *EFFECTS, *SENSORS, *scene_names()]
     assert [name for name in names if name not in MANUAL] == []
 
 
 def test_every_key_of_a_scene_is_in_the_manual() -> None:
     """Each field of each table, as it is spelled in the file."""
-    models = (Scene, Camera, Motion, JitterTable, Nominal, Defects, Run)
+    models = (Scene, Camera, Motion, JitterTable, NominalPieces, Defects, SceneRun)
     keys = {key for model in models for key in model.model_fields} - {"version"}
     assert [key for key in sorted(keys) if key not in MANUAL] == []

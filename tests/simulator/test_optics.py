@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from calibration.simulator import camera as cam
-from calibration.simulator import gel_surface as coat
-from calibration.simulator import optics
-from calibration.simulator import sensor_appearance as look
+from calibration.simulator import gel_surface, optics, sensor_appearance
 from calibration.simulator.field_of_view import F32, HR, LR, Field, grids, native_field
 from calibration.simulator.pose import Pose, contact, sample
 from calibration.simulator.renderer import Exposure, Renderer
-from calibration.simulator.sensor_appearance import LOOKS, random_look
+from calibration.simulator.sensor_appearance import SENSORS, random_appearance
 
 
 def ball(radius_mm: float = 3.0, x0: float = 0.0, y0: float = 0.0):  # type: ignore[no-untyped-def]
@@ -82,7 +80,7 @@ def test_gloss_leaves_flat_gel_alone_and_lights_the_side_that_faces_a_lamp() -> 
 
 def test_the_free_gel_has_the_measured_colours() -> None:
     """Centre and mean of unit A: red 140, green 114, blue 148 at the centre; means 78, 95, 105."""
-    planes = look.background(LOOKS["unit_a"], LR)
+    planes = sensor_appearance.background(SENSORS["unit_a"], LR)
     assert np.allclose(planes[:, 120, 160], np.exp([4.94, 4.74, 4.996]), rtol=0.01)
     assert np.allclose(planes.mean(axis=(1, 2)), [78, 95, 105], atol=1.5)
 
@@ -91,7 +89,7 @@ def test_vignette_gives_the_measured_background_back() -> None:
     """Lights without the lens are brighter in the corners; with the lens they are what was measured."""
     lit = Renderer(LR, ("illumination", "vignette")).free_gel().astype(np.float32)
     bare = Renderer(LR, ("illumination",)).free_gel().astype(np.float32)
-    measured = look.background(LOOKS["unit_b"], LR).transpose(1, 2, 0)
+    measured = sensor_appearance.background(SENSORS["unit_b"], LR).transpose(1, 2, 0)
     assert np.abs(lit - measured).max() < 0.6
     assert (bare[0, 0] > lit[0, 0]).all()
 
@@ -140,10 +138,10 @@ def test_quantising_holds_black_and_white() -> None:
 
 def test_grain_shows_more_where_the_coat_is_stretched() -> None:
     """The speckle inside an imprint is about three times that of the free gel."""
-    texture = coat.grain_texture(np.random.default_rng(0), LR)
+    texture = gel_surface.grain_texture(np.random.default_rng(0), LR)
     surface = np.zeros(LR.shape, np.float32)
     surface[:, 160:] = 0.3
-    after = coat.grain(np.zeros((3, *LR.shape), np.float32), surface, texture)
+    after = gel_surface.grain(np.zeros((3, *LR.shape), np.float32), surface, texture)
     free, touched = after[0, :, :160].std(), after[0, :, 160:].std()
     assert 2.2 < touched / free < 3.6
 
@@ -152,9 +150,9 @@ def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
     """There are 9 x 7 dots; right of a bulge they lie further right than on the free gel."""
     flat = np.zeros(LR.shape, np.float32)
     white = np.full((3, *LR.shape), 200, np.float32)
-    free = coat.markers(white.copy(), flat, LR)[0] < 120
+    free = gel_surface.markers(white.copy(), flat, LR)[0] < 120
     x = grids(LR)[0]
-    pressed = coat.markers(white.copy(), dome(depth=0.8), LR)[0] < 120
+    pressed = gel_surface.markers(white.copy(), dome(depth=0.8), LR)[0] < 120
     one = (slice(112, 129), slice(172, 216))
     assert free.any()
     assert x[one][pressed[one]].mean() > x[one][free[one]].mean() + 0.02
@@ -162,13 +160,16 @@ def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
 
 def test_dust_and_wear_only_grow() -> None:
     """Every speck, scratch and stain of a young gel is still there on an old one, and there are more."""
-    dust, wear = coat.new_dust(np.random.default_rng(1)), coat.new_wear(np.random.default_rng(2))
-    young, old = (coat.dust_relief(dust, n, LR) for n in (0, 900))
+    dust, wear = (
+        gel_surface.new_dust(np.random.default_rng(1)),
+        gel_surface.new_wear(np.random.default_rng(2)),
+    )
+    young, old = (gel_surface.dust_relief(dust, n, LR) for n in (0, 900))
     assert (old >= young - 1e-6).all()
     assert 0 < (young > 0.005).sum() < (old > 0.005).sum()
-    assert not coat.wear_relief(wear, 0, LR).any()
-    assert (coat.wear_relief(wear, 900, LR) <= 0).all()
-    assert (coat.wear_stains(wear, 900, LR) <= coat.wear_stains(wear, 300, LR) + 1e-6).all()
+    assert not gel_surface.wear_relief(wear, 0, LR).any()
+    assert (gel_surface.wear_relief(wear, 900, LR) <= 0).all()
+    assert (gel_surface.wear_stains(wear, 900, LR) <= gel_surface.wear_stains(wear, 300, LR) + 1e-6).all()
 
 
 def test_the_native_frame_shows_the_rim_and_crops_to_the_low_resolution_frame() -> None:
@@ -189,14 +190,14 @@ def test_a_random_look_is_a_plausible_sensor() -> None:
     """Mean levels stay between dark and clipped for a hundred draws."""
     rng = np.random.default_rng(3)
     for _ in range(100):
-        mean = look.background(random_look(rng), Field((32, 24), (0.634, 0.634))).mean()
+        mean = sensor_appearance.background(random_appearance(rng), Field((32, 24), (0.634, 0.634))).mean()
         assert 50 < mean < 200
 
 
 def test_a_look_of_the_wrong_shape_is_refused() -> None:
     """A table with a missing term is named with its shape."""
     with pytest.raises(ValueError, match="shape"):
-        look.Look("broken", np.zeros((3, 14)))
+        sensor_appearance.SensorAppearance("broken", np.zeros((3, 14)))
 
 
 def test_jpeg_stays_near_its_picture() -> None:

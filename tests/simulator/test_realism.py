@@ -8,13 +8,13 @@ from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.realism import ball_figures, histogram_overlap, levels, read_rgb, spectrum
 from calibration.simulator.renderer import Renderer
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 
 
 def test_the_free_gel_has_the_real_histograms(real_tactile: Path) -> None:
     """Mean, spread and percentiles of each channel within 3 levels of the real unit."""
     real = levels(read_rgb(real_tactile / "skleff1994__gs_sdk" / "background.png"))
-    made = levels(Renderer(LR, DEFAULT_EFFECTS, LOOKS["unit_b"]).free_gel().astype(np.float32))
+    made = levels(Renderer(LR, DEFAULT_EFFECTS, SENSORS["unit_b"]).free_gel().astype(np.float32))
     assert np.abs(real - made).max() < 3
 
 

@@ -18,9 +18,9 @@ from calibration.simulator.renderer import Renderer
 from calibration.simulator.streams import named_streams
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.defects import Damaged, Defect
-from calibration.simulator.reproducible_math import steady_opencv
+from calibration.simulator.reproducible_math import reproducible_opencv
 total = hashlib.sha256()
-with steady_opencv():
+with reproducible_opencv():
     for number, part in enumerate(PARTS.values()):
         for field in (LR, native_field(8)):
             renderer = Renderer(field, tuple(EFFECTS), streams=named_streams(number))

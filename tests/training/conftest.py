@@ -8,7 +8,7 @@ import pytest
 from edge.extras import is_installed
 
 if TYPE_CHECKING:
-    from calibration.training.network import Trunk
+    from calibration.training.network import TrunkNetwork
 
 if not is_installed("torch"):
     collect_ignore = [
@@ -17,14 +17,14 @@ if not is_installed("torch"):
 
 
 @pytest.fixture(scope="module")
-def trunk() -> "Trunk":
+def trunk() -> "TrunkNetwork":
     """A random network whose batch norms have seen something."""
     import torch
 
-    from calibration.training.network import Trunk
+    from calibration.training.network import TrunkNetwork
 
     torch.manual_seed(0)
-    network = Trunk()
+    network = TrunkNetwork()
     with torch.no_grad():
         for _ in range(3):
             network(torch.rand(4, 3, 64, 64) * 255)

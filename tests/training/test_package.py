@@ -14,8 +14,8 @@ from calibration.benchmark.model_card import card, page
 from calibration.benchmark.trial import FORMAT
 from calibration.training import package as packaging
 from calibration.training.checkpoint import Checkpoint, save
-from calibration.training.network import Trunk, state_arrays
-from calibration.training.recipe import STAGES, Recipe
+from calibration.training.network import TrunkNetwork, state_arrays
+from calibration.training.train_config import STAGES, TrainConfig
 from edge import cli
 from edge.core.errors import ConfigError
 from plugins.backbones.resnet import build_trunk
@@ -27,7 +27,7 @@ def run(graph: bytes, frames: np.ndarray) -> list[np.ndarray]:
     return answer
 
 
-def test_the_graph_is_the_network(trunk: Trunk) -> None:
+def test_the_graph_is_the_network(trunk: TrunkNetwork) -> None:
     """The ONNX trunk answers as torch does, to 1e-4 of the largest feature, at two sizes."""
     graph = build_trunk(state_arrays(trunk), "resnet18", STAGES)
     for side in (64, 96):
@@ -38,7 +38,7 @@ def test_the_graph_is_the_network(trunk: Trunk) -> None:
             assert np.abs(found - wanted.numpy()).max() < 1e-4 * float(wanted.max())
 
 
-def test_int8_keeps_inputs_outputs_and_features(trunk: Trunk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
     """The int8 trunk takes the same frames and gives the same taps within a fifth, in a third of the bytes."""
 
     def few(purpose: str, batches: int, pairs: int = 2) -> object:
@@ -115,7 +115,7 @@ def test_the_card_prints_no_evaluation_of_other_weights() -> None:
 
 def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
     """One row per run: how its settings differ from those that ship, its numbers by method, and the means per set."""
-    save(tmp_path / "run", Checkpoint(Recipe.shipped(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
+    save(tmp_path / "run", Checkpoint(TrainConfig.shipped(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
     rows = [
         {
             "backbone": trunk,
@@ -137,7 +137,7 @@ def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
         },
     }
     tried = joined(found, {"longer": tmp_path / "run"}, {"longer": "on a Tuesday"})
-    facts = {**FACTS, "recipe": json.loads(Recipe.shipped(seed=0, steps=5, window_mm=0.5).to_json())}
+    facts = {**FACTS, "recipe": json.loads(TrainConfig.shipped(seed=0, steps=5, window_mm=0.5).to_json())}
     text = card(facts, None, tried)
     assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
     assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text

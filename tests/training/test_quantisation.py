@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from calibration.training import package as packaging
 from calibration.training.checkpoint import weights_sha256
-from calibration.training.network import Trunk, state_arrays
+from calibration.training.network import TrunkNetwork, state_arrays
 from calibration.training.quantisation import rounded_activation, rounded_maps, rounded_weight
-from calibration.training.recipe import STAGES, Recipe
-from calibration.training.train import Run, train
+from calibration.training.train import TrainingRun, train
+from calibration.training.train_config import STAGES, TrainConfig
 from edge.core.errors import ConfigError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
@@ -28,7 +28,7 @@ def run_here(graph: bytes, inputs: Mapping[str, NDArray[Any]], folder: Path) -> 
 
 @pytest.mark.parametrize("run", [run_here, pytest.param(run_on_haswell, marks=needs_emulator)])
 def test_it_loses_what_onnxruntime_loses(
-    trunk: Trunk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, run: Callable[..., list[NDArray[Any]]]
+    trunk: TrunkNetwork, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, run: Callable[..., list[NDArray[Any]]]
 ) -> None:
     """At each tap the rounded maps have 256 values at most and err by as much as the int8 graph does, within a
     twentieth, in the same direction more than by chance: equal they cannot be, since one ranges over rounded values and
@@ -66,14 +66,14 @@ def test_values_are_steps_and_gradients_pass() -> None:
 def test_a_run_rounds_and_keeps_the_statistics(tmp_path: Path) -> None:
     """Weights move, the batch norms' means and variances do not; without a start it is refused."""
     small = {"pairs": 2, "side": 64, "precision": "float32"}
-    first = train(Recipe.shipped(steps=2, **small), Run(tmp_path / "first")).parent
+    first = train(TrainConfig.shipped(steps=2, **small), TrainingRun(tmp_path / "first")).parent
     start = weights_sha256(first)
-    aware = Recipe.shipped(steps=2, start=start, **(small | {"precision": "int8"}))
-    train(aware, Run(tmp_path / "second", start=first))
+    aware = TrainConfig.shipped(steps=2, start=start, **(small | {"precision": "int8"}))
+    train(aware, TrainingRun(tmp_path / "second", start=first))
     before, after = (
         packaging.trunk_state(packaging.checkpoints.load(run).weights) for run in (first, tmp_path / "second")
     )
     same = {name for name in before if np.array_equal(before[name], after[name])}
     assert same == {name for name in before if "running" in name}
     with pytest.raises(ConfigError, match="a run to begin with"):
-        Recipe.shipped(precision="int8")
+        TrainConfig.shipped(precision="int8")

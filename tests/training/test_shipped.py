@@ -13,7 +13,7 @@ from calibration.benchmark.model_card import page
 from calibration.benchmark.sets import SETS
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.training.package import MOST_BYTES
-from calibration.training.recipe import Recipe
+from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError
 from plugins.backbones import tactile
 from plugins.backbones.tactile import TactileBackbone, tactile_resnet18, tactile_resnet18_int8
@@ -69,8 +69,8 @@ def test_the_page_has_their_evaluation_and_trials() -> None:
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
     """`gelgate train-backbone RUN` without any setting makes these weights again."""
-    assert Recipe.from_json(json.dumps(FACTS["recipe"])) == Recipe.shipped()
-    assert FACTS["trained_steps"] == Recipe.shipped().steps
+    assert TrainConfig.from_json(json.dumps(FACTS["recipe"])) == TrainConfig.shipped()
+    assert FACTS["trained_steps"] == TrainConfig.shipped().steps
     assert FACTS["before"] == []
 
 

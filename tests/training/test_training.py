@@ -10,18 +10,18 @@ import pytest
 import torch
 
 from calibration.training import checkpoint as checkpoints
-from calibration.training.recipe import Recipe
-from calibration.training.train import Run, learning_rate, train
+from calibration.training.train import TrainingRun, learning_rate, train
+from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 
-SMALL = Recipe.shipped(steps=6, pairs=2, side=64, precision="float32", max_rate=2e-3)
+SMALL = TrainConfig.shipped(steps=6, pairs=2, side=64, precision="float32", max_rate=2e-3)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six steps in one go."""
     folder = tmp_path_factory.mktemp("whole")
-    train(SMALL, Run(folder, log_every=1, validate_every=3, threads=1, device="cpu"))
+    train(SMALL, TrainingRun(folder, log_every=1, validate_every=3, threads=1, device="cpu"))
     return folder
 
 
@@ -46,10 +46,10 @@ def test_cut_and_resumed_equals_whole(whole: Path, tmp_path: Path, monkeypatch: 
     original = module.losses
     monkeypatch.setattr(module, "losses", interrupt_within_the_fourth)
     with pytest.raises(KeyboardInterrupt):
-        train(SMALL, Run(first, log_every=1, validate_every=3, threads=1, device="cpu"))
+        train(SMALL, TrainingRun(first, log_every=1, validate_every=3, threads=1, device="cpu"))
     monkeypatch.undo()
     assert checkpoints.load(first).step == 4
-    train(SMALL, Run(second, resume=first, log_every=1, validate_every=3, threads=1, device="cpu"))
+    train(SMALL, TrainingRun(second, resume=first, log_every=1, validate_every=3, threads=1, device="cpu"))
     expected, found = weights(whole), weights(second)
     assert expected.keys() == found.keys()
     assert all(torch.equal(expected[name], found[name]) for name in expected)
@@ -60,8 +60,8 @@ def test_cut_and_resumed_equals_whole(whole: Path, tmp_path: Path, monkeypatch: 
 def test_same_seed_same_weights_other_seed_others(whole: Path, tmp_path: Path) -> None:
     """A run is a function of its recipe."""
     again, other = tmp_path / "again", tmp_path / "other"
-    train(SMALL, Run(again, threads=1, device="cpu"))
-    train(Recipe(**{**vars(SMALL), "seed": 1}), Run(other, threads=1, device="cpu"))
+    train(SMALL, TrainingRun(again, threads=1, device="cpu"))
+    train(TrainConfig(**{**vars(SMALL), "seed": 1}), TrainingRun(other, threads=1, device="cpu"))
     assert all(
         torch.equal(a, b) for a, b in zip(weights(whole).values(), weights(again).values(), strict=True)
     )
@@ -70,32 +70,32 @@ def test_same_seed_same_weights_other_seed_others(whole: Path, tmp_path: Path) -
 
 def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
     """With batches from a second process the weights are the same bits."""
-    train(SMALL, Run(tmp_path, threads=1, device="cpu", is_drawn_ahead=True))
+    train(SMALL, TrainingRun(tmp_path, threads=1, device="cpu", is_drawn_ahead=True))
     found = weights(tmp_path)
     assert all(torch.equal(value, found[name]) for name, value in weights(whole).items())
 
 
 def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None:
     """The second run learns on from the first, remembers it, and refuses a start that its recipe does not name."""
-    recipe = Recipe(
+    recipe = TrainConfig(
         **{**vars(SMALL), "steps": 1, "start": checkpoints.weights_sha256(whole), "max_rate": 1e-9}
     )
-    train(recipe, Run(tmp_path / "second", threads=1, device="cpu", start=whole))
+    train(recipe, TrainingRun(tmp_path / "second", threads=1, device="cpu", start=whole))
     found = checkpoints.load(tmp_path / "second")
     assert [run["steps"] for run in found.history] == [6, 1]
     name = "trunk.layer1.0.conv1.weight"
     assert torch.allclose(found.weights[name], weights(whole)[name], atol=1e-6)
     with pytest.raises(ConfigError, match="the recipe begins with"):
-        train(recipe, Run(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
+        train(recipe, TrainingRun(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
     with pytest.raises(ConfigError, match="needs their run"):
-        train(recipe, Run(tmp_path / "fourth", threads=1, device="cpu"))
+        train(recipe, TrainingRun(tmp_path / "fourth", threads=1, device="cpu"))
 
 
 def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve steps on one batch halve the geometry loss."""
     from calibration.training import train as module
 
-    recipe = Recipe.shipped(
+    recipe = TrainConfig.shipped(
         steps=12, pairs=2, side=64, precision="float32", warm_up=0.0, max_rate=2e-3, high_resolution=0.25
     )
     original = module.draw_step
@@ -109,13 +109,13 @@ def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_other_settings_are_refused(whole: Path, tmp_path: Path) -> None:
     """A resume with another margin names the setting and both values."""
-    changed = Recipe(**{**vars(SMALL), "margin": 0.5})
+    changed = TrainConfig(**{**vars(SMALL), "margin": 0.5})
     with pytest.raises(ConfigError, match=r"other settings \(margin: 0\.5, not 1\.0\)"):
-        train(changed, Run(tmp_path, resume=whole, device="cpu"))
+        train(changed, TrainingRun(tmp_path, resume=whole, device="cpu"))
     with pytest.raises(ConfigError, match="already holds a run"):
-        train(SMALL, Run(whole, device="cpu"))
+        train(SMALL, TrainingRun(whole, device="cpu"))
     with pytest.raises(ConfigError, match="no checkpoint"):
-        train(SMALL, Run(tmp_path / "x", resume=tmp_path, device="cpu"))
+        train(SMALL, TrainingRun(tmp_path / "x", resume=tmp_path, device="cpu"))
 
 
 def test_a_damaged_checkpoint_is_refused(whole: Path, tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_files_are_small_enough_to_carry(whole: Path) -> None:
 
 def test_the_rate_is_one_cycle() -> None:
     """It rises to its peak at the end of the warm-up and falls to a ten-thousandth."""
-    recipe = Recipe.shipped(steps=1000, warm_up=0.2)
+    recipe = TrainConfig.shipped(steps=1000, warm_up=0.2)
     rates = [learning_rate(recipe, step) for step in range(1001)]
     assert max(rates) == rates[200] == recipe.max_rate
     assert rates[0] == pytest.approx(0.04 * recipe.max_rate)
@@ -189,11 +189,11 @@ def test_the_rate_is_one_cycle() -> None:
 def test_recipes_refuse_nonsense(settings: dict[str, object], fault: str) -> None:
     """Sizes, counts, words and weights out of range are refused, each by its name."""
     with pytest.raises(ConfigError, match=re.escape(fault)):
-        Recipe.shipped(**settings)
+        TrainConfig.shipped(**settings)
 
 
 def test_a_recipe_from_before_a_setting_keeps_its_meaning() -> None:
     """A file that does not name them is of a run without window, with equal stages and unit features."""
-    old = Recipe.from_json('{"steps": 5, "side": 128}')
+    old = TrainConfig.from_json('{"steps": 5, "side": 128}')
     assert (old.window_mm, old.finest_weight, old.distance) == (0.0, 1.0, "cosine")
-    assert Recipe.from_json(Recipe.shipped().to_json()) == Recipe.shipped()
+    assert TrainConfig.from_json(TrainConfig.shipped().to_json()) == TrainConfig.shipped()

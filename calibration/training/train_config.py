@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from edge.core.errors import ConfigError
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["STAGES", "Distance", "Recipe"]
+__all__ = ["STAGES", "Distance", "TrainConfig"]
 
 STAGES = ("layer1", "layer2", "layer3")
 # What runs did before these settings existed, which their files do not say.
@@ -24,7 +24,7 @@ _BEFORE = {"window_mm": 0.0, "finest_weight": 1.0, "distance": "cosine", "start"
 Distance = Literal["cosine", "euclidean"]
 
 
-class Recipe(BaseModel):
+class TrainConfig(BaseModel):
     """Settings of one training run."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -72,7 +72,7 @@ class Recipe(BaseModel):
         return self
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any], what: str = "the recipe") -> "Recipe":
+    def of(cls, settings: Mapping[str, Any], what: str = "the recipe") -> "TrainConfig":
         """A recipe that states every setting. Errors: ConfigError with every fault of `what`."""
         try:
             return cls.model_validate(settings)
@@ -80,7 +80,7 @@ class Recipe(BaseModel):
             raise ConfigError(numbered(what, sentences(cls, error))) from None
 
     @classmethod
-    def shipped(cls, **changes: Any) -> "Recipe":
+    def shipped(cls, **changes: Any) -> "TrainConfig":
         """The settings of the weights that ship, with changes. Errors: ConfigError with every fault."""
         text = files("calibration.training").joinpath("shipped.toml").read_text(encoding="utf-8")
         return cls.of(tomllib.loads(text) | changes)
@@ -102,11 +102,11 @@ class Recipe(BaseModel):
         return json.dumps(self.model_dump(), sort_keys=True, indent=2)
 
     @classmethod
-    def from_json(cls, text: str) -> "Recipe":
+    def from_json(cls, text: str) -> "TrainConfig":
         """Errors: ConfigError for a setting that this program does not know."""
         return cls.shipped(**(_BEFORE | json.loads(text)))
 
-    def differences(self, other: "Recipe") -> list[str]:
+    def differences(self, other: "TrainConfig") -> list[str]:
         """`name: ours, not theirs` for every setting that differs."""
         mine, theirs = self.model_dump(), other.model_dump()
         return [f"{name}: {mine[name]}, not {theirs[name]}" for name in mine if mine[name] != theirs[name]]

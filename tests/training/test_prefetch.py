@@ -7,12 +7,12 @@ import signal
 import pytest
 import torch
 
-from calibration.training import prefetch as ahead
+from calibration.training import prefetch
 from calibration.training.prefetch import draw_step, drawn_ahead
-from calibration.training.recipe import Recipe
+from calibration.training.train_config import TrainConfig
 from edge.core.errors import GelgateError
 
-SMALL = Recipe.shipped(steps=4, pairs=1, side=64, high_resolution=0.5)
+SMALL = TrainConfig.shipped(steps=4, pairs=1, side=64, high_resolution=0.5)
 CPU = torch.device("cpu")
 
 
@@ -30,9 +30,9 @@ def test_drawn_ahead_is_drawn_in_place() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_a_dead_drawing_process_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dead_drawing_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed before its first batch, the next step says with which signal it ended."""
-    monkeypatch.setattr(ahead, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(prefetch, "_PATIENCE_S", 0.2)
     with drawn_ahead(SMALL, 0) as take:
         (drawer,) = multiprocessing.active_children()
         assert drawer.pid is not None

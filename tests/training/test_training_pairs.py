@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from calibration.simulator import gel, optics
-from calibration.simulator import sensor_appearance as look
+from calibration.simulator import gel, optics, sensor_appearance
 from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.training import render
 from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
 from calibration.training.random_sampling import draws_for
-from calibration.training.recipe import Distance, Recipe
+from calibration.training.train_config import Distance, TrainConfig
 from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs
 
 CPU = torch.device("cpu")
@@ -55,19 +54,19 @@ def test_light_agrees_with_the_simulator() -> None:
     assert np.abs(fx[0].numpy() - nx).max() < 1e-5
     assert np.abs(fy[0].numpy() - ny).max() < 1e-5
 
-    unit = look.LOOKS["unit_a"]
-    u, v = look.unit_grids(LR)
+    unit = sensor_appearance.SENSORS["unit_a"]
+    u, v = sensor_appearance.unit_grids(LR)
     u, v = torch.tensor(u.tolist()), torch.tensor(v.tolist())
     free = render.free_gel(torch.tensor(unit.free_gel.tolist())[None], u, v)
-    assert np.abs(free[0].numpy() - look.background(unit, LR)).max() < 0.01
+    assert np.abs(free[0].numpy() - sensor_appearance.background(unit, LR)).max() < 0.01
     answers = torch.tensor(unit.slope_response.tolist())[None]
     per = render.per_normal(answers, u, v)
-    lit = render.shade(fx, fy, render.Look(free, per, answers[:, :, 12:]))
+    lit = render.shade(fx, fy, render.BatchAppearance(free, per, answers[:, :, 12:]))
     expected = optics.illumination(
         nx,
         ny,
-        look.background(unit, LR),
-        look.response(unit, LR),
+        sensor_appearance.background(unit, LR),
+        sensor_appearance.response(unit, LR),
         unit.slope_response[:, 12:].astype(np.float32),
     )
     assert np.abs(lit[0].numpy() - expected).max() < 0.01
@@ -113,7 +112,7 @@ def test_changed_and_unchanged_cells_never_meet() -> None:
     """One changed pixel marks its cell; its neighbours are neither changed nor unchanged."""
     change = torch.zeros(1, 32, 32)
     change[0, 9, 9] = 0.1
-    changed, unchanged = changed_cells(change, 8, Recipe.shipped())
+    changed, unchanged = changed_cells(change, 8, TrainConfig.shipped())
     assert changed[0].nonzero().tolist() == [[1, 1]]
     assert unchanged[0].sum() == 16 - 9
     distance = torch.zeros(1, 4, 4)
@@ -182,7 +181,7 @@ def test_no_evaluated_part_scene_or_sensor_is_drawn(tmp_path: Path) -> None:
 import sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == 'open' else None)
-from calibration.simulator import defects, parts, sensor_appearance as look
+from calibration.simulator import defects, parts, sensor_appearance
 def forbidden(*args, **kwargs):
     raise AssertionError('evaluation geometry was drawn in training')
 class Guarded(dict):
@@ -191,14 +190,14 @@ parts.PARTS = Guarded(); defects.DEFECTS = Guarded()
 for name in ('_thread', '_connector', '_grooves', '_bracket', '_pinion', 'specimen'):
     assert hasattr(parts, name)
     setattr(parts, name, forbidden)
-look.random_look = forbidden
+sensor_appearance.random_appearance = forbidden
 asked = []
 class Units(dict):
     def __getitem__(self, name):
         asked.append(name)
         return dict.__getitem__(self, name)
 import calibration.training.training_pairs as presses
-presses.LOOKS = Units(look.LOOKS)
+presses.SENSORS = Units(sensor_appearance.SENSORS)
 import torch
 presses.draw_pairs(0, 'train', 0, pairs=2, side=64, device=torch.device('cpu'))
 assert set(asked) == {'unit_a', 'unit_b'}, asked
@@ -208,7 +207,7 @@ assert not [name for name in opened if '/scenes/' in name], opened
         [sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
-    assert set(TRAINING_UNITS) < set(look.LOOKS)
+    assert set(TRAINING_UNITS) < set(sensor_appearance.SENSORS)
 
 
 def test_random_parts_are_not_the_evaluated_ones() -> None:
