@@ -1,1 +1,1 @@
-"""What a backbone is judged on."""
+"""The trials that backbones are compared on, and their results."""

@@ -1,10 +1,10 @@
-"""What was tried on the way to the weights that ship, as a file that the model card prints.
+"""Training trials other than the run that ships, as a file that the model card prints.
 
-`gelgate evaluate-backbone OUT shipped=... NAME=... --set SET ...` measures trunks side by side, and
+`gelgate evaluate-backbone OUT shipped=... NAME=... --set SET ...` compares trunks, and
 
     python3 -m calibration.benchmark.ablations OUT/tactile_resnet18_evaluation.json FOLDER NAME=RUN ... --note NAME=TEXT
 
-joins its rows with the recipes of their runs into `FOLDER/tactile_resnet18_trials.json`:
+joins its rows with the settings of their runs into `FOLDER/tactile_resnet18_trials.json`:
 
 {"format": 2, "sets": {set: title}, "rows": [{"name": ..., "note": what the recipe cannot say, "before": steps of runs
 that it began with, "recipe": {...}, "measures": {set: {detector: {measure: mean over the set's trials}}}}]}.
@@ -39,7 +39,7 @@ def joined(
     unknown = sorted({*runs, *notes} - (evaluation["trunks"].keys() & runs.keys()))
     if unknown:
         raise ConfigError(
-            f"no run and trunk is named {', '.join(unknown)}; evaluated were {', '.join(evaluation['trunks'])}"
+            f"no run and trunk is named {', '.join(unknown)}; the evaluation has {', '.join(evaluation['trunks'])}"
         )
     sets = {name: of for name, of in evaluation["sets"].items() if "rows" in of}
     return {
@@ -70,15 +70,19 @@ def _row(name: str, run: Path, note: str, sets: Mapping[str, Any]) -> dict[str, 
 def main(words: Sequence[str] | None = None) -> int:
     """The command line; 0 when done, else the sentence and its exit code."""
     parser = argparse.ArgumentParser(
-        prog="calibration.benchmark.ablations", description="Write what was tried."
+        prog="calibration.benchmark.ablations", description="Write the table of training trials."
     )
-    parser.add_argument("evaluation", type=Path, help="what evaluate-backbone has written")
-    parser.add_argument("folder", type=Path, help="where the trials are written to")
+    parser.add_argument("evaluation", type=Path, help="the file written by evaluate-backbone")
+    parser.add_argument("folder", type=Path, help="output folder")
     parser.add_argument(
         "runs", nargs="+", metavar="NAME=RUN", help="a trunk of the evaluation and its run's folder"
     )
     parser.add_argument(
-        "--note", action="append", default=[], metavar="NAME=TEXT", help="what no setting says"
+        "--note",
+        action="append",
+        default=[],
+        metavar="NAME=TEXT",
+        help="a difference that no setting describes",
     )
     given = parser.parse_args(words)
     try:

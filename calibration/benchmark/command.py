@@ -12,7 +12,7 @@ __all__ = ["evaluate_backbone"]
 
 
 def evaluate_backbone(
-    out: Annotated[Path, typer.Argument(help="folder that the evaluation file is written to")],
+    out: Annotated[Path, typer.Argument(help="output folder of the evaluation file")],
     trunks: Annotated[
         list[str] | None,
         typer.Argument(
@@ -32,13 +32,13 @@ def evaluate_backbone(
         list[str] | None,
         typer.Option("--method", help="a detector to compare with; default: padim, spade, fapm, inreach"),
     ] = None,
-    trials: Annotated[int, typer.Option(help="only so many trials of each set, 0 for all", min=0)] = 0,
+    trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
-    workers: Annotated[int, typer.Option(help="trials at a time", min=1, max=64)] = 1,
+    workers: Annotated[int, typer.Option(help="trials in parallel", min=1, max=64)] = 1,
     page: Annotated[Path | None, typer.Option(help="write this page of the manual")] = None,
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
-    """Compare backbones on presses that training never draws: every table of docs/backbone.md in one run."""
+    """Compare backbones on presses that training never draws (docs/backbone.md)."""
     import os
     import sys
     from json import dumps
@@ -50,7 +50,7 @@ def evaluate_backbone(
     from calibration.benchmark.model_card import evaluation_tables
     from calibration.progress import progress
 
-    # Workers are processes of their own; several threads of linear algebra in each would fight over the cores.
+    # Workers are separate processes; several linear algebra threads in each would compete for the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _chosen_sets(tactile, screws, only or [], trials)
@@ -76,7 +76,7 @@ def evaluate_backbone(
 def _chosen_sets(
     tactile: Path | None, screws: Path | None, only: list[str], trials: int
 ) -> dict[str, "EvaluationSet"]:
-    """The sets to compare on; one that is named is brief for nobody. Errors: ConfigError for an unknown set."""
+    """The sets to compare on; a set that is named is run for every trunk. Errors: ConfigError for an unknown set."""
     from dataclasses import replace
 
     from calibration.benchmark.sets import SETS, evaluation_sets
@@ -119,7 +119,7 @@ def _named(words: list[str]) -> dict[str, str]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or "" in names:
         raise ConfigError(
-            f"every trunk needs a name of its own, found {'twice ' + ', '.join(twice) if twice else 'an empty one'}; "
+            f"every trunk needs a different name, found {'twice ' + ', '.join(twice) if twice else 'an empty one'}; "
             "write NAME=TRUNK"
         )
     return dict(pairs)

@@ -1,4 +1,4 @@
-"""Backbones side by side: the same detectors, presses and measures, on trunks that differ in their weights alone."""
+"""Compares backbones: the same detectors, presses and measures on trunks with different weights."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -148,7 +148,7 @@ def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
 
 
 def used_settings(method: str) -> dict[str, Any]:
-    """Every parameter of the method that the rows are of."""
+    """Every parameter of the method."""
     return dict(dataclasses.asdict(registry.detector(method).parameters()))
 
 
@@ -203,7 +203,7 @@ def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
 
 
 def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
-    """The measures of one detector on one trial. `foreign_out` is there where the trial has foreign frames: the share
+    """The measures of one detector on one trial. `foreign_out` is added where the trial has foreign frames: the share
     of them that score above every sound held-out press.
     """
     maps, scores = _scored(detector, taken)
@@ -222,7 +222,7 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     columns = dict(zip(_MEASURES, values, strict=True))
     if trial.is_foreign.any():
         share = (scores[trial.is_foreign] > scores[own][~label].max()).mean()
-        # The foreign frames are a handful that was picked, not drawn: an interval would promise too much.
+        # The few foreign frames were selected, not sampled: an interval would be misleading.
         columns["foreign_out"] = np.concatenate([[share], np.full(replicates, np.nan)])
     return columns
 

@@ -1,4 +1,4 @@
-"""The page about the backbone, docs/backbone.md, printed from the files beside the trunks.
+"""The page about the backbone, docs/backbone.md, printed from the files next to the trunks.
 
 `make docs` writes it, and `gelgate evaluate-backbone --page` does after a new evaluation. `tactile_resnet18.json` comes
 from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from
@@ -22,9 +22,9 @@ __all__ = ["NAME", "TRIALS_FORMAT", "card", "evaluation_tables", "page"]
 
 NAME = tactile_resnet18.name
 TRIALS_FORMAT = 2
-"""Of the file of trials; 1 held sentences and numbers without the runs they came from."""
+"""Of the trials file; format 1 held text and numbers without their runs."""
 
-# The parameters that say where a method reads and how much it keeps; the evaluation's file has them all.
+# The parameters for what a method reads and how much it keeps; the evaluation file has all of them.
 _SHOWN = (
     "taps",
     "layers",
@@ -40,7 +40,7 @@ _SHOWN = (
 
 
 def page(folder: Path) -> str:
-    """The page about the weights in a folder. Errors: ConfigError when the facts are missing or broken."""
+    """The page about the weights in a folder. Errors: ConfigError when the facts are missing or invalid."""
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text(encoding="utf-8"))
@@ -58,7 +58,7 @@ def _beside(folder: Path, what: str) -> dict[str, Any] | None:
 def card(
     facts: dict[str, Any], evaluation: dict[str, Any] | None, trials: dict[str, Any] | None = None
 ) -> str:
-    """The page as Markdown. An evaluation or trials of other weights or another format are left out."""
+    """The page as Markdown. An evaluation or trials file of other weights or another format is omitted."""
     template = _environment(facts["recipe"]).get_template("page.md.jinja")
     return template.render(
         facts=facts,
@@ -76,7 +76,7 @@ def evaluation_tables(evaluation: dict[str, Any]) -> str:
 
 
 def _environment(recipe: Mapping[str, Any]) -> Environment:
-    """The templates and what they print values with. recipe: of the run that a trial differs from."""
+    """The templates and their filters. recipe: of the run that a trial differs from."""
     found = Environment(
         loader=PackageLoader("calibration.benchmark", ""),
         undefined=StrictUndefined,
@@ -96,7 +96,7 @@ def _environment(recipe: Mapping[str, Any]) -> Environment:
 
 
 def _is_of(facts: Mapping[str, Any], evaluation: Mapping[str, Any] | None) -> bool:
-    """Whether an evaluation compared these weights: one of others lies there until the next one."""
+    """Whether an evaluation compared these weights, not earlier ones."""
     if evaluation is None or evaluation["format"] != FORMAT:
         return False
     compared = [trunk["sha256"] for trunk in evaluation["trunks"].values()]
@@ -119,9 +119,9 @@ def _short(value: Any) -> str:
 
 
 def _changes(recipe: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    """How a trial differs from the run that ships, in its settings and in what its note says."""
+    """How a trial differs from the run that ships: its settings and its note."""
     changes = [f"{k} {v}" for k, v in row["recipe"].items() if v != recipe.get(k) and k != "start"]
-    before = [f"begun with the weights of {row['before']} earlier steps"] if row["before"] else []
+    before = [f"started from the weights of {row['before']} earlier steps"] if row["before"] else []
     return "; ".join(filter(None, (row["note"], *before, ", ".join(changes)))) or "what ships"
 
 
@@ -141,7 +141,7 @@ def _number(value: float | str) -> str:
 
 
 def _training_commands(facts: Mapping[str, Any]) -> list[str]:
-    """One line per run that led to the weights; a run that was cut says after how many steps."""
+    """One line per run that led to the weights; an interrupted run says after how many steps."""
     runs = [*facts.get("before", []), {"recipe": facts["recipe"], "steps": facts["recipe"]["steps"]}]
     shipped = TrainConfig.shipped().model_dump() | {"start": None}
     lines = []

@@ -1,6 +1,7 @@
-"""Trials from pictures of real things: presses of balls with damage rendered in, foreign sensors, screws in the light.
+"""Trials from real pictures: presses of balls with rendered damage, foreign sensors, optical pictures of screws.
 
-The folders are no part of the product; their pictures are for judging alone and nothing is learnt from them that ships.
+The folders are not part of the product; their pictures are only for evaluation, and nothing that ships is trained on
+them.
 """
 
 from collections.abc import Sequence
@@ -24,24 +25,24 @@ __all__ = ["BALLS", "REGISTERED_BALLS", "ball_trial", "registered_ball_trial", "
 
 U8 = NDArray[np.uint8]
 
-# Presses of one ball each, with a picture of the free gel beside them: folders of the real tactile frames.
+# Folders of the real tactile frames: presses of one ball each, with a picture of the free gel.
 BALLS = ("rpl-cmu__gelslam/6.310mm", "rpl-cmu__gelslam/9.500mm", "skleff1994__gs_sdk/9.470mm")
-# Damage: the scatter of presses anywhere hides less; beside registered ones it would always be found.
+# Damage heights: presses at random places need more; on registered presses that damage is always found.
 _HIGH_MM, _LOW_MM = (0.05, 0.12), (0.02, 0.06)
-# Those with enough presses away from the picture's edge to be cut about the contact.
+# Balls with enough presses far from the picture's edge for a cut around the contact.
 REGISTERED_BALLS = (BALLS[0], BALLS[2])
 # Side of such a cut: 6.1 mm, which holds the whole contact of these balls.
 _SIDE_PX = 96
 _DAMAGED_PLACES = 3
-# Sum over the channels. Dirt on one of the two gels has 71, its grain and that of the other 13 at most (measured).
+# Sum over the channels. Dirt on one of the two gels has 71, the grain of both at most 13 (measured).
 _SPECK_LEVELS = 30
-# Frames of other kinds of sensor, which are no presses of this one.
+# Frames of other kinds of sensor.
 _FOREIGN = ("RavenLiang1005__UniCal/[DT9]*/*.png", "Rancho-zhao__FOTS/digit_ball/000*.png")
 _SEED = 0
 
 
 def ball_trial(data: Path, ball: str) -> Trial:
-    """Learnt presses of a ball, held-out ones, the same held-out ones with a bump rendered in, and foreign frames.
+    """Learnt presses of a ball, held-out ones, the same held-out ones with a rendered bump, and foreign frames.
 
     data: the folder of real tactile frames. Errors: DatasetError when the ball's presses are not in it.
     """
@@ -65,11 +66,11 @@ def ball_trial(data: Path, ball: str) -> Trial:
 
 
 def registered_ball_trial(data: Path, ball: str) -> Trial:
-    """The same presses cut about their contacts, so that the ball lies where it always lies, as on a fixture.
+    """The same presses cut around their contacts, so the ball is always at one place, as on a fixture.
 
-    Presses too near the picture's edge to be cut so are left out, and those beside a speck that the free gel shows: on
-    a fixture it would lie at one place and be learnt. Every held-out press is damaged at three places. Errors:
-    DatasetError as in `ball_trial`.
+    Presses too near the picture's edge are left out, and those next to a speck on the free gel: on a fixture it would
+    be at one place and be learnt. Every held-out press is damaged at three places. Errors: DatasetError as in
+    `ball_trial`.
     """
     pictures, background = _ball(data, ball)
     whole = named_presses(pictures, PROFILE, Region(0, 0, *PROFILE.size), no_contact=[background])
@@ -100,13 +101,13 @@ def registered_ball_trial(data: Path, ball: str) -> Trial:
 
 
 def _specks(background: U8) -> NDArray[np.bool_]:
-    """Where the free gel stands out from what lies half a millimetre around it."""
+    """Where the free gel differs from its surroundings of half a millimetre."""
     near, around = (cv2.GaussianBlur(background.astype(np.float32), (0, 0), sigma) for sigma in (1, 5))
     return np.asarray(np.abs(near - around).sum(axis=2) > _SPECK_LEVELS)
 
 
 def _together(presses: Sequence[NominalPresses]) -> NominalPresses:
-    """Presses of one position that were each cut at a place of its own, with the free gel there."""
+    """Presses of one position, each cut at a different place, with the free gel there."""
     touched = [press.touched for press in presses if press.touched is not None]
     free = [press.no_contact for press in presses if press.no_contact is not None]
     return NominalPresses(
@@ -137,7 +138,7 @@ def _rng(ball: str) -> np.random.Generator:
 
 
 def _about(touch: Touch) -> Region | None:
-    """The square about the middle of what is touched, None where it would leave the picture."""
+    """The square around the centre of the touched area, None where it would leave the picture."""
     width, height = PROFILE.size
     x, y = round(touch.x * width) - _SIDE_PX // 2, round(touch.y * height) - _SIDE_PX // 2
     is_inside = 0 <= x <= width - _SIDE_PX and 0 <= y <= height - _SIDE_PX
@@ -145,7 +146,7 @@ def _about(touch: Touch) -> Region | None:
 
 
 def screw_trial(data: Path) -> Trial:
-    """Screws under a camera, whole pictures shrunk to the region: sound ones learnt, sound and damaged ones scored.
+    """Screws under a camera, complete pictures scaled to the region: sound ones learnt, sound and damaged ones scored.
 
     data: a folder in MVTec's layout, with masks. Errors: DatasetError when pictures or masks are missing.
     """
@@ -194,7 +195,7 @@ def _resized(path: Path) -> U8:
 def _edited(
     rgb: U8, background: U8, region: Region, high_mm: tuple[float, float], rng: np.random.Generator
 ) -> tuple[U8, NDArray[np.bool_]]:
-    """A real press with a smooth bump or hollow of such a height on what it touches, lit as the sensor answers."""
+    """A real press with a smooth bump or hollow of this height in the contact, lit with the sensor's response."""
     difference = np.abs(rgb.astype(np.float32) - background).sum(axis=2)
     touched = cv2.blur(difference, (9, 9)) > 30
     inside = np.zeros_like(touched)

@@ -1,6 +1,6 @@
 """Simulated trials, rendered in memory: the analogues PZ1 to PZ5 and random parts, under several conditions.
 
-They come from the project's own scenes and renderer; training has other parts, other damage and another renderer.
+They use the simulator's scenes and renderer; training has other parts, other damage and another renderer.
 """
 
 import math
@@ -36,19 +36,19 @@ __all__ = [
 
 PARTS = tuple(analogues.PARTS)
 SCENE_SEED = 7001
-# Of the random parts on which the methods' settings were chosen: of the shapes, and of everything else.
+# Seeds of the random parts on which the methods' settings were chosen: for the shapes, and for everything else.
 DEVELOPMENT_SHAPES, DEVELOPMENT_SEED = 99, 4242
-# How deep random parts are pressed: as most of the analogues are.
+# Press depth of random parts: that of most analogues.
 DEVELOPMENT_DEPTH_MM = 0.4
-# The seed paper's acquisition waits so long after each picture; the robot's way back is counted as released too.
+# The seed paper's acquisition waits this long after each picture; the robot's return also counts as released.
 RELEASED_S = 3.0
-# How far that press may lie aside: a part is inspected at several positions in turn.
+# How far that press may be shifted: a part is inspected at several positions in turn.
 ELSEWHERE_MM = 3.0
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many sound pieces there are, how many of them are not learnt, presses of each, and damaged pieces."""
+    """The number of sound pieces, of held-out ones among them, of presses of each, and of damaged pieces."""
 
     pieces: int = 10
     held_out: int = 4
@@ -59,10 +59,10 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Condition:
-    """What differs from a plain gel on a sensor that training varies.
+    """The differences from a plain gel on a sensor that training varies.
 
-    effects: more than the scene calls for. learnt_at, scored_at: presses that the gel has had before. is_remembering:
-    each press carries what is left of one on another place. slide_mm_s: of scored presses, sideways, in any direction.
+    effects: added to the scene's. learnt_at, scored_at: earlier presses on the gel. is_remembering: each press has the
+    residual imprint of one at another place. slide_mm_s: of scored presses, sideways, in any direction.
     """
 
     sensor: str = "unit_b"
@@ -94,7 +94,7 @@ def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) 
 
 
 def development_trial(number: int, sizes: Sizes | None = None) -> Trial:
-    """The random part of that number: every other one placed by hand, the rest on a fixture."""
+    """The random part with that number: odd and even ones alternate between a hand and a fixture."""
     name = f"RP{number}"
     shape = random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number]))
     jitter = analogues.PARTS["PZ3" if number % 2 else "PZ5"].jitter
@@ -182,14 +182,14 @@ class _Rendered:
             yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
 
     def _velocity(self, plan: PressPlan) -> tuple[float, float] | None:
-        """Of the gel during the exposure, in mm/s; None for what the scene's own motion blur draws."""
+        """Of the gel during the exposure, in mm/s; None for the scene's own motion blur."""
         if self._is_learnt(plan) or not self.condition.slide_mm_s:
             return None
         angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
         return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
 
     def _elsewhere(self, plan: PressPlan) -> F32:
-        """The imprint of a press on another place of the part; one on the same place would hide under the next."""
+        """The imprint of a press at another place of the part; at the same place the next press would hide it."""
         rng = self.streams("elsewhere", *plan.key)
         across, down = rng.uniform(-ELSEWHERE_MM, ELSEWHERE_MM, 2).tolist()
         pose = Pose((across, down), float(rng.uniform(0, 2 * math.pi)))

@@ -1,8 +1,8 @@
-"""What a backbone is judged on: presses of parts, damage and sensors that training never draws, and real frames.
+"""The evaluation sets: presses of parts, damage and sensors that training never draws, and real frames.
 
-Every set is a list of trials that can be made in any process. Simulated ones come from `evaluation_presses`, pictures
-of real things from `evaluation_pictures`, whose folders are no part of the product. What each set says, and cannot
-say, is in `calibration/benchmark/sets.toml`.
+Every set is a list of trials that any process can make. Simulated ones come from `calibration.benchmark.presses`, real
+pictures from `calibration.benchmark.pictures`, whose folders are not part of the product. What each set shows, and what
+it cannot show, is in `calibration/benchmark/sets.toml`.
 """
 
 import tomllib
@@ -29,8 +29,8 @@ __all__ = ["SETS", "EvaluationSet", "evaluation_sets"]
 class EvaluationSet:
     """Trials whose measures are averaged.
 
-    text: what they are, and what they cannot say. is_brief: only the first backbone and random weights are compared
-    on it. missing: why there are no trials, empty when there are.
+    text: what they show, and what they cannot show. is_brief: only the first backbone and random weights are compared
+    on it. missing: why there are no trials, empty when there are some.
     """
 
     title: str
@@ -51,12 +51,12 @@ _DESCRIPTIONS = tomllib.loads(
 SETS = tuple(_DESCRIPTIONS)
 """The names of the sets, in the order of the tables."""
 
-# Three parts are enough for what the gel and the press do.
+# Three parts are enough for the effects of gel and press.
 _FEW = tuple(part for part in PARTS if part in ("PZ1", "PZ4", "PZ5"))
 
 
 def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str, EvaluationSet]:
-    """Every set by its name in `SETS`. real_tactile, screws: folders of real frames, None or absent to do without."""
+    """Every set by its name in `SETS`. real_tactile, screws: folders of real frames, None to omit their sets."""
     no_balls = _missing(real_tactile, "real tactile frames", "--tactile")
     no_screws = _missing(screws, "pictures of screws", "--screws")
     missing = {"registered-presses": no_balls, "real-presses": no_balls, "screws": no_screws}
@@ -85,4 +85,4 @@ def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str,
 def _missing(folder: Path | None, what: str, option: str) -> str:
     if folder is None:
         return f"no folder of {what} was given ({option})"
-    return "" if folder.is_dir() else f"there is no folder of {what} at the place given with {option}"
+    return "" if folder.is_dir() else f"the folder of {what} given with {option} does not exist"

@@ -1,4 +1,4 @@
-"""One trial of a backbone: what a detector learns of one position of one part, and what it then scores."""
+"""One trial of a backbone: the presses of one position that a detector learns, and the presses that it scores."""
 
 from dataclasses import dataclass
 
@@ -20,10 +20,10 @@ REGION = Region.centre(PROFILE.size)
 
 @dataclass(frozen=True)
 class Trial:
-    """What a detector learns, and what it then scores.
+    """The presses that a detector learns, and those that it scores.
 
-    frames: uint8 (n, h, w, 3). masks: bool (n, h, w), all False where nothing was done to the press. is_foreign: bool
-    (n,), frames of another kind of sensor, which have no mask and count as neither sound nor damaged.
+    frames: uint8 (n, h, w, 3). masks: bool (n, h, w), all False for an undamaged press. is_foreign: bool (n,), frames
+    of another kind of sensor, which have no mask and are neither sound nor damaged.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Exact measures of scored presses: AUROC, average precision, AU-PRO, AUPIMO, with bootstrap intervals.
 
 A score is raw and higher is more anomalous. A measure that is undefined (no defective press, no good press) is None
-with a reason, never a number and never a crash.
+with a reason.
 """
 
 from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means

@@ -1,10 +1,10 @@
-"""Recall of each defective image at a very low false-alarm rate that good images alone define.
+"""AUPIMO: recall of each defective image at a very low false-alarm rate, which good images alone define.
 
-Ref: Bertoldo et al., "AUPIMO: Redefining Visual Anomaly Detection Benchmarks with High Speed and Low Tolerance",
-BMVC 2024. The shared false-positive rate of a threshold is the mean, over good images, of the share of their pixels
-at or above it; the recall of a defective image is averaged over the logarithm of that rate between two bounds.
-Where the published code samples thresholds, this is exact: between two rates that the good pixels can reach, the
-lower one holds, so the value never flatters.
+Ref: Bertoldo et al., "AUPIMO: Redefining Visual Anomaly Detection Benchmarks with High Speed and Low Tolerance", BMVC
+2024. The shared false-positive rate of a threshold is the mean, over good images, of the share of their pixels at or
+above it; the recall of a defective image is averaged over the logarithm of that rate between two bounds. The published
+code samples thresholds; this is exact: between two rates that the good pixels can reach, the lower one is used, so the
+value is never too high.
 """
 
 import math
@@ -60,8 +60,8 @@ def _recall_table(
 ) -> tuple[Float, Float, list[int], list[int]] | None:
     """Recalls (defective, thresholds) strictly above each falling good score, and the share of one pixel there.
 
-    shares: (thresholds, good), the rate that each threshold adds in each good image. Only as many top pixels of an
-    image are kept as could carry the whole upper bound alone.
+    shares: (thresholds, good), the rate that each threshold adds in each good image. Of each image only the top pixels
+    are kept, enough to reach the upper bound alone.
     """
     check_pairs(maps, masks)
     if not 0 < bounds[0] < bounds[1] <= 1:
@@ -92,7 +92,7 @@ def _recall_above(defect_scores: NDArray[np.floating[Any]], thresholds: Float) -
 
 
 def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Float:
-    """How much of the log range each threshold is the strictest one for; (weightings, thresholds), sums to 1."""
+    """The share of the log range in which each threshold is the strictest; (weightings, thresholds), sums to 1."""
     rate = np.cumsum((weights / weights.sum(axis=1, keepdims=True)) @ shares.T, axis=1)
     low, high = (math.log(b) for b in bounds)
     # Before the k-th good score is passed, the rate is that of the scores above it.

@@ -1,9 +1,9 @@
-"""AU-PRO, exact: the official MVTec AD definition, without sorting the pixels that cannot matter.
+"""AU-PRO, exact: the official MVTec AD definition, sorting only the pixels that can matter.
 
-Ref: Bergmann et al., "The MVTec Anomaly Detection Dataset", IJCV 2021, and the evaluation code published with it.
-Every pixel outside a defect, of every image, is one false-positive count; every pixel of region k is 1/|k| of
-overlap; equal scores are one threshold; the area is the trapezoid up to the limit, linear at the limit, divided by
-the limit. All regions weigh the same, whatever their size.
+Ref: Bergmann et al., "The MVTec Anomaly Detection Dataset", IJCV 2021, and the evaluation code published with it. Every
+pixel outside a defect, of every image, is one false-positive count; every pixel of region k is 1/|k| of overlap. Equal
+scores are one threshold. The area is the trapezoid up to the limit, linear at the limit, divided by the limit. All
+regions have the same weight, whatever their size.
 """
 
 from typing import Any
@@ -22,9 +22,9 @@ AUPRO_LIMIT = 0.01
 def aupro(maps: Maps, masks: Masks, limit: float = AUPRO_LIMIT) -> float | None:
     """Area under the per-region overlap curve up to the false-positive rate `limit`, normalised to 0..1.
 
-    None when it is undefined: no defect region, or no sound pixel. Counts are int64 and areas float64, so sets of
-    any size are exact. Only scores at or above the (1 - limit) quantile of sound pixels enter the curve.
-    Errors: ValueError for a limit outside (0, 1], a non-finite map, or a mask of another size.
+    None when undefined: no defect region, or no sound pixel. Counts are int64 and areas float64, so sets of any size
+    are exact. Only scores at or above the (1 - limit) quantile of sound pixels enter the curve. Errors: ValueError for
+    a limit outside (0, 1], a non-finite map, or a mask of another size.
     """
     if not 0 < limit <= 1:
         raise ValueError(f"the integration limit lies in (0, 1], found {limit}")

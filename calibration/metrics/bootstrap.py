@@ -1,4 +1,4 @@
-"""Bootstrap replicates as weights: how often each image counts, drawn over images or over whole specimens.
+"""Bootstrap replicates as weights: how often each image counts, drawn over images or over specimens.
 
 Sound and defective units are drawn separately, so that a replicate keeps both classes; presses of one specimen
 move together, because they are not independent evidence.

@@ -1,9 +1,9 @@
-"""Pixel AUROC, average precision and AU-PRO of one set under many image weightings at once, exact for each.
+"""Pixel AUROC, average precision and AU-PRO of one set under many image weightings, exact for each.
 
-A bootstrap replicate is a weight per image. All three curves move up only at the scores of defect pixels, so it is
-enough to know, at each distinct defect score, how many sound pixels of each image lie above it and how many at or
-above it. Those counts are taken once per block of thresholds; a replicate is then a product with its weights, and
-nothing is sorted again. Memory is bounded by the block, not by the number of thresholds or replicates.
+A bootstrap replicate is a weight per image. All three curves rise only at the scores of defect pixels. So two counts
+are enough at each distinct defect score: the sound pixels of each image above it, and those at or above it. They are
+taken once per block of thresholds; a replicate is then a product with its weights, without another sort. Memory is
+bounded by the block, not by the number of thresholds or replicates.
 """
 
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ class _Defects:
 
 @dataclass
 class _Sums:
-    """What is carried from one block of thresholds to the next; each is (weightings,)."""
+    """State between blocks of thresholds; each is (weightings,)."""
 
     ranks: Float
     precision: Float

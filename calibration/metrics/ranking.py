@@ -1,4 +1,4 @@
-"""AUROC and average precision of scores; undefined cases are None, not a crash."""
+"""AUROC and average precision of scores; undefined cases are None."""
 
 from typing import Any
 
@@ -22,10 +22,10 @@ def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) ->
 
 
 def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> float | None:
-    """AUPRC as average precision: the step-wise sum, not the trapezoid, which flatters coarse scores.
+    """AUPRC as average precision: the step-wise sum, not the trapezoid, which overestimates coarse scores.
 
-    None when nothing is defective or nothing is sound. Its base rate is the defective share: never compare between
-    fields of view. Errors: ValueError.
+    None when nothing is defective or nothing is sound. Its base rate is the defective share, so values from different
+    fields of view cannot be compared. Errors: ValueError.
     """
     _check(scores)
     if is_defective.all() or not is_defective.any():

@@ -26,7 +26,7 @@ class Regions:
 
 
 def label_regions(mask: NDArray[np.bool_]) -> Regions:
-    """The 8-connected regions of one mask; diagonal neighbours belong together, so a thin scratch stays one."""
+    """The 8-connected regions of one mask; diagonal neighbours are connected, so a thin scratch is one region."""
     count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8, ltype=cv2.CV_32S)
     areas = np.bincount(labels.ravel(), minlength=count)[1:]
     return Regions(labels.astype(np.int32, copy=False), areas.astype(np.int64))

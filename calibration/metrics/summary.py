@@ -26,7 +26,7 @@ class Measure:
     """One number and how sure it is.
 
     value: None when undefined, and then `reason` says why. The intervals are 95 % percentile bootstrap intervals over
-    images and over specimens; None where they were not asked for, or where specimens are not known.
+    images and over specimens; None where they were not requested, or where specimens are not known.
     """
 
     name: str

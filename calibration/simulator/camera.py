@@ -1,7 +1,7 @@
-"""What the lens, the lamps' supply, the sensor and the camera's compression add.
+"""Effects of the lens, the lamps' supply, the sensor and the camera's compression.
 
-Planes are float32 (3, h, w) in grey levels, channel order red, green, blue. They are changed in place and returned: a
-copy for each effect would cost as much as the effect. Nothing else is touched or remembered.
+Planes are float32 (3, h, w) in grey levels, channel order red, green, blue. Each function changes them in place and
+returns them: a copy would cost as much as the effect. Nothing else changes.
 """
 
 import math
@@ -38,7 +38,7 @@ CAMERA_QUALITY = 85
 _PAD_MM = (25.25, 20.75)
 _RIM_LEVEL = 0.08
 
-# Share of light a corner of the crop loses in the lens. Assumed: it cannot be told from the lamps' own falloff.
+# Share of light a corner of the crop loses in the lens. Assumed: it cannot be separated from the lamps' own falloff.
 _CORNER_LOSS = 0.25
 
 
@@ -105,15 +105,15 @@ def motion_blur(planes: F32, velocity_mm_s: tuple[float, float], field: Field) -
 # Measured on a robot's ten runs of 100 presses: the mean level falls by 4 % over the first 6 to 7 cycles, then flat.
 _WARM_UP = 0.04
 _WARM_UP_S = 25.0
-# Slow wander that remains, per colour (assumed).
+# Slow drift that remains, per colour (assumed).
 _WANDER = 0.004
 _WANDER_S = (140.0, 380.0)
 
 
 def led_drift(planes: F32, time_s: float, rng: np.random.Generator) -> F32:
-    """The planes with the lamps' level at this time after power on: warm-up, then a slow wander of each colour.
+    """The planes with the lamps' level at this time after power on: warm-up, then a slow drift of each colour.
 
-    The generator belongs to the session, so that every frame of it sees the same wander.
+    The generator belongs to the session, so every frame of it has the same drift.
     """
     phase = rng.uniform(0, 2 * math.pi, (3, len(_WANDER_S)))
     warm = 1 + _WARM_UP * math.exp(-max(0.0, time_s) / _WARM_UP_S)
@@ -136,7 +136,7 @@ def _normal_quantiles() -> F32:
 def noise(planes: F32, rng: np.random.Generator) -> F32:
     """The planes with the sensor's noise: a fixed part and a part that grows with the root of the light.
 
-    Each value takes 16 random bits and looks its quantile up, three times as fast as drawing it exactly.
+    Each value is looked up from 16 random bits in a table of quantiles: three times as fast as an exact draw.
     """
     bits = np.frombuffer(rng.bytes(2 * planes.size), dtype="<u2").reshape(planes.shape)
     quantiles = _normal_quantiles()

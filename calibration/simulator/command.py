@@ -44,16 +44,17 @@ def simulate(
         str,
         typer.Argument(help="A scene's name or .toml file, or 'paper': the published dataset's counts."),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Where to: a new folder, or one to go on with.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output folder: new, or one to continue.")],
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal bytes.")] = 0,
     presses: Annotated[
         int | None,
         typer.Option(min=1, help="Presses of each sound piece, or of each run, in place of the scene's."),
     ] = None,
     run: Annotated[
-        str, typer.Option(help="Only this run, straight into the output folder; default: all, a folder each.")
+        str,
+        typer.Option(
+            help="Only this run, directly in the output folder; default: every run in its own folder."
+        ),
     ] = "",
     preview: Annotated[
         bool,
@@ -67,7 +68,7 @@ def simulate(
 ) -> None:
     """Simulate presses: a dataset with exact masks, or recordings of whole press motions.
 
-    An interrupted command, given again, goes on where it stopped; what is complete is not made again.
+    The same command continues an interrupted one; complete files are kept.
     """
     from calibration.simulator.scene import load_scene
     from calibration.simulator.simulate import paper_scenes

@@ -1,6 +1,6 @@
 """The numbers of the sensor model that both renderers read: NumPy in `calibration.simulator`, torch in training.
 
-What one renderer alone uses stands where it is used.
+A number that only one renderer uses is in that renderer's module.
 """
 
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
@@ -31,8 +31,8 @@ __all__ = [
 CROP_MM = (320 * MINI_LR_MM_PER_PX, 240 * MINI_LR_MM_PER_PX)
 
 # Near an edge the gel first drops steeply (the tension of its coat), then rises far out (the bulk of a pad 4.25 mm
-# thick): two relaxation lengths and the share of the long one. With these the slope around 51 real ball presses is
-# met within 2 grey levels from 0.7 mm inside the contact to 2.3 mm outside it (docs/simulator.md).
+# thick): two relaxation lengths and the share of the long one. With these the slope around 51 real ball presses agrees
+# within 2 grey levels from 0.7 mm inside the contact to 2.3 mm outside it (docs/simulator.md).
 SHORT_MM, LONG_MM, LONG_SHARE = 0.25, 1.1, 0.55
 # The coat is stiff over this length: finer detail than this never shows. About a pixel at 640x480.
 COAT_SIGMA_MM = 0.035

@@ -1,4 +1,4 @@
-"""Scenes as a dataset in the published layout, written so that an interrupted run goes on where it was cut.
+"""Scenes as a dataset in the published layout; an interrupted run continues where it stopped.
 
     dataset.json                        version, seed, scenes, counts, faults
     <part>/<position>/rgb               1280x720 sound presses (where the scene has the mode hr)
@@ -6,7 +6,7 @@
     <part>/<position>/fault/...         the same two, and mask, mask_320x240: 0 sound, 255 where the imprint differs
 
 Files are named <part>_<position>_s<specimen>_p<press>.png; a mask has the name of its picture. Every file is written
-beside its place and moved there, so a file that exists is whole, and is not made again.
+under a temporary name and then renamed, so a file that exists is complete and is kept.
 """
 
 import hashlib
@@ -55,9 +55,9 @@ class _Task:
 def write_dataset(
     scenes: Sequence[Scene], folder: Path, seed: int, *, workers: int = 1, progress: Progress | None = None
 ) -> Path:
-    """Write the scenes' presses under `folder` and return it. What is there already and whole is kept.
+    """Write the scenes' presses under `folder` and return it. Complete files are kept.
 
-    Errors: DatasetError when the folder holds something else than this dataset, StoreError when the disk refuses.
+    Errors: DatasetError when the folder holds anything but this dataset, StoreError when the disk refuses.
     """
     plans = {scene: dataset_plan(scene, seed) for scene in scenes}
     summary = _summary(plans, seed)
@@ -78,7 +78,7 @@ def write_dataset(
     except OSError as error:
         raise StoreError(
             f"dataset {folder} stops after {done} of {total} presses: {error.strerror}; "
-            "what is there is kept, free some space and run the same command again"
+            "they are kept; free some space and run the same command again"
         ) from error
     return folder
 
@@ -128,7 +128,7 @@ def _text(summary: Mapping[str, object]) -> bytes:
 def _begin(folder: Path, summary: Mapping[str, object]) -> None:
     path = folder / SUMMARY_FILE
     if folder.exists() and not folder.is_dir():
-        raise DatasetError(f"{folder} is a file, where a folder is expected; choose another name")
+        raise DatasetError(f"{folder} is a file, a folder is expected; choose another name")
     if not folder.exists() or not any(folder.iterdir()):
         folder.mkdir(parents=True, exist_ok=True)
         _write(path, _text(summary))
@@ -141,8 +141,8 @@ def _begin(folder: Path, summary: Mapping[str, object]) -> None:
         ) from None
     if {**found, "complete": False} != json.loads(_text(summary)):
         raise DatasetError(
-            f"{folder} holds a dataset of other scenes, another seed or other numbers (seed {found.get('seed')}); "
-            "give the same command to go on with it, or choose another folder"
+            f"{folder} holds a dataset of other scenes, another seed or other counts (seed {found.get('seed')}); "
+            "give the same command to continue it, or choose another folder"
         )
 
 
@@ -217,12 +217,12 @@ def _png(picture: U8) -> bytes:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """The whole file or none: what is moved into place is complete."""
+    """Write the complete file or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # A fixed name: what a killed run left is overwritten when its file is made again.
-    beside = path.with_name(f".{path.name}.part")
+    # A fixed name: the rest of a killed run is overwritten.
+    temporary = path.with_name(f".{path.name}.part")
     try:
-        beside.write_bytes(content)
-        os.replace(beside, path)
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

@@ -39,13 +39,13 @@ class Defect:
 
     @property
     def width(self) -> float:
-        """By how much a typical width is multiplied."""
+        """The factor on a typical width."""
         return self.size * (0.5 + 0.5 * math.sqrt(self.severity))
 
 
 @dataclass(frozen=True)
 class Damaged:
-    """A part with a defect; a part like any other."""
+    """A part with a defect; it can be used as any other part."""
 
     part: HeightField
     defect: Defect
@@ -88,7 +88,7 @@ def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
 
 
 def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
-    """A ragged ridge up to 0.22 mm high along an edge, with metal standing only where there was metal."""
+    """A ragged ridge up to 0.22 mm high along an edge, only where there was metal."""
     d = piece.defect
     rng = np.random.default_rng(d.seed)
     length, width = 1.1 * d.width, 0.16 * d.width
@@ -114,7 +114,7 @@ def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
 
 
 def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
-    """What stood highest is pressed down to a plane up to 0.4 mm lower, over 2 x 1.2 mm, with a little spread metal."""
+    """The highest relief is pressed down to a plane up to 0.4 mm lower, over 2 x 1.2 mm, with a little spread metal."""
     d = piece.defect
     top = np.float32(piece.top(0.9 * d.size))
     inside = ramp((1.25 - np.abs(along) / np.float32(1.1 * d.width)) * 3)
@@ -124,7 +124,7 @@ def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F3
 
 
 def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
-    """A rubbed patch: up to 0.12 mm gone from whatever stands high, and parallel grinding marks."""
+    """A rubbed patch: up to 0.12 mm removed from the highest relief, and parallel grinding marks."""
     d = piece.defect
     rng = np.random.default_rng(d.seed)
     r = np.sqrt((along / np.float32(1.7)) ** 2 + across**2) / np.float32(0.95 * d.width)
@@ -195,17 +195,17 @@ DEFECTS: Mapping[str, Change] = {
 # Half of the side of the 224 pixel region that is inspected, less the reach of a defect.
 _INSPECTED_HALF_MM = 6.2
 
-# Placing looks at the part this coarsely; a defect is wider.
+# Placing samples the part at this coarse spacing; a defect is wider.
 _COARSE = Field((128, 128), (0.11, 0.11))
 
 
 def place_defect(
     kind: str, severity: float, part: HeightField, depth_mm: float, rng: np.random.Generator
 ) -> Defect:
-    """A defect of this kind on a spot that the nominal press touches well, inside the inspected region.
+    """A defect of this kind where the nominal press has good contact, inside the inspected region.
 
-    The spot lies where the part stands among the higher half of what is touched; burrs, scratches and flattened
-    crests follow the edge that runs there, other kinds lie anyhow. Errors: ValueError when nothing is touched.
+    The spot is in the higher half of the touched area. Burrs, scratches and flattened crests follow the edge that runs
+    there; other kinds have any direction. Errors: ValueError when nothing is touched.
     """
     height = sample(part, Pose(), _COARSE)
     x, y = grids(_COARSE)

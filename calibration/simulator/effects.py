@@ -1,4 +1,4 @@
-"""The effects that a scene can call for. One that a scene does not name is not computed and draws nothing."""
+"""The effects that a scene can name. An effect that it does not name is not computed and draws no random numbers."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -55,15 +55,15 @@ EFFECTS: Mapping[str, Effect] = {
 DEFAULT_EFFECTS = tuple(
     name for name in EFFECTS if name not in ("partial_contact", "markers", "residual_imprint")
 )
-"""What a plain gel, firmly pressed and given time between presses, calls for."""
+"""The effects of a plain gel that is pressed firmly, with enough time between presses."""
 
 
 def chosen(names: Iterable[str]) -> frozenset[str]:
     """The names as a set. Errors: ValueError naming every unknown one with the nearest known name."""
-    asked = frozenset(names)
+    named = frozenset(names)
     unknown = [
-        f"no effect is named '{name}'; {suggestion(name, EFFECTS)}" for name in sorted(asked - set(EFFECTS))
+        f"no effect is named '{name}'; {suggestion(name, EFFECTS)}" for name in sorted(named - set(EFFECTS))
     ]
     if unknown:
         raise ValueError(" ".join(unknown))
-    return asked
+    return named

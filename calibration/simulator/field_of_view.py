@@ -43,14 +43,14 @@ class Field:
 
 
 LR = Field((320, 240), (MINI_LR_MM_PER_PX, MINI_LR_MM_PER_PX))
-# The 16:9 picture shows the same 4:3 piece of gel: a circle becomes an ellipse, as in the published dataset.
+# The 16:9 picture shows the same 4:3 area of gel: a circle becomes an ellipse, as in the published dataset.
 HR = Field((1280, 720), (CROP_MM[0] / 1280, CROP_MM[1] / 720))
 
 
 def native_field(reduction: int = 4) -> Field:
     """The camera's whole frame, gel rim included, at 1/reduction of its resolution.
 
-    A gateway decodes the frame at that reduction anyhow, so rendering finer would be thrown away.
+    A gateway decodes the frame at that reduction, so finer rendering would be lost.
     """
     if reduction not in (1, 2, 4, 8):
         raise ValueError(f"a reduction is 1, 2, 4 or 8, found {reduction}")

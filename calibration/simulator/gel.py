@@ -1,4 +1,4 @@
-"""How the gel gives way: membranes on an elastic bed, stretched over the part, and the imprint that stays."""
+"""How the gel deforms: membranes on an elastic bed, stretched over the part, and the residual imprint."""
 
 import math
 
@@ -23,10 +23,10 @@ def deformation(obstacle_mm: F32, field: Field) -> F32:
     """The gel's surface over a rigid part, in mm towards the camera, float32 (h, w).
 
     The mean of two stretched membranes on a bed of springs: away from the part z - L^2 (laplacian of z) = 0, on the
-    part z = obstacle, nowhere below it; L is 0.25 and 1.1 mm. Source: the obstacle problem of a Winkler membrane,
-    with the pyramid and the restored contact that the Taxim simulator uses for the same purpose. The sweeps' steps
-    round the corner at an edge: the surface there lies up to a tenth of the height lower than the formula says, at
-    every resolution alike; the lengths were chosen with that in.
+    part z = obstacle, nowhere lower; L is 0.25 and 1.1 mm. Source: the obstacle problem of a Winkler membrane, with the
+    pyramid and the restored contact of the Taxim simulator. The sweeps round the corner at an edge: there the surface
+    is up to a tenth of the height lower than the formula gives, at every resolution. The lengths were chosen with this
+    included.
     """
     if not obstacle_mm.any():
         return obstacle_mm.copy()
@@ -72,7 +72,7 @@ def _blur(image: F32, sigma_mm: float, spacing: tuple[float, float]) -> F32:
 
 
 def residual_imprint(surface_mm: F32, previous_mm: F32, since_release_s: float) -> F32:
-    """The surface with what is left of the previous press: 12 % of it at once, half of that gone within a second.
+    """The surface with the rest of the previous press: 12 % of it at release, half of that after a second.
 
     Measured on three public videos: 6 to 25 % of the contact signal remains after 0.5 s, 5 to 19 % after 2 to 3 s.
     """

@@ -1,6 +1,6 @@
-"""What is on the gel itself: dust, wear, the grain of the paint, and the dots of a marker gel.
+"""Marks on the gel: dust, wear, the grain of the paint, and the dots of a marker gel.
 
-Everything here stays in its place from press to press, as it does on a real cartridge; dust and wear only grow.
+All of them stay in place from press to press, as on a real cartridge; dust and wear only increase.
 """
 
 import math
@@ -34,7 +34,7 @@ __all__ = [
 # Specks settle anywhere on the pad, inside the crop and a little beyond.
 _SPREAD_MM = (1.25 * CROP_MM[0] / 2, 1.25 * CROP_MM[1] / 2)
 
-# A new gel already carries 1 to 10 specks (counted on four units); a grain is caught about every 60 presses (assumed).
+# A new gel already carries 1 to 10 specks (counted on four units); about every 60 presses one grain is added (assumed).
 _FIRST_SPECKS = 5.0
 _PRESSES_PER_SPECK = 60.0
 _MOST_SPECKS = 80
@@ -42,13 +42,14 @@ _MOST_SPECKS = 80
 
 @dataclass(frozen=True, eq=False)
 class Dust:
-    """Grains on one gel: x, y, radius, height in mm and the press at which each came, float64 (n, 5), oldest first."""
+    """Grains on one gel: x, y, radius, height in mm and the press at which each appeared, float64 (n, 5), oldest
+    first."""
 
     grains: NDArray[np.float64]
 
 
 def new_dust(rng: np.random.Generator) -> Dust:
-    """The grains that one gel will ever catch: 0.03 to 0.1 mm across the radius, 0.01 to 0.05 mm high."""
+    """All grains that one gel collects in its life: 0.03 to 0.1 mm across the radius, 0.01 to 0.05 mm high."""
     n = _MOST_SPECKS
     first = int(np.clip(rng.poisson(_FIRST_SPECKS), 1, 10))
     came = np.concatenate([np.zeros(first), np.cumsum(rng.exponential(_PRESSES_PER_SPECK, n - first))])
@@ -65,12 +66,12 @@ def new_dust(rng: np.random.Generator) -> Dust:
 
 
 def marks_at(marks: NDArray[np.float64], presses: int) -> int:
-    """How many of the marks are there after so many presses; the last column says when each came."""
+    """How many of the marks exist after this many presses; the last column says when each appeared."""
     return int(np.searchsorted(marks[:, -1], presses, side="right"))
 
 
 def dust_relief(of: Dust, presses: int, field: Field) -> F32:
-    """The grains that are there after so many presses, as bumps in mm, float32 (h, w)."""
+    """The grains after this many presses, as bumps in mm, float32 (h, w)."""
     relief = np.zeros(field.shape, dtype=np.float32)
     x, y = grids(field)
     for gx, gy, radius, height, came in of.grains.tolist():
@@ -104,7 +105,7 @@ _MOST_MARKS = 60
 
 @dataclass(frozen=True, eq=False)
 class GelWear:
-    """What presses do to one gel, oldest first.
+    """The damage of presses to one gel, oldest first.
 
     scratches: float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press. stains: float64 (n, 5): x, y mm,
     radius mm, share of light lost, press.
@@ -115,7 +116,7 @@ class GelWear:
 
 
 def new_wear(rng: np.random.Generator) -> GelWear:
-    """The marks that one gel will ever get: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains."""
+    """All marks that one gel gets in its life: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains."""
     n = _MOST_MARKS
     place = np.array(_SPREAD_MM) * 0.75
     scratches = np.column_stack(
@@ -144,7 +145,7 @@ _SCRATCH_HALF_WIDTH_MM = 0.05
 
 
 def wear_relief(of: GelWear, presses: int, field: Field) -> F32:
-    """The scratches that are there after so many presses, as shallow furrows in mm (negative), float32 (h, w)."""
+    """The scratches after this many presses, as shallow furrows in mm (negative), float32 (h, w)."""
     relief = np.zeros(field.shape, dtype=np.float32)
     x, y = grids(field)
     for sx, sy, turn, length, depth, came in of.scratches.tolist():
@@ -165,13 +166,13 @@ def wear_relief(of: GelWear, presses: int, field: Field) -> F32:
 
 
 def wear_stains(of: GelWear, presses: int, field: Field) -> F32:
-    """The share of light that the coat still returns after so many presses, float32 (h, w), 1 where it is new."""
+    """The share of light that the coat still returns after this many presses, float32 (h, w), 1 where it is new."""
     keeps = np.ones(field.shape, dtype=np.float32)
     x, y = grids(field)
     for sx, sy, radius, lost, came in of.stains.tolist():
         if came > presses:
             break
-        # A stain darkens for as long again as it took to appear.
+        # A stain that appeared at press n is fully dark at press 2n.
         share = min(1.0, (presses - came) / max(came, 1.0))
         r2 = (x - np.float32(sx)) ** 2 + (y - np.float32(sy)) ** 2
         keeps *= np.float32(1) - np.float32(lost * share) * reproducible_math.exp(
@@ -213,7 +214,7 @@ def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
 _DOT_PITCH_MM = ((320 - 48) / 8 * MINI_LR_MM_PER_PX, (240 - 48) / 6 * MINI_LR_MM_PER_PX)
 _DOT_RADIUS_MM = 6 * MINI_LR_MM_PER_PX
 _DOT_KEEPS = 0.22
-# Dots move out of the way of a bulge by about this share of its depth (judged from the maker's marker video).
+# Dots move away from a bulge by about this share of its depth (estimated from the maker's marker video).
 _DOT_SPREAD_MM = 0.5
 
 

@@ -1,4 +1,4 @@
-"""The motion of one press in time: how deep the part is, and how fast the gel still slides, at every frame."""
+"""The motion of one press in time: the depth of the part and the sliding speed of the gel at every frame."""
 
 import math
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ __all__ = ["Moment", "Phase", "PressMotion"]
 
 Phase = Literal["idle", "approach", "press", "settle", "hold", "lift"]
 
-# A gel gives way a little more after the robot has stopped: 3 % of the depth, gone with this time constant (assumed).
+# A gel yields a little more after the robot has stopped: 3 % of the depth, with this time constant (assumed).
 _CREEP = 0.03
 _CREEP_S = 0.06
-# Sideways speed at the end of the stroke, dying away while the press settles (assumed).
+# Sideways speed at the end of the stroke; it decays while the press settles (assumed).
 _SLIDE_MM_S = 3.0
 
 
 @dataclass(frozen=True)
 class Moment:
     """One frame's moment. time_s: since the press's first frame. depth: share of the commanded depth, 0 to 1.
-    slide_mm_s: sideways speed of the gel. since_release_s: time since the previous press let go."""
+    slide_mm_s: sideways speed of the gel. since_release_s: time since the previous press was released."""
 
     time_s: float
     phase: Phase

@@ -1,7 +1,7 @@
 """How light makes a picture of the gel's surface: slopes, three lights, their shadows and their gloss.
 
-Planes are float32 (3, h, w) in grey levels 0 to 255, channel order red, green, blue; what adds to them changes them in
-place and returns them.
+Planes are float32 (3, h, w) in grey levels 0 to 255, channel order red, green, blue; a function that adds to them
+changes them in place and returns them.
 """
 
 import cv2
@@ -37,7 +37,7 @@ def normals(surface_mm: F32, field: Field) -> tuple[F32, F32]:
 
 
 def headlight(nx: F32, ny: F32) -> F32:
-    """What is seen where a scene names no lights: a white lamp at the camera on a Lambertian coat."""
+    """The picture when a scene names no lights: a white lamp at the camera on a Lambertian coat."""
     level = np.float32(_HEADLIGHT_LEVEL) * cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
     return np.stack([level, level, level]).astype(np.float32, copy=False)
 
@@ -45,9 +45,9 @@ def headlight(nx: F32, ny: F32) -> F32:
 def illumination(nx: F32, ny: F32, free_gel: F32, per_normal: F32, curvature: F32) -> F32:
     """Three coloured lights from three sides, falling off across the gel.
 
-    free_gel: planes of the untouched gel. per_normal: float32 (3, 2, h, w), grey levels per nx and ny. curvature:
-    (3, 3), grey levels per nx^2, ny^2 and nx ny. Source: photometric stereo, linear in the normal with a quadratic
-    part; the tables are fits to real ball presses (see `look`).
+    free_gel: planes of the untouched gel. per_normal: float32 (3, 2, h, w), grey levels per nx and ny. curvature: (3,
+    3), grey levels per nx^2, ny^2 and nx ny. Source: photometric stereo, linear in the normal with a quadratic part;
+    the tables are fits to real ball presses (see `sensor_appearance`).
     """
     squares = (nx * nx, ny * ny, nx * ny)
     planes = np.empty_like(free_gel)
@@ -66,13 +66,13 @@ _SHADOW_KEEPS = 0.65
 
 
 def shadows(planes: F32, surface_mm: F32, field: Field) -> F32:
-    """The planes with each light's cast shadow: a point darkens where the surface towards that light hides it.
+    """The planes with each light's cast shadow: a point is darker where the surface between it and the light hides it.
 
     Source: height-field ray marching with the rise of one ray per light; the three lights are axis-parallel.
     """
     if not surface_mm.any():
         return planes
-    # A shadow is soft, so half resolution tells it.
+    # A shadow is soft, so half resolution is enough.
     half = (max(2, field.size[0] // 2), max(2, field.size[1] // 2))
     height = np.asarray(cv2.resize(surface_mm, half, interpolation=cv2.INTER_AREA), dtype=np.float32)
     for plane, (dx, dy) in zip(planes, LIGHTS, strict=True):
@@ -112,8 +112,8 @@ _GLOSS_LEVEL = 22.0
 def specular(planes: F32, nx: F32, ny: F32) -> F32:
     """The planes with each light's gloss: grey levels where the normal halves the angle between light and camera.
 
-    Source: Blinn's half-vector lobe, exponent 8, at most 22 grey levels. What flat gel reflects is already in its
-    colour, so only the change is added. Strength is judged by eye on real threads.
+    Source: Blinn's half-vector lobe, exponent 8, at most 22 grey levels. The reflection of flat gel is already in its
+    colour, so only the change is added. The strength is estimated by eye on real threads.
     """
     nz = cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
     half_z = np.float32((1 - GLOSS_TILT**2) ** 0.5)

@@ -1,8 +1,8 @@
-"""Analogues of the five inspected parts, as height maps that can be asked at any resolution.
+"""Analogues of the five inspected parts, as height maps for any resolution.
 
-Each is a pure function of x and y in mm, 0 at its highest nominal point. They stand for kinds of parts (a thread, a
-fitting, grooves with a tooth, two small hand-placed pieces); their sizes are chosen to fit the sensor's view, and
-are not those of any real component.
+Each is a pure function of x and y in mm, 0 at its highest nominal point. They represent kinds of parts: a thread, a
+fitting, grooves with a tooth, two small hand-placed pieces. Their sizes fit the sensor's view and are not those of a
+real component.
 """
 
 import math
@@ -38,7 +38,7 @@ _THREAD_START_MM = -5.6
 
 
 def _thread(turn: float) -> HeightField:
-    """An external thread lying with its axis up and down, seen after a turn (in revolutions) about that axis."""
+    """An external thread with its axis vertical in the picture, after a turn (in revolutions) about that axis."""
 
     def height(x_mm: F32, y_mm: F32) -> F32:
         side = np.clip(x_mm / np.float32(_THREAD_RADIUS_MM), -1, 1)
@@ -124,7 +124,7 @@ def _pinion(x_mm: F32, y_mm: F32) -> F32:
     return f32(np.where(bore < 0, np.minimum(height, -np.float32(1.5)), height))
 
 
-# Parts on a fixture come back within about a tenth of a millimetre; parts placed by hand within a few tenths.
+# A fixture repeats a part's place within about 0.1 mm; a hand within a few tenths of a millimetre.
 _FIXTURE = Jitter(0.12, 0.7, 0.3, 0.05)
 _BY_HAND = Jitter(0.35, 3.0, 0.6, 0.08)
 

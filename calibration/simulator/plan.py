@@ -1,7 +1,7 @@
-"""What a scene amounts to, press by press, before anything is rendered: pieces, damage, order, gel and time.
+"""The list of presses of a scene, before anything is rendered: pieces, damage, order, gel and time.
 
-A plan is a pure function of scene and seed. Nothing in it depends on how many workers render it, or on where a run
-was cut and resumed.
+A plan is a pure function of scene and seed. It does not depend on the number of workers, or on where a run was
+interrupted and resumed.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def piece(plan: PressPlan, streams: Streams) -> Specimen:
     return specimen(PARTS[plan.part].positions[plan.position], streams("specimen", plan.part, plan.specimen))
 
 
-# Severe enough to be marked: an imprint change over so many LR pixels of the placement's coarse look.
+# Severe enough to be marked: the imprint changes over this many LR pixels of the coarse rendering for placement.
 _LEAST_MASK_PX = 6
 _TRIES = 8
 _LOOK = Field((224, 224), LR.mm_per_px)
@@ -68,8 +68,8 @@ _LOOK = Field((224, 224), LR.mm_per_px)
 def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Streams) -> Defect | None:
     """The defect of that piece at that position, None for a sound one; where it lies depends on the piece alone.
 
-    A spot where the imprint would not show it is tried again, at most 8 times; a defect of next to no severity shows
-    nowhere, and is then left where it is.
+    Where the imprint does not show it, another spot is tried, at most 8 times. A defect of almost no severity shows
+    nowhere and stays at the last spot.
     """
     if not plan.kind:
         return None
@@ -103,7 +103,7 @@ def placed_damage(
     mask_depth_mm: float,
     rng: np.random.Generator,
 ) -> Defect:
-    """A defect on a sound shape, where its imprint shows it if a few tries find such a spot."""
+    """A defect on a sound shape, at a spot where the imprint shows it, if a few tries find one."""
     look = Renderer(_LOOK, ("deformation",))
     for _ in range(_TRIES):
         defect = place_defect(kind, severity, sound, depth_mm, rng)
@@ -116,7 +116,7 @@ def placed_damage(
 def dataset_plan(scene: Scene, seed: int) -> list[PressPlan]:
     """Every press of a dataset, position by position, in the order in which they would be acquired.
 
-    Sound and damaged pieces are mixed, so that wear and drift tell nothing about damage. A damaged piece is pressed
+    Sound and damaged pieces are mixed, so wear and drift carry no information about damage. A damaged piece is pressed
     once at each position, where it carries one defect, until `defects.images` pictures exist.
     """
     if scene.nominal is None:

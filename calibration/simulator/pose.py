@@ -1,4 +1,4 @@
-"""Where the part lies under the gel, and how far a press departs from the robot's command."""
+"""The part's place under the gel, and how much a press differs from the robot's command."""
 
 import math
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ class Jitter:
 def pose_jitter(pose: Pose, jitter: Jitter, rng: np.random.Generator) -> Pose:
     """The pose of one press: shift, turn, tilt and depth, each normal about the command, cut at 2.5 sd.
 
-    Sizes are assumed from what robots and hands repeat, not measured on this sensor.
+    Sizes are assumed from the repeatability of robots and hands, not measured on this sensor.
     """
     dx, dy, turn, tx, ty, depth = np.clip(rng.standard_normal(6), -2.5, 2.5).tolist()
     tilt = math.tan(math.radians(jitter.tilt_deg))
@@ -60,7 +60,7 @@ def pose_jitter(pose: Pose, jitter: Jitter, rng: np.random.Generator) -> Pose:
 
 
 def partial_contact(pose: Pose, rng: np.random.Generator) -> Pose:
-    """The same pose leaning over by 0.5 to 2 degrees to one side, so that the other side leaves the gel.
+    """The same pose tilted by 0.5 to 2 degrees to one side, so that the other side loses contact.
 
     Real thread imprints taper off towards one end in this way (seen on public frames of three threads).
     """
@@ -82,5 +82,5 @@ def sample(part: HeightField, pose: Pose, field: Field) -> F32:
 
 
 def contact(height: F32, depth_mm: float) -> F32:
-    """How deep the rigid part would enter an infinitely soft gel, in mm: the obstacle that the gel must clear."""
+    """How deep the rigid part would enter an infinitely soft gel, in mm: the obstacle for the gel."""
     return np.asarray(np.maximum(height + np.float32(depth_mm), np.float32(0)), dtype=np.float32)

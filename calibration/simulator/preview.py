@@ -79,7 +79,7 @@ def _damaged(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
 
 
 def _effects(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
-    """Every effect added to those before it, and what it changed."""
+    """Every effect added to the previous ones, and the change it makes."""
     names: tuple[str, ...] = ()
     before = _one(scene, seed, names)
     yield before, "no effect"
@@ -91,7 +91,7 @@ def _effects(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
         yield after, f"+ {name}"
         yield np.clip(change, 0, 255).astype(np.uint8), f"change by {name}, x{_MAGNIFIED}"
         if name == "markers":
-            # Dots would hide what follows.
+            # Dots would hide the later effects.
             names = names[:-1]
             after = _one(scene, seed, names)
         before = after
@@ -103,9 +103,9 @@ def _one(scene: Scene, seed: int, names: tuple[str, ...]) -> U8:
     placed = renderer.place(Pose(), key)
     depth = scene.press_depth_mm * placed.depth_factor
     imprint = renderer.imprint(sample(PARTS[scene.part].positions[scene.at[0]], placed, LR), depth)
-    # The previous press lay a little to the side, so that what it left is seen.
-    beside = np.roll(imprint, 40, axis=1)
-    surface = renderer.surface(imprint, _WORN, (beside, 0.5))
+    # The previous press is shifted a little, so that its residual imprint is visible.
+    previous = np.roll(imprint, 40, axis=1)
+    surface = renderer.surface(imprint, _WORN, (previous, 0.5))
     return renderer.expose(renderer.light(surface, _WORN), key, Exposure(0, 5.0, (3.0, 2.0)))
 
 

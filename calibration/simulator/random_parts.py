@@ -1,8 +1,8 @@
-"""Random parts: for training, and for tests that must not be tuned to five shapes.
+"""Random parts, for training and for tests that must not be tuned to five shapes.
 
-None of them is, or contains, one of the analogues in `parts`: there is no helical thread, no slotted ring with a
-bore, no row of grooves beside a tooth, no pinion and no plate with an eye and a rib. Ridges here are straight, wavy
-or crossed with rounded crests, never a 60 degree profile round a cylinder.
+None of them is, or contains, one of the analogues in `parts`. There is no helical thread, slotted ring with a bore, row
+of grooves with a tooth, pinion, or plate with an eye and a rib. Ridges are straight, wavy or crossed with rounded
+crests, never a 60 degree profile round a cylinder.
 """
 
 import math
@@ -23,7 +23,7 @@ Relief = Callable[[F32, F32], F32]
 
 @dataclass(frozen=True)
 class RandomPart:
-    """One random part. body: an outline with a flat, domed or slanted top; features: what stands on it or is cut in."""
+    """One random part. body: an outline with a flat, domed or slanted top; features: relief that is added or cut in."""
 
     body: HeightField
     features: tuple[Relief, ...]
@@ -36,14 +36,14 @@ class RandomPart:
         height = self.body(x, y)
         for feature in self.features:
             height = height + feature(x, y)
-        # The highest point that can occur is 0, as with every part.
+        # The highest possible point is 0, as for every part.
         return f32(np.clip(height, FLOOR_MM, 0))
 
 
 def random_part(rng: np.random.Generator) -> RandomPart:
     """A part 4 to 20 mm across with one to four features, somewhere under the gel.
 
-    The features' heights lie between 0.05 and 0.6 mm: what a press of about 0.4 mm shows.
+    The features' heights lie between 0.05 and 0.6 mm: a press of about 0.4 mm shows them.
     """
     half = (float(rng.uniform(2.0, 10.0)), float(rng.uniform(2.0, 8.0)))
     body = _BODIES[rng.integers(len(_BODIES))](half, rng)
@@ -71,7 +71,7 @@ def _slab(half: Half, rng: np.random.Generator) -> HeightField:
 
 
 def _barrel(half: Half, rng: np.random.Generator) -> HeightField:
-    """A lying cylinder or a flat ellipsoid, smooth."""
+    """A cylinder on its side or a flat ellipsoid, smooth."""
     radius, length, bow = float(rng.uniform(2, 15)), half[1], float(rng.choice([0.0, 0.0, 0.02, 0.05]))
 
     def height(x: F32, y: F32) -> F32:

@@ -1,7 +1,7 @@
 """How far simulated frames are from real ones, in figures: `python -m calibration.simulator.realism FOLDER`.
 
-FOLDER holds public frames of real sensors and is no part of the product; docs/simulator.md keeps the figures. Three
-comparisons: the free gel, 51 presses of one ball with labelled circles simulated at the same places, and threads.
+FOLDER holds public frames of real sensors and is not part of the product; docs/simulator.md has the figures. Three
+comparisons: the free gel, 51 presses of one ball simulated at the same places, and threads.
 """
 
 import sys
@@ -28,11 +28,11 @@ __all__ = ["BANDS", "BallFigures", "ball_figures", "histogram_overlap", "levels"
 BANDS = ((0.25, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 7.5))
 """Bands of the gradient spectrum in cycles per mm; 7.9 is the finest that 320x240 can show."""
 
-# Distance to the labelled circle in mm at which the signal is told, negative inside.
+# Distance to the labelled circle in mm at which the signal is compared, negative inside.
 EDGE_MM = np.arange(-1.2, 2.4, 0.3)
 
 _BALL_MM = 9.47
-# A pressed gel lifts beside the ball, so the ball went deeper than the labelled circle's cap by about this factor.
+# A pressed gel lifts around the ball, so the ball went deeper than the labelled circle's cap by about this factor.
 _DEEPER = 1.2
 
 
@@ -51,7 +51,7 @@ def levels(rgb: F32) -> NDArray[np.float64]:
 
 
 def histogram_overlap(one: F32, other: F32) -> NDArray[np.float64]:
-    """Per channel: the share that two histograms have in common, bins of 4 levels from -256 to 256; float64 (3,)."""
+    """Per channel: the overlap of two histograms, bins of 4 levels from -256 to 256; float64 (3,)."""
     edges = np.arange(-256, 257, 4)
     shares = []
     for c in range(3):
@@ -63,7 +63,7 @@ def histogram_overlap(one: F32, other: F32) -> NDArray[np.float64]:
 def spectrum(rgb: F32, window: tuple[slice, slice] = (slice(None), slice(None))) -> NDArray[np.float64]:
     """Rms of the grey picture's gradient in each of BANDS, grey levels per mm, float64 (len(BANDS),).
 
-    window: the part of the picture that is looked at; it is tapered at its sides.
+    window: the part of the picture that is used; it is tapered at its sides.
     """
     grey = rgb.mean(axis=2)[window].astype(np.float64)
     taper = np.hanning(grey.shape[0])[:, None] * np.hanning(grey.shape[1])[None]
@@ -92,7 +92,7 @@ class BallFigures:
 
 
 def _presses(folder: Path) -> Iterator[tuple[F32, tuple[float, float], float]]:
-    """(frame, circle centre in px, radius in px) of every press that lies well inside the view."""
+    """(frame, circle centre in px, radius in px) of every press that is well inside the view."""
     for press in sorted((folder / "9.470mm").iterdir()):
         with np.load(press / "label.npz") as label:
             centre, radius = label["center"], float(label["radius"])

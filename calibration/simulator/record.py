@@ -1,4 +1,4 @@
-"""A scene's run as a recording: every frame of every press, as the camera's bytes, labelled with the truth."""
+"""A scene's run as a recording: every frame of every press as camera bytes, with its ground truth as a label."""
 
 import hashlib
 import json
@@ -65,20 +65,20 @@ def record_run(
 ) -> Path:
     """Write one run of a scene as a recording in `folder`, and return the folder.
 
-    It is rendered beside its place, in `<folder>.part`, and moved there when it is whole. One that was cut goes on
-    after its last whole press; a whole recording of the same scene, run and seed is left as it is. Errors:
-    RecordingError when the folder, or the one beside it, holds anything else, StoreError when the disk refuses.
+    It is rendered in `<folder>.part` and renamed when it is complete. An interrupted one continues after its last
+    complete press; a complete recording of the same scene, run and seed is kept. Errors: RecordingError when either
+    folder holds anything else, StoreError when the disk refuses.
     """
     stamp = _stamp(scene, run, seed)
     if _is_done(folder, stamp):
         return folder
-    beside = folder.with_name(folder.name + ".part")
-    _claim(beside, stamp)
+    unfinished = folder.with_name(folder.name + ".part")
+    _claim(unfinished, stamp)
     tasks = list(_tasks(scene, run, seed))
-    whole = _whole_frames(beside)
-    # A press is whole when the next one could begin; the free gel after the last press is cheap and made again.
-    kept = sum(following.first_frame <= whole for following in tasks[1:])
-    with RecordingWriter.resume(beside, _header(scene), keep=tasks[kept].first_frame) as writer:
+    complete = _complete_frames(unfinished)
+    # A press is complete when the next one could begin; the free gel after the last press is cheap and is made again.
+    kept = sum(following.first_frame <= complete for following in tasks[1:])
+    with RecordingWriter.resume(unfinished, _header(scene), keep=tasks[kept].first_frame) as writer:
         for done, frames in enumerate(in_order(_frames, tasks[kept:], workers), kept + 1):
             for time_ns, payload, label in frames:
                 writer.add(payload, time_ns, label)
@@ -86,7 +86,7 @@ def record_run(
                 progress(done / len(tasks))
     if folder.is_dir():
         folder.rmdir()
-    os.replace(beside, folder)
+    os.replace(unfinished, folder)
     return folder
 
 
@@ -106,7 +106,7 @@ def _found_stamp(folder: Path) -> Mapping[str, object] | None:
 
 def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
     if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"{folder} is a file, where a folder is expected; choose another name")
+        raise RecordingError(f"{folder} is a file, a folder is expected; choose another name")
     if not folder.exists() or not any(folder.iterdir()):
         return False
     if _found_stamp(folder) == stamp:
@@ -118,40 +118,42 @@ def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
     )
 
 
-def _claim(beside: Path, stamp: Mapping[str, object]) -> None:
-    """See that the unfinished recording is of this stamp, or begin one: the stamp is there before anything else."""
-    found = _found_stamp(beside)
+def _claim(unfinished: Path, stamp: Mapping[str, object]) -> None:
+    """Check that the unfinished recording has this stamp, or begin one; the stamp is written first."""
+    found = _found_stamp(unfinished)
     if found == stamp:
         return
     if found is not None:
         raise RecordingError(
-            f"{beside} is an unfinished recording of scene '{found.get('scene')}', run '{found.get('run')}', seed "
-            f"{found.get('seed')}, not what is asked for now (scene '{stamp['scene']}', run '{stamp['run']}', seed "
-            f"{stamp['seed']}, and the same settings); finish it with the command that began it, or delete it"
+            f"{unfinished} is an unfinished recording of scene '{found.get('scene')}', run '{found.get('run')}', seed "
+            f"{found.get('seed')}, not of (scene '{stamp['scene']}', run '{stamp['run']}', seed "
+            f"{stamp['seed']}, and the same settings); finish it with the command that started it, or delete it"
         )
-    # A fixed name: what was killed while writing its stamp is overwritten.
-    part = beside / f"{_STAMP}.part"
-    if beside.exists() and not (beside.is_dir() and all(path == part for path in beside.iterdir())):
+    # A fixed name: the rest of a killed run is overwritten.
+    part = unfinished / f"{_STAMP}.part"
+    if unfinished.exists() and not (
+        unfinished.is_dir() and all(path == part for path in unfinished.iterdir())
+    ):
         raise RecordingError(
-            f"{beside} is no unfinished recording of `gelgate simulate`, which needs this place; move it away"
+            f"{unfinished} is not an unfinished recording of `gelgate simulate`, which needs this name; move it away"
         )
     try:
-        beside.mkdir(parents=True, exist_ok=True)
+        unfinished.mkdir(parents=True, exist_ok=True)
         part.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
-        os.replace(part, beside / _STAMP)
+        os.replace(part, unfinished / _STAMP)
     except OSError as error:
         raise StoreError(
-            f"recording {beside} cannot be started: {error.strerror}; choose another folder"
+            f"recording {unfinished} cannot be started: {error.strerror}; choose another folder"
         ) from error
 
 
-def _whole_frames(beside: Path) -> int:
-    """How many frames from the first on are sound; none where the recording cannot be read."""
+def _complete_frames(unfinished: Path) -> int:
+    """How many frames from the first on are complete; 0 where the recording cannot be read."""
     try:
-        frames = Recording.open(beside)
+        frames = Recording.open(unfinished)
     except RecordingError:
         return 0
-    # After a power cut a line may be there whose picture never reached the disk.
+    # After a power cut the index may have a line whose picture is not on the disk.
     cut = (k for k, frame in enumerate(frames) if not frame.frame.payload.endswith(_JPEG_END))
     return next(cut, len(frames))
 
@@ -184,7 +186,7 @@ def _tasks(scene: Scene, run: SceneRun, seed: int) -> Iterator[_Task]:
 def _renderer(scene: Scene, seed: int) -> Renderer:
     mode = scene.camera.modes[0]
     field = {"lr": LR, "hr": HR, "native": native_field(scene.camera.reduction)}[mode]
-    # The bytes of a recording are JPEG anyhow: the effect chooses their quality, and is not applied twice.
+    # The bytes of a recording are always JPEG: the effect only chooses their quality.
     effects = tuple(name for name in scene.effects if name != "jpeg")
     sensor = SENSORS[scene.camera.sensor]
     return Renderer(field, effects, sensor, scene.press_jitter, named_streams(seed), session=scene.name)
@@ -222,9 +224,9 @@ def press_frames(
     """The frames of one press, in order. index: which press of the run, from 0. first_frame: of its first frame."""
     renderer, streams, fps = _renderer(scene, seed), named_streams(seed), scene.camera.fps
     defect = damage(plan, scene.press_depth_mm, scene.mask_depth_mm, streams)
-    whole = piece(plan, streams)
+    sound = piece(plan, streams)
     placed = renderer.place(Pose(), plan.key)
-    height = sample(whole if defect is None else Damaged(whole, defect), placed, renderer.field)
+    height = sample(sound if defect is None else Damaged(sound, defect), placed, renderer.field)
     depth = scene.press_depth_mm * placed.depth_factor
     angle = (
         float(streams("motion_blur", *plan.key).uniform(0, 2 * np.pi))
@@ -260,7 +262,7 @@ def _light(
 
 
 def _left_by(previous: PressPlan | None, scene: Scene, seed: int) -> F32 | None:
-    """The imprint of the press before, where the scene calls for what it leaves behind."""
+    """The imprint of the previous press, where the scene names `residual_imprint`."""
     if previous is None or "residual_imprint" not in scene.effects:
         return None
     renderer, streams = _renderer(scene, seed), named_streams(seed)
@@ -283,7 +285,7 @@ def _label(index: int, moment: Moment, plan: PressPlan, defect: Mapping[str, obj
     }
 
 
-# Compression that leaves no trace, for a scene without the effect: the bytes are JPEG whatever it says.
+# Compression without visible loss, for a scene without the effect: the bytes are JPEG in every case.
 _FINE_QUALITY = 98
 
 

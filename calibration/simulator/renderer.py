@@ -1,10 +1,10 @@
-"""The renderer: a part, a pose and a depth in, a picture out, computing only the effects that were asked for.
+"""The renderer: a part, a pose and a depth in, a picture out, computing only the effects that the scene names.
 
     pose -> sample -> contact -> [deformation, dust, wear] -> surface     `imprint`, `surface`
     surface -> [illumination, shadows, specular, grain, markers] -> [vignette, lens blur] -> scene light     `light`
     light -> [motion blur, drift, noise] -> whole levels -> [JPEG] -> picture     `expose`
 
-`light` is the dear part and does not change while a press holds still; `expose` is what differs from frame to frame.
+`light` is the expensive part and does not change while a press holds still; `expose` differs from frame to frame.
 """
 
 import dataclasses
@@ -27,12 +27,12 @@ __all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
 U8 = NDArray[np.uint8]
 
 Key = tuple[str | int, ...]
-"""What names a press, such as ("PZ1", "pos2", 17, 3): it selects the press's own random numbers."""
+"""The name of a press, such as ("PZ1", "pos2", 17, 3); it selects the press's own random numbers."""
 
 # An imprint that differs by less over 0.2 mm changes the light by less than about 10 levels: grain and noise hide it.
 MASK_DEPTH_MM = 0.02
 
-# Sideways speed of a press that was caught before it settled: half normal with this sd (assumed).
+# Sideways speed of a press that had not settled: half normal with this sd (assumed).
 _UNSETTLED_MM_S = 1.2
 
 
@@ -50,8 +50,8 @@ class Renderer:
     """Renders one sensor with one gel.
 
     field: the pixels. effects: their names. sensor: its colours. jitter: how presses differ (for `pose_jitter`).
-    streams: where random numbers come from; `gel_id` and `session` pick the gel's dust and the lamps' drift.
-    A renderer holds about 15 float32 pictures and nothing that grows.
+    streams: where random numbers come from; `gel_id` and `session` select the gel's dust and the lamps' drift. A
+    renderer holds about 15 float32 pictures and nothing that grows.
     """
 
     field: Field = LR
@@ -70,7 +70,7 @@ class Renderer:
         self._on = self.effects
 
     def place(self, commanded: Pose, key: Key) -> Pose:
-        """The pose of one press, as robot or hand really placed it."""
+        """The actual pose of one press."""
         if "pose_jitter" in self._on:
             commanded = pose.pose_jitter(commanded, self.jitter, self.streams("pose_jitter", *key))
         if "partial_contact" in self._on:
@@ -78,7 +78,7 @@ class Renderer:
         return commanded
 
     def imprint(self, height: F32, depth_mm: float) -> F32:
-        """How the gel's surface follows a part pressed so deep, in mm, float32 (h, w); no dust or wear yet.
+        """The gel's surface over a part at this depth, in mm, float32 (h, w), without dust and wear.
 
         height: the part over the field, as `sample` gives it.
         """
@@ -86,7 +86,7 @@ class Renderer:
         return gel.deformation(obstacle, self.field) if "deformation" in self._on else obstacle
 
     def surface(self, imprint_mm: F32, presses: int = 0, previous: tuple[F32, float] | None = None) -> F32:
-        """The gel as it is: the imprint, what is left of the previous one, grains and scratches.
+        """The gel's real surface: the imprint, the residual of the previous one, grains and scratches.
 
         presses: how many this gel has had. previous: the previous imprint and the seconds since its release.
         """
@@ -99,7 +99,8 @@ class Renderer:
         return imprint_mm
 
     def light(self, surface_mm: F32, presses: int = 0) -> F32:
-        """The picture that reaches the sensor, float32 (3, h, w) in grey levels, before anything that flickers."""
+        """The picture that reaches the sensor, float32 (3, h, w) in grey levels, before effects that change per
+        frame."""
         nx, ny = optics.normals(surface_mm, self.field)
         is_lit = "illumination" in self._on
         planes = optics.illumination(nx, ny, *self._lamps) if is_lit else optics.headlight(nx, ny)
@@ -165,8 +166,8 @@ class Renderer:
     ) -> tuple[U8, NDArray[np.bool_], U8]:
         """The same press on the damaged and on the sound part: (damaged rgb, mask, sound rgb).
 
-        mask: bool (h, w), where the two imprints differ by more than `mask_depth_mm`. The two pictures share pose,
-        gel and noise, so that nothing but the defect differs.
+        mask: bool (h, w), where the two imprints differ by more than `mask_depth_mm`. The two pictures share pose, gel
+        and noise, so only the defect differs.
         """
         placed = self.place(commanded or Pose(), key)
         sound, damaged = self.imprints(part, defect, depth_mm, placed)
@@ -201,7 +202,7 @@ class Renderer:
 
     @staticmethod
     def mask(sound: F32, damaged: F32, depth_mm: float = MASK_DEPTH_MM) -> NDArray[np.bool_]:
-        """True where two imprints differ by more than so many mm: what there is to be found."""
+        """True where two imprints differ by more than this many mm: the visible defect."""
         return np.asarray(np.abs(damaged - sound) > np.float32(depth_mm))
 
     def free_gel(self, key: Key = ("free",), presses: int = 0, exposure: Exposure | None = None) -> U8:
@@ -215,7 +216,7 @@ class Renderer:
     def _lamps(self) -> tuple[F32, F32, F32]:
         """Planes of the free gel before the lens, grey levels per normal, and the quadratic part."""
         seen = sensor_appearance.background(self.sensor, self.field)
-        # The measured colours have the lens in them; the lens is an effect of its own.
+        # The measured colours include the lens, which is a separate effect.
         lens = camera.lens_falloff(self.field)
         curvature = self.sensor.slope_response[:, 12:].astype(np.float32)
         return seen / lens, sensor_appearance.response(self.sensor, self.field) / lens, curvature

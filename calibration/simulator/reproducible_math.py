@@ -1,4 +1,4 @@
-"""Arithmetic that gives the same bits on every processor of a kind, so that a seed gives the same files anywhere.
+"""Arithmetic with the same bits on every processor of one architecture, so a seed gives the same files anywhere.
 
 NumPy and OpenCV choose vector instructions by the processor they find, and these differ in a float32's last bit.
 Elementary functions are therefore evaluated in float64, whose last bit is lost in rounding to float32, and OpenCV's
@@ -70,7 +70,7 @@ def combined(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -
 
 @contextmanager
 def reproducible_opencv() -> Iterator[None]:
-    """OpenCV on its baseline code for a while; a setting of the whole process, put back at the end."""
+    """Run OpenCV on its baseline code; a setting of the process, restored at the end."""
     before = cv2.useOptimized()
     cv2.setUseOptimized(False)
     try:

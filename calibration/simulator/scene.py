@@ -1,7 +1,7 @@
-"""Scenes: what is simulated, as data. One TOML file, its version on the first line, read into frozen values.
+"""Scenes: descriptions of a simulation. One TOML file, its version on the first line, read into frozen values.
 
-A scene names the effects that it calls for; what it does not name is not computed. Every fault of a file is reported
-at once, an unknown key with the nearest known one.
+A scene names its effects; others are not computed. All faults of a file are reported at once, an unknown key with the
+nearest known one.
 """
 
 import tomllib
@@ -43,10 +43,10 @@ class _Table(BaseModel):
 
 
 class Camera(_Table):
-    """What the frames are. `modes`: lr (320x240), hr (1280x720), native (3280x2464 as the camera sends it).
+    """The frames. `modes`: lr (320x240), hr (1280x720), native (3280x2464 as the camera sends it).
 
-    `fps`: delivered frames a second; the real sensor manages 18.75 of its 25. `reduction`: native frames are
-    rendered at 1/reduction of their size and scaled up, since a gateway decodes them at that reduction.
+    `fps`: delivered frames a second; the real sensor manages 18.75 of its 25. `reduction`: native frames are rendered
+    at 1/reduction of their size and scaled up, because a gateway decodes them at that reduction.
     """
 
     modes: Annotated[tuple[Literal["lr", "hr", "native"], ...], Field(min_length=1)] = ("lr",)
@@ -61,9 +61,9 @@ class Camera(_Table):
 
 
 class Motion(_Table):
-    """One press in time: untouched, going down, coming to rest, held, going up.
+    """The phases of one press: no contact, approach, settling, hold, lift.
 
-    `idle_s` of free gel come before the first press, `tail_s` after the last.
+    `idle_s` of free gel precede the first press, `tail_s` follow the last.
     """
 
     idle_s: Seconds = 1.5
@@ -92,7 +92,7 @@ class NominalPieces(_Table):
 
 
 class Defects(_Table):
-    """Which damage there is. `images`: pictures of damaged pieces over all positions (datasets)."""
+    """The damage. `images`: pictures of damaged pieces over all positions (datasets)."""
 
     kinds: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(DEFECTS)
     severity: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] = (0.3, 1.0)
@@ -111,7 +111,7 @@ class Defects(_Table):
 
 
 class SceneRun(_Table):
-    """One recording of a scene: how many presses, how many of them on damaged pieces, and with how worn a gel."""
+    """One recording of a scene: the number of presses, of damaged ones, and of earlier presses on the gel."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9_-]+$", max_length=40)]
     presses: Annotated[int, Field(ge=1, le=100_000)]

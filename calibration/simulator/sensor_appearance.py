@@ -1,7 +1,7 @@
-"""How one sensor looks: the colours of its free gel and what each colour answers to a slope.
+"""The appearance of one sensor: the colours of its free gel, and each colour's response to a slope.
 
-The numbers are least-squares fits to real GelSight Mini frames (320x240, 1/7 border, RGB order), made once; the
-frames themselves are not part of the product. u and v run from -1 to 1 across the crop, right and down.
+The numbers are least-squares fits to real GelSight Mini frames (320x240, 1/7 border, RGB order), made once; the frames
+are not part of the product. u and v run from -1 to 1 across the crop, right and down.
 """
 
 from dataclasses import dataclass, field, replace
@@ -241,7 +241,7 @@ def background(appearance: SensorAppearance, over: Field) -> F32:
 
 
 def _power(x: F64, exponent: int) -> F64:
-    """x to a small whole power by products, which round alike on every processor; NumPy's power does not."""
+    """x to a small whole power by products, which round equally on every processor; NumPy's power does not."""
     product = np.ones_like(x)
     for _ in range(exponent):
         product = product * x

@@ -1,4 +1,4 @@
-"""The small solids that parts are made of: signed distances and edges, all in mm and pure."""
+"""The basic solids of parts: signed distances and edges, in mm."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,12 +7,12 @@ from calibration.simulator.field_of_view import F32
 
 __all__ = ["FLOOR_MM", "box", "disc", "f32", "plateau", "ramp", "rotate"]
 
-# What lies beside and below a part: far under any press.
+# The height around and below a part: far below any press.
 FLOOR_MM = np.float32(-4.0)
 
 
 def f32(values: ArrayLike) -> F32:
-    """The values as float32: where NumPy's types lose sight of the precision."""
+    """The values as float32, where NumPy's type stubs do not know the precision."""
     return np.asarray(values, dtype=np.float32)
 
 
@@ -24,7 +24,7 @@ def rotate(x: F32, y: F32, angle_rad: float) -> tuple[F32, F32]:
 
 def box(x: F32, y: F32, half_x: float, half_y: float, corner: float = 0.0) -> F32:
     """Signed distance to a rectangle about the origin, negative inside, corners rounded by a radius."""
-    # In place: at 1280x720 the temporaries cost more than the arithmetic.
+    # In place: at 1280x720, temporaries cost more than the arithmetic.
     dx, dy = np.abs(x), np.abs(y)
     dx -= np.float32(half_x - corner)
     dy -= np.float32(half_y - corner)

@@ -36,7 +36,7 @@ def simulate_recording(
     """Write one run of a scene as a recording, and return its folder.
 
     run: the run's name, the first one if not given. presses: in place of the run's own number; damaged presses keep
-    their share. One that was cut goes on after its last whole press, one that is whole is left as it is; equal scene,
+    their share. An interrupted recording continues after its last complete press; a complete one is kept. Equal scene,
     run and seed give equal bytes. Errors: ConfigError for a scene without runs or an unknown run, RecordingError when
     the folder holds other things, StoreError for the disk.
     """
@@ -54,8 +54,8 @@ def simulate_dataset(
 ) -> Path:
     """Write one or more scenes as one dataset, and return its folder.
 
-    presses: of each sound piece and position, in place of the scene's own. What is already there is kept. Errors:
-    ConfigError for a scene of recordings, DatasetError when the folder holds other things, StoreError for the disk.
+    presses: of each sound piece and position, in place of the scene's own. Existing files are kept. Errors: ConfigError
+    for a scene of recordings, DatasetError when the folder holds other things, StoreError for the disk.
     """
     several = [scenes] if isinstance(scenes, Scene) else list(scenes)
     return write_dataset(
@@ -89,7 +89,7 @@ def _run(scene: Scene, name: str | None, presses: int | None) -> SceneRun:
 
 
 def _with_presses(table: Table, changes: dict[str, int]) -> Table:
-    """The scene's table with other numbers, which have the limits of the scene's own."""
+    """The scene's table with other numbers, checked against the same limits."""
     try:
         return type(table).model_validate({**table.model_dump(), **changes})
     except ValidationError as error:

@@ -1,7 +1,7 @@
-"""Random streams that have names, so that switching one effect off never shifts another.
+"""Named random streams: removing one effect never changes another.
 
-A stream is a function of the seed and of words such as ("noise", "PZ1", "pos2", 17, 3): nothing else is shared, no
-stream is drawn before another, and a run that is resumed in the middle draws what the first run would have drawn.
+A stream depends only on the seed and on words such as ("noise", "PZ1", "pos2", 17, 3). So no stream shifts another, and
+a resumed run draws the same numbers as an uninterrupted one.
 """
 
 import zlib
@@ -14,7 +14,7 @@ __all__ = ["Streams", "named_streams"]
 
 
 class Streams(Protocol):
-    """Gives the generator that belongs to these words; equal words give equal draws."""
+    """Gives the generator of these words; equal words give equal draws."""
 
     def __call__(self, *words: str | int) -> np.random.Generator: ...
     def __hash__(self) -> int: ...

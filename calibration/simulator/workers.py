@@ -1,4 +1,4 @@
-"""Work spread over processes: results come back in order, few are held at once, and an interrupt leaves files whole."""
+"""Parallel work in processes: results in order, few held at once, and an interrupt leaves complete files."""
 
 import os
 import signal
@@ -20,10 +20,10 @@ Result = TypeVar("Result")
 
 
 def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
-    """The results of the tasks, in their order. `work` is a module's function; with one worker nothing is started.
+    """The results of the tasks, in their order. `work` is a module's function; with one worker no process is started.
 
-    At most two results a worker are waiting, so memory is bounded however many tasks there are. An interrupt cancels
-    what has not begun and lets each worker finish the task at hand.
+    At most two results per worker wait, so memory does not grow with the number of tasks. An interrupt cancels waiting
+    tasks and lets each worker finish its current one.
     """
     if workers < 1:
         raise ValueError(f"at least one worker is needed, found {workers}")
@@ -43,11 +43,11 @@ def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int
 
 
 def _quiet() -> None:
-    """A worker is one of several: one thread each, Ctrl-C is the parent's to handle, and its end is theirs."""
+    """Set up a worker: one thread, Ctrl-C left to the parent, and an end when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     threadpool_limits(limits=1)
-    # A parent that was killed asks nothing to stop: without this its workers would wait for tasks for ever.
+    # A killed parent stops nothing: without this its workers would wait for tasks forever.
     Thread(target=_end_with_parent, daemon=True).start()
 
 

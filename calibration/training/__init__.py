@@ -1,6 +1,6 @@
-"""The backbone made for touch: a ResNet-18 trunk trained on presses that never existed.
+"""Training of the tactile backbone: a ResNet-18 trunk trained on simulated presses.
 
-`recipe` names every setting; `presses` draws random parts, defects and sensors; `render` turns them into frames on
-whatever device torch has; `losses` says what is learnt; `train` is the loop; `package` makes the shipped graphs.
-torch is imported by these modules alone, and they are imported at use.
+`train_config` has every setting; `training_pairs` draws random parts, defects and sensors; `render` turns them into
+frames on any torch device; `losses` is the objective; `train` is the loop; `package` makes the shipped graphs. Only
+these modules import torch, and they are imported at use.
 """

@@ -1,4 +1,4 @@
-"""Checkpoints: a folder per step, written whole or not at all; the last good one always stays.
+"""Checkpoints: a folder per step, written completely or not at all; the last good one is always kept.
 
 Each file stays below 16 MB, so that a run can be carried between machines in pieces.
 """
@@ -29,9 +29,10 @@ Tensors = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that the next step needs. step: how many are done. Draws need no state: they follow the step.
+    """Everything that the next step needs. step: how many are done. Random draws need no state: they depend on the
+    step.
 
-    before: the runs whose weights this one began with, oldest first: `recipe` and `steps` of each.
+    before: the runs whose weights this one started from, oldest first: `recipe` and `steps` of each.
     """
 
     recipe: TrainConfig
@@ -43,7 +44,7 @@ class Checkpoint:
 
     @property
     def history(self) -> tuple[dict[str, Any], ...]:
-        """The runs so far, this one last."""
+        """All runs up to now, this one last."""
         return (*self.before, {"recipe": json.loads(self.recipe.to_json()), "steps": self.step})
 
 
@@ -71,7 +72,7 @@ def save(folder: Path, checkpoint: Checkpoint) -> Path:
     except OSError as error:
         shutil.rmtree(part, ignore_errors=True)
         safe = latest(folder)
-        kept = f"the checkpoint '{safe}' is whole" if safe else "there is no earlier checkpoint"
+        kept = f"the checkpoint '{safe}' is complete" if safe else "there is no earlier checkpoint"
         raise GelgateError(
             f"the checkpoint of step {checkpoint.step} cannot be written: {error.strerror}; {kept}; "
             "free space and resume"
@@ -97,7 +98,7 @@ def _write_bytes(path: Path, data: bytes) -> None:
 
 
 def latest(folder: Path) -> Path | None:
-    """The newest whole checkpoint in a run's folder, or the folder itself when it is one."""
+    """The newest complete checkpoint in a run's folder, or the folder itself when it is one."""
     if (folder / _STATE).is_file():
         return folder
     found = sorted(p for p in folder.glob("step_*") if (p / _STATE).is_file())
@@ -105,7 +106,7 @@ def latest(folder: Path) -> Path | None:
 
 
 def load(folder: Path, recipe: TrainConfig | None = None) -> Checkpoint:
-    """The newest checkpoint of a run. recipe: what the caller is about to train; None accepts any.
+    """The newest checkpoint of a run. recipe: the settings to train with; None accepts any.
 
     Errors: ConfigError when there is none, it is damaged, or it was made with other settings.
     """
@@ -133,7 +134,7 @@ def weights_sha256(folder: Path) -> str:
     """What names the weights of a run's newest checkpoint. Errors: ConfigError when there is none."""
     at = latest(folder)
     if at is None:
-        raise ConfigError(f"no checkpoint in '{folder}' to begin with; name the folder of a run")
+        raise ConfigError(f"no checkpoint in '{folder}' to start from; name the folder of a run")
     return hashlib.sha256((at / "weights.pt").read_bytes()).hexdigest()
 
 

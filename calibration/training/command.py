@@ -14,13 +14,13 @@ __all__ = ["train_backbone"]
 
 def train_backbone(
     out: Annotated[Path, typer.Argument(help="folder of the run: checkpoints, log and loss figure")],
-    resume: Annotated[bool, typer.Option(help="carry on the run in that folder")] = False,
+    resume: Annotated[bool, typer.Option(help="continue the run in that folder")] = False,
     start: Annotated[
-        Path | None, typer.Option(help="begin with the weights of the run in that folder")
+        Path | None, typer.Option(help="start from the weights of the run in that folder")
     ] = None,
     recipe: Annotated[
         Path | None,
-        typer.Option(help="a TOML file of settings; what it leaves out is as in the run that ships"),
+        typer.Option(help="a TOML file of settings; others are as in the run that ships"),
     ] = None,
     settings: Annotated[
         list[str] | None,
@@ -28,15 +28,15 @@ def train_backbone(
             "--set", metavar="NAME=VALUE", help="one setting, over the file's; docs/backbone.md lists them"
         ),
     ] = None,
-    minutes: Annotated[float, typer.Option(help="stop and save after so long, 0 for never", min=0)] = 0.0,
+    minutes: Annotated[float, typer.Option(help="stop and save after this time, 0 for never", min=0)] = 0.0,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
     threads: Annotated[int, typer.Option(help="of the CPU, for learning; 0 for torch's choice", min=0)] = 1,
     ahead: Annotated[bool, typer.Option(help="on a CPU, draw the next presses in a second process")] = True,
     package: Annotated[
-        Path | None, typer.Option(help="when done, write the ONNX trunks and what is known of them here")
+        Path | None, typer.Option(help="when done, write the ONNX trunks and their facts here")
     ] = None,
 ) -> None:
-    """Train the touch backbone on simulated presses; interrupt at any time and resume."""
+    """Train the tactile backbone on simulated presses; can be resumed."""
     from edge.extras import needs
 
     needs("train", "train-backbone")

@@ -1,7 +1,7 @@
-"""What JPEG does to a picture, for whole batches in torch: colour halved, 8x8 blocks, rounded cosines.
+"""JPEG compression of batches in torch: colour at half resolution, 8x8 blocks, rounded cosines.
 
-The camera sends JPEG, so its traces belong to every frame that is not made here. Gradients are never taken through it.
-Ref: ITU-T T.81 (1992), A.3.3 and tables K.1 and K.2; the scale by quality is the Independent JPEG Group's.
+The camera sends JPEG, so every real frame has its artefacts. No gradient passes through it. Ref: ITU-T T.81 (1992),
+A.3.3 and tables K.1 and K.2; the scale by quality is the Independent JPEG Group's.
 """
 
 import math
@@ -13,7 +13,7 @@ from torch import Tensor
 __all__ = ["compressed"]
 
 _BLOCK = 8
-# T.81 table K.1, luminance, row by row; K.2, chrominance, is 99 but for its corner of low frequencies.
+# T.81 table K.1, luminance, row by row; K.2, chrominance, is 99 except for its corner of low frequencies.
 _LUMINANCE = (
     (16, 11, 10, 16, 24, 40, 51, 61),
     (12, 12, 14, 19, 26, 58, 60, 55),
@@ -31,7 +31,7 @@ _TO_RGB = ((1.0, 0.0, 1.402), (1.0, -0.344136, -0.714136), (1.0, 1.772, 0.0))
 
 
 def compressed(planes: Tensor, quality: Tensor) -> Tensor:
-    """Planes (n, 3, h, w) in grey levels 0 to 255 as they come back from JPEG. quality: (n,), 50 to 100.
+    """Planes (n, 3, h, w) in grey levels 0 to 255 after JPEG compression. quality: (n,), 50 to 100.
 
     h and w are multiples of 16.
     """

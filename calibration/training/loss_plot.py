@@ -1,4 +1,4 @@
-"""The loss figure, drawn with OpenCV alone, because a training machine need not have a plotting library."""
+"""The loss figure, drawn with OpenCV, so that training needs no plotting library."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 __all__ = ["draw_losses"]
 
 _WIDTH, _HEIGHT, _MARGIN = 900, 420, 56
-# RGB, told apart by the colour-blind (Okabe and Ito).
+# RGB, distinct for colour-blind readers (Okabe and Ito).
 _COLOURS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233))
 
 

@@ -1,9 +1,9 @@
-"""What the backbone is taught, at each of its three stages.
+"""The training objective, at each of the three stages.
 
 geometry: a 1x1 head must read slopes, depth and gradient energy from the features of a cell.
-pair: features of two presses of one part lie together where the imprint is the same, and at least a margin apart where
-damage changed it; looked for within a window, as a detector does, so that a shift needs no blur to be forgiven.
-rank: a changed cell must lie farther apart than the hundredth most distant unchanged one: what a detector at one per
+pair: features of two presses of one part are equal where the imprint is the same, and at least a margin apart where
+damage changed it. The partner cell is searched within a window, as a detector does, so a shift needs no blur.
+rank: a changed cell must be more distant than the most distant hundredth of unchanged ones: what a detector at one per
 cent false alarms needs.
 """
 
@@ -24,13 +24,13 @@ _SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
 # Softness of the rank loss, in feature distance.
 _RANK_SOFTNESS = 0.1
 _FALSE_ALARMS = 0.01
-# Cells to either side that a match is looked for in at most: fine pictures would ask for hundreds of places.
+# The largest search window, in cells to either side: fine pictures would need hundreds of places.
 _MOST_REACH = 3
 
 
 @dataclass(frozen=True)
 class Losses:
-    """Each is a scalar, the mean over stages."""
+    """Scalars, each the mean over stages."""
 
     geometry: Tensor
     pull: Tensor
@@ -96,16 +96,17 @@ def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Dist
     window = torch.arange(columns)[:, None] + torch.arange(2 * across + 1)
     window = window.to(features.device).expand(*second.shape[:2], -1, -1)
     nearest = torch.full_like(second[..., 0], 1e6)
-    # Every column of a row against every column of the row beside it: far quicker than one shift at a time.
+    # Every column of a row against every column of a neighbouring row: much faster than one shift at a time.
     for top in range(2 * down + 1):
-        beside = slice(top, top + rows)
-        apart = length[:, beside, None] - 2 * (second @ wide[:, beside].mT)
+        near = slice(top, top + rows)
+        apart = length[:, near, None] - 2 * (second @ wide[:, near].mT)
         nearest = torch.minimum(nearest, apart.gather(-1, window).amin(dim=-1))
     return torch.sqrt((second.square().sum(dim=-1) + nearest).clamp(min=0) + 1e-6)
 
 
 def changed_cells(change_mm: Tensor, stride: int, recipe: TrainConfig) -> tuple[Tensor, Tensor]:
-    """Float masks (n, rows, columns): cells that damage changed, and cells that it left alone, neighbours included."""
+    """Float masks (n, rows, columns): cells that damage changed, and cells that it did not change, neighbours
+    included."""
     most = F.max_pool2d(change_mm[:, None], stride)
     around = F.max_pool2d(most, 3, stride=1, padding=1)
     return (most[:, 0] > recipe.changed_mm).float(), (around[:, 0] < recipe.unchanged_mm).float()
@@ -118,7 +119,7 @@ def _pair(distance: Tensor, changed: Tensor, unchanged: Tensor, margin: float) -
 
 
 def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:
-    """Softly, by how much changed cells fall below the mean of the most distant hundredth of unchanged ones."""
+    """How much changed cells fall below the mean of the most distant hundredth of unchanged ones, as a soft loss."""
     count = max(1, int(_FALSE_ALARMS * distance.numel()))
     bar = (distance * unchanged).flatten().topk(count).values.mean()
     short = F.softplus((bar + _RANK_SOFTNESS - distance) / _RANK_SOFTNESS) * _RANK_SOFTNESS
@@ -126,7 +127,7 @@ def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:
 
 
 def separation(distance: Tensor, changed: Tensor, unchanged: Tensor) -> float:
-    """The share of changed cells above all but one per cent of the unchanged ones."""
+    """The share of changed cells above 99 % of the unchanged ones."""
     sound, broken = distance[unchanged > 0], distance[changed > 0]
     if not len(sound) or not len(broken):
         return float("nan")

@@ -1,4 +1,4 @@
-"""The network in plain torch: ResNet-18 up to layer3 under torchvision's names, and the heads that only training has.
+"""The network in plain torch: ResNet-18 up to layer3 under torchvision's names, and the heads that only training uses.
 
 Ref: He et al., "Deep Residual Learning for Image Recognition", CVPR 2016, table 1, 18 layers.
 """
@@ -12,7 +12,7 @@ from calibration.training.train_config import STAGES
 
 __all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "TrunkNetwork", "heads", "state_arrays"]
 
-# As the ONNX trunk normalises, so that the same graph serves ImageNet weights and these.
+# As the ONNX trunk normalises, so the same graph works with ImageNet weights.
 MEAN = (0.485, 0.456, 0.406)
 STD = (0.229, 0.224, 0.225)
 
@@ -22,7 +22,7 @@ GEOMETRY_CHANNELS = 4
 
 
 class ResidualBlock(nn.Module):  # type: ignore[misc]
-    """Two 3x3 convolutions beside a shortcut."""
+    """Two 3x3 convolutions and a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
@@ -37,9 +37,9 @@ class ResidualBlock(nn.Module):  # type: ignore[misc]
             )
 
     def forward(self, x: Tensor) -> Tensor:
-        beside = x if self.downsample is None else self.downsample(x)
+        shortcut = x if self.downsample is None else self.downsample(x)
         x = torch.relu(self.bn1(self.conv1(x)))
-        return torch.relu(self.bn2(self.conv2(x)) + beside)
+        return torch.relu(self.bn2(self.conv2(x)) + shortcut)
 
 
 class TrunkNetwork(nn.Module):  # type: ignore[misc]

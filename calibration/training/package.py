@@ -1,7 +1,7 @@
-"""From a trained checkpoint to what the product ships: the trunk stored as float16, the trunk in int8, and their facts.
+"""From a trained checkpoint to the shipped files: the trunk stored as float16, the trunk in int8, and their facts.
 
-The int8 trunk is quantised per output channel (QDQ), its ranges taken from simulated frames that neither training nor
-evaluation draws. How far its features lie from the float trunk's is measured on other such frames and stored.
+The int8 trunk is quantised per output channel (QDQ), with ranges from simulated frames that neither training nor
+evaluation draws. The difference of its features from the float trunk's is measured on other such frames and stored.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ from plugins.backbones.topology import State
 __all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package", "quantised"]
 
 NAME = "tactile_resnet18"
-# What one shipped variant may weigh.
+# The largest size of one shipped variant.
 MOST_BYTES = 6 * 1024 * 1024
 _CALIBRATION_SIDE = 224
 _CALIBRATION_BATCHES = 8
@@ -35,7 +35,7 @@ _FORMAT = 1
 def package(run: Path, out: Path) -> dict[str, Any]:
     """Write `<name>.onnx` (float16 weights), `<name>_int8.onnx` and `<name>.json` into `out`; returns the facts.
 
-    Errors: ConfigError for a run without a whole checkpoint, GelgateError for a variant that is too large or a disk
+    Errors: ConfigError for a run without a complete checkpoint, GelgateError for a variant that is too large or a disk
     that refuses.
     """
     saved = checkpoints.load(run)
@@ -97,7 +97,7 @@ def _facts(name: str, graph: bytes, plain: bytes) -> dict[str, Any]:
 def calibration_frames(
     purpose: str, batches: int, pairs: int = _CALIBRATION_PAIRS
 ) -> Iterator[NDArray[np.uint8]]:
-    """Batches of frames uint8 (n, 224, 224, 3) from streams of their own, every fourth at high resolution."""
+    """Batches of frames uint8 (n, 224, 224, 3) from separate streams, every fourth at high resolution."""
     import torch
 
     from calibration.training.training_pairs import draw_pairs
@@ -152,7 +152,7 @@ def quantised(plain: bytes, batches: int = _CALIBRATION_BATCHES) -> bytes:
 
 
 def feature_errors(graph: bytes, plain: bytes) -> dict[str, float]:
-    """Per tap, the norm of the difference over the norm of the float trunk's features, on frames of their own."""
+    """Per tap, the norm of the difference over the norm of the float trunk's features, on separate frames."""
     sessions = [open_session(g, 0, "trunk") for g in (graph, plain)]
     squares = {tap: np.zeros(2) for tap in STAGES}
     for frames in calibration_frames("compare", 2):

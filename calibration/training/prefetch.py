@@ -1,8 +1,8 @@
-"""Batches drawn ahead, in a process of their own, while the network learns from the one before.
+"""Batches drawn in advance, in a second process, while the network learns from the previous one.
 
-A batch is a function of the recipe and the step, so it is the same bytes wherever it is drawn. Each process keeps to
-one thread: on a CPU that others use as well, two threads of one process wait for each other by spinning, and a step
-costs four times as much (measured on two shared cores).
+A batch depends only on the recipe and the step, so it has the same bytes in any process. Each process uses one thread.
+On shared cores, two threads of one process wait for each other by spinning, and a step takes four times as long
+(measured on two shared cores).
 """
 
 import multiprocessing
@@ -62,7 +62,8 @@ def drawn_ahead(recipe: TrainConfig, first: int) -> Iterator[Callable[[int], Pai
             except queue.Empty:
                 if not drawer.is_alive():
                     raise GelgateError(
-                        f"the drawing process ended with {drawer.exitcode} before step {step}; resume, or draw in place"
+                        f"the drawing process ended with exit code {drawer.exitcode} before step {step}; "
+                        "resume, with --no-ahead if it happens again"
                     ) from None
         if found != step:
             raise GelgateError(f"drawn ahead was step {found}, wanted step {step}; resume the run")
@@ -79,7 +80,7 @@ def drawn_ahead(recipe: TrainConfig, first: int) -> Iterator[Callable[[int], Pai
 
 
 def _draw(recipe: TrainConfig, first: int, batches: "Queue[Packed]") -> None:
-    """The drawing process: until the recipe's last step, or until nobody is there to take a batch."""
+    """The drawing process: runs until the recipe's last step, or until the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
     parent = multiprocessing.parent_process()
@@ -100,4 +101,4 @@ def _draw(recipe: TrainConfig, first: int, batches: "Queue[Packed]") -> None:
             except queue.Full:
                 if parent is None or not parent.is_alive():
                     return
-    # What is still in the pipe is taken before the process ends: the queue's own thread sees to it.
+    # The queue's own thread sends what is still in the pipe before the process ends.

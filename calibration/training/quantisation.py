@@ -1,10 +1,9 @@
-"""The trunk as its int8 variant computes it, with gradients: training that knows how it will be rounded.
+"""The trunk as its int8 variant computes it, with gradients: quantisation-aware training.
 
 Where `package.quantised` puts a pair of quantise and dequantise nodes, values are rounded here: weights per output
-channel to -127 to 127, activations per tensor to 0 to 255 over the range of the batch, batch norms folded in with the
-statistics that they have. Rounding passes gradients on as they are.
-Ref: Jacob et al., "Quantization and Training of Neural Networks for Efficient Integer-Arithmetic-Only Inference",
-CVPR 2018, section 3.
+channel to -127 to 127, activations per tensor to 0 to 255 over the range of the batch, batch norms folded in with their
+present statistics. Rounding passes gradients unchanged. Ref: Jacob et al., "Quantization and Training of Neural
+Networks for Efficient Integer-Arithmetic-Only Inference", CVPR 2018, section 3.
 """
 
 import torch
@@ -18,7 +17,7 @@ __all__ = ["rounded_activation", "rounded_maps", "rounded_weight"]
 
 
 def rounded_maps(trunk: TrunkNetwork, frames: Tensor) -> list[Tensor]:
-    """What `trunk(frames)` gives, in int8's values. The statistics of batch norms are used and left as they are."""
+    """What `trunk(frames)` gives, in int8's values. The statistics of batch norms are used and not updated."""
     x = rounded_activation(trunk.normalised(frames))
     x = trunk.maxpool(rounded_activation(torch.relu(_folded(x, trunk.conv1, trunk.bn1))))
     maps = []
@@ -30,10 +29,10 @@ def rounded_maps(trunk: TrunkNetwork, frames: Tensor) -> list[Tensor]:
 
 
 def _block(x: Tensor, block: ResidualBlock) -> Tensor:
-    beside = x if block.downsample is None else rounded_activation(_folded(x, *block.downsample))
+    shortcut = x if block.downsample is None else rounded_activation(_folded(x, *block.downsample))
     x = rounded_activation(torch.relu(_folded(x, block.conv1, block.bn1)))
     x = rounded_activation(_folded(x, block.conv2, block.bn2))
-    return rounded_activation(torch.relu(x + beside))
+    return rounded_activation(torch.relu(x + shortcut))
 
 
 def _folded(x: Tensor, conv: nn.Conv2d, norm: nn.BatchNorm2d) -> Tensor:

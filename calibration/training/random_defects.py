@@ -1,6 +1,6 @@
 """Random defects for training, as batches: bells, flattened places, filled relief and rough patches on touched spots.
 
-Separate from `calibration.simulator.defects`, whose eight kinds are kept for evaluation.
+Separate from `calibration.simulator.defects`, whose eight kinds are reserved for evaluation.
 """
 
 import math
@@ -24,7 +24,7 @@ _TOUCH_SHARE = 0.25
 def damaged(
     draws: Draws, height: Tensor, depth_mm: Tensor, x: Tensor, y: Tensor, spacing: Spacing, scale: float
 ) -> Tensor:
-    """Heights (n, h, w) with up to three defects each, nine in ten samples with one at least.
+    """Heights (n, h, w) with up to three defects each; nine of ten samples have at least one.
 
     depth_mm: (n,) of the press, so that the defects lie where it touches. x, y: pixel coordinates in mm, (h, w).
     """
@@ -58,7 +58,7 @@ def _one(
 
     bell_amount = amount * (kind == 0)
     r = torch.sqrt((u / per(size)) ** 2 + (v / per(size * aspect)) ** 2)
-    sign = 1 - 1.5 * draws.chance(0.65, n)  # 1 or -0.5: metal that stands up is seen sooner
+    sign = 1 - 1.5 * draws.chance(0.65, n)  # 1 or -0.5: raised metal shows at a smaller height
     lips = draws.chance(0.5, n) * draws.uniform(0, 0.25, n)
     bell = per(sign) * 2 * ramp(1 - r) + per(lips) * torch.exp(-(((r - 1.15) / 0.25) ** 2))
     height = height + per(bell_amount.clamp(max=0.35)) * bell.clamp(-1, 0.7)

@@ -1,7 +1,7 @@
 """Random parts for training, as batches of height maps: plates, curved bodies, ridges, pins, slots, teeth, at random.
 
-Nothing here knows the evaluated parts: no scene is read, no part of `calibration.simulator.parts` is called, and sizes
-are drawn from wide ranges. Heights are in mm, coordinates in mm of the part's own plane, tensors (n, h, w).
+The evaluated parts are not used: no scene is read, no part of `calibration.simulator.parts` is called, and sizes are
+drawn from wide ranges. Heights are in mm, coordinates in mm of the part's own plane, tensors (n, h, w).
 """
 
 import math
@@ -14,10 +14,10 @@ from calibration.training.random_sampling import Draws
 
 __all__ = ["FLOOR_MM", "Parts", "draw_parts", "ramp", "turned"]
 
-# What lies beside a part: far below any press.
+# The height around a part: far below any press.
 FLOOR_MM = -4.0
 _SOLIDS = 7
-# Field of view at 320x240 in mm, the size to which the ranges below belong.
+# Field of view at 320x240 in mm; the ranges below are for this size.
 _REFERENCE_MM = 14.2
 
 
@@ -79,7 +79,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Ridges:
-    """Parallel ridges of any section from rounded to sharp, over all or a stretch; fields are (n,)."""
+    """Parallel ridges with any section from rounded to sharp, over all or a band of the part; fields are (n,)."""
 
     depth: Tensor
     angle: Tensor
@@ -101,7 +101,7 @@ class Ridges:
 
 @dataclass(frozen=True)
 class Parts:
-    """n parts. has_plate: an outlined plate, has_body: a curved body; a part with neither is its solids alone."""
+    """n parts. has_plate: an outlined plate, has_body: a curved body; a part with neither has only solids."""
 
     plate: Solid
     has_body: Tensor
@@ -146,7 +146,7 @@ def draw_waves(
 
 
 def draw_parts(draws: Draws, n: int, view_mm: float) -> Parts:
-    """n random parts for a view this wide. A narrower view gets smaller features, by the root of the ratio."""
+    """n random parts for a view this wide. A narrower view has smaller features, by the root of the ratio."""
     scale = math.sqrt(view_mm / _REFERENCE_MM)
     base = draws.kind((0.45, 0.35, 0.2), n)
     main_angle = draws.uniform(0, math.pi, n)
@@ -168,7 +168,7 @@ def draw_parts(draws: Draws, n: int, view_mm: float) -> Parts:
         is_cut=zero,
     )
     solids = tuple(_draw_solid(draws, n, main_angle, view_mm, scale) for _ in range(_SOLIDS))
-    # A part without plate or body stands on its first solid.
+    # A part without plate or body is its first solid.
     alone = (base == 2).float()
     first = solids[0]
     solids = (

@@ -1,4 +1,4 @@
-"""Random draws on a device: each batch is a function of the seed and the step, and nothing else is remembered."""
+"""Random draws on a device: each batch depends only on the seed and the step."""
 
 import hashlib
 import math
@@ -41,6 +41,6 @@ class Draws:
 
 
 def draws_for(seed: int, purpose: str, step: int, device: torch.device) -> Draws:
-    """The draws of one step of one purpose (`train`, `validate`, `calibrate`): streams never meet."""
+    """The draws of one step of one purpose (`train`, `validate`, `calibrate`): streams never overlap."""
     digest = hashlib.sha256(f"{purpose}/{seed}/{step}".encode()).digest()
     return Draws(int.from_bytes(digest[:7], "big"), device)

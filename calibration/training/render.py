@@ -1,8 +1,8 @@
-"""The simulator's effects for whole batches, in torch, on whatever device there is.
+"""The simulator's effects for batches, in torch, on any device.
 
-Same models and numbers as `calibration.simulator` (gel, optics, camera, coat), held together by a test on equal height
-maps; here each takes tensors (n, h, w) in mm or planes (n, 3, h, w) in grey levels. Spacing is (x, y) in mm per pixel
-and common to a batch. Gradients are never taken through it.
+Same models and numbers as `calibration.simulator` (gel, optics, camera, gel_surface); a test compares both on equal
+height maps. Each function takes tensors (n, h, w) in mm or planes (n, 3, h, w) in grey levels. Spacing is (x, y) in mm
+per pixel and common to a batch. No gradient passes through it.
 """
 
 import math
@@ -75,7 +75,7 @@ def blur(x: Tensor, sigma_px: tuple[float, float], reach: float = 2.5, mode: str
         pad = (radius, radius, 0, 0) if axis == 2 else (0, 0, radius, radius)
         wide = F.pad(x[:, None], pad, mode=mode)[:, 0]
         size = x.shape[axis]
-        # Shifted sums: a convolution of one channel is many times slower on a CPU.
+        # Shifted sums: a one-channel convolution is many times slower on a CPU.
         weights = [math.exp(-0.5 * (k / sigma) ** 2) for k in range(-radius, radius + 1)]
         total = sum(weights)
         x = wide.narrow(axis, 0, size) * (weights[0] / total)
@@ -187,7 +187,7 @@ def _hidden_by(height: Tensor, dx: int, dy: int, spacing: float) -> Tensor:
             continue
         there = torch.roll(height, (-dy * step, -dx * step), (1, 2))
         over = there - height - step * spacing * LIGHT_RISE
-        # What rolled in from the far side is not a neighbour.
+        # Values that rolled in from the opposite side are not neighbours.
         if dx > 0:
             over[:, :, columns - step :] = 0
         elif dy > 0:

@@ -1,7 +1,7 @@
 """The training loop behind `gelgate train-backbone`.
 
-A step is a function of the recipe and its number, so a run that is cut and resumed equals one that was not: bit for bit
-on a CPU, and within the runtime's own differences on a GPU.
+A step depends only on the recipe and its number, so a resumed run equals an uninterrupted one: bit for bit on a CPU,
+within the runtime's own differences on a GPU.
 """
 
 import json
@@ -46,12 +46,12 @@ _LOSS_NAMES = tuple(f.name for f in fields(Losses))
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """How a run is carried out, which does not change what is learnt.
+    """How a run is executed; it does not change the result.
 
-    folder: where checkpoints, log and figure go. resume: a run to carry on, None to start. minutes: stop and save after
-    so long, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice;
-    where others use the cores as well, 1 is several times faster than 2. is_drawn_ahead: draw in a second process.
-    start: another run whose weights the recipe begins with.
+    folder: for checkpoints, log and figure. resume: a run to continue, None to start. minutes: stop and save after this
+    time, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice; on
+    shared cores 1 is several times faster than 2. is_drawn_ahead: draw in a second process. start: another run whose
+    weights the recipe starts from.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ def learning_rate(recipe: TrainConfig, step: int) -> float:
 
 
 class _Learner:
-    """Network, heads and optimiser, in step with each other."""
+    """Network, heads and optimiser of one run."""
 
     def __init__(self, recipe: TrainConfig, device: torch.device) -> None:
         self.recipe, self.device = recipe, device
@@ -98,7 +98,7 @@ class _Learner:
         return draw_step(self.recipe, step, self.device)
 
     def learn(self, draw: Callable[[int], Pairs] | None = None) -> Losses:
-        """One step on the batch that belongs to its number. draw: step to batch, here and now by default."""
+        """One step on the batch of its number. draw: step to batch; by default in this process."""
         recipe = self.recipe
         batch = (draw or self.draw)(self.step)
         self.model.train()
@@ -227,7 +227,7 @@ def train(
             if is_last:
                 break
         if is_stopped():
-            say(f"stopped at step {learner.step}; carry on with --resume {run.folder}")
+            say(f"stopped at step {learner.step}; continue with --resume {run.folder}")
             raise KeyboardInterrupt
     say(f"step {learner.step} of {recipe.steps}, checkpoint {at}")
     return at
@@ -235,7 +235,7 @@ def train(
 
 @contextmanager
 def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Lets a step finish when the run is interrupted: half a step is no state that could be resumed."""
+    """Lets a step finish when the run is interrupted: half a step cannot be resumed."""
     asked: list[int] = []
     before = {
         kind: signal.signal(kind, lambda *_: asked.append(1)) for kind in (signal.SIGINT, signal.SIGTERM)
@@ -256,7 +256,7 @@ def _device(name: str) -> torch.device:
 
 
 def _start(learner: _Learner, run: TrainingRun) -> list[dict[str, Any]]:
-    """Restore when asked to, and give the log so far."""
+    """Restore the state if `resume` or `start` is set; returns the log of the earlier steps."""
     if run.resume is None:
         if checkpoints.latest(run.folder) is not None:
             raise ConfigError(
@@ -264,7 +264,7 @@ def _start(learner: _Learner, run: TrainingRun) -> list[dict[str, Any]]:
             )
         if bool(learner.recipe.start) != bool(run.start):
             raise ConfigError(
-                "a recipe that begins with other weights needs their run, and no other recipe does"
+                "--start belongs to a recipe with `start` set, and such a recipe needs it; give both or neither"
             )
         if run.start is not None:
             _begin(learner, run.start)
@@ -280,7 +280,7 @@ def _begin(learner: _Learner, start: Path) -> None:
     found = checkpoints.weights_sha256(start)
     if found != learner.recipe.start:
         raise ConfigError(
-            f"the weights in '{start}' are {found[:12]}, the recipe begins with {learner.recipe.start[:12]}"
+            f"the weights in '{start}' are {found[:12]}, the recipe starts from {learner.recipe.start[:12]}"
         )
     learner.begin_with(checkpoints.load(start))
 
@@ -292,7 +292,7 @@ def _save(learner: _Learner, run: TrainingRun, log: list[dict[str, Any]]) -> Pat
         (run.folder / "losses.png").write_bytes(draw_losses(log, _LOSS_NAMES))
     except OSError as error:
         raise GelgateError(
-            f"the log in '{run.folder}' cannot be written: {error.strerror}; '{at}' is whole"
+            f"the log in '{run.folder}' cannot be written: {error.strerror}; '{at}' is complete"
         ) from error
     return at
 

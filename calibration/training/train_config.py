@@ -1,4 +1,4 @@
-"""Every setting of a training run. Two runs with equal recipes and seeds learn equal weights on one machine.
+"""Every setting of a training run. Two runs with equal settings give equal weights on one machine.
 
 The values of the run that ships are in `shipped.toml`.
 """
@@ -19,7 +19,7 @@ from edge.validation_messages import numbered, sentences
 __all__ = ["STAGES", "Distance", "TrainConfig"]
 
 STAGES = ("layer1", "layer2", "layer3")
-# What runs did before these settings existed, which their files do not say.
+# The behaviour of runs from before these settings existed.
 _BEFORE = {"window_mm": 0.0, "finest_weight": 1.0, "distance": "cosine", "start": ""}
 Distance = Literal["cosine", "euclidean"]
 
@@ -42,7 +42,7 @@ class TrainConfig(BaseModel):
     margin: float = Field(gt=0, description="the distance that a changed cell must reach")
     changed_mm: float = Field(description="an imprint that differs by more is a change")
     unchanged_mm: float = Field(
-        ge=0, description="one that differs by less is none; what lies between is not judged"
+        ge=0, description="one that differs by less is unchanged; between the two nothing is judged"
     )
     window_mm: float = Field(
         ge=0, description="half width of the window where a cell's partner is looked for; 0: its own place"
@@ -57,23 +57,23 @@ class TrainConfig(BaseModel):
     precision: Literal["float32", "bfloat16", "int8"] = Field(
         description="of the forward pass; int8 rounds as the int8 variant does, in a run with a start"
     )
-    start: str = Field(description="SHA-256 of the weights that the run begins with; empty: random ones")
+    start: str = Field(description="SHA-256 of the weights that the run starts from; empty: random ones")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.geometry_weight + self.pair_weight + self.rank_weight == 0:
-            raise ValueError("the three loss weights are all 0, so that nothing would be learnt")
+            raise ValueError("the three loss weights are all 0, so nothing would be learnt; set one above 0")
         if self.unchanged_mm >= self.changed_mm:
             raise ValueError(f"unchanged_mm {self.unchanged_mm} is not below changed_mm {self.changed_mm}")
         if self.precision == "int8" and not self.start:
             raise ValueError(
-                "precision int8 keeps the statistics of the batch norms and needs a run to begin with"
+                "precision int8 keeps the statistics of the batch norms and needs a run to start from"
             )
         return self
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], what: str = "the recipe") -> "TrainConfig":
-        """A recipe that states every setting. Errors: ConfigError with every fault of `what`."""
+        """A configuration in which every setting is given. Errors: ConfigError with every fault of `what`."""
         try:
             return cls.model_validate(settings)
         except ValidationError as error:
@@ -81,7 +81,7 @@ class TrainConfig(BaseModel):
 
     @classmethod
     def shipped(cls, **changes: Any) -> "TrainConfig":
-        """The settings of the weights that ship, with changes. Errors: ConfigError with every fault."""
+        """The settings of the run that ships, with changes. Errors: ConfigError with every fault."""
         text = files("calibration.training").joinpath("shipped.toml").read_text(encoding="utf-8")
         return cls.of(tomllib.loads(text) | changes)
 

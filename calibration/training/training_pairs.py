@@ -1,7 +1,7 @@
 """Pairs of simulated presses of one random part: a nominal one, and one whose part may be damaged.
 
-The two differ as two presses on a line do: pose, pressure, tool marks, lamp level, noise. What belongs to the gel
-stays: its colours, dust, wear and grain. `change` says where the imprint differs because of the damage alone.
+The two differ as two presses on a line do: pose, pressure, tool marks, lamp level, noise. The gel's colours, dust, wear
+and grain are the same. `change_mm` is the difference of the imprint by the damage alone.
 """
 
 import math
@@ -21,12 +21,12 @@ from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
 
-# Training mixes and varies these two measured sensors; `unit_c` is kept for evaluation.
+# Training mixes and varies these two measured sensors; `unit_c` is reserved for evaluation.
 TRAINING_UNITS = ("unit_a", "unit_b")
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
 _MARKER_SHARE = 0.2
-# Cameras compress; what is recorded without loss does not.
+# Cameras compress; lossless recordings do not.
 _JPEG_SHARE = 0.7
 _JPEG_QUALITY = (75.0, 96.0)
 _DOT_PITCH_MM = (2.16, 2.03)
@@ -39,7 +39,7 @@ class Pairs:
     """n pairs. The first n samples are nominal, the last n their partners.
 
     frames: (2n, 3, h, w), whole grey levels 0 to 255, RGB. surface_mm: (2n, h, w), the imprint without dust. change_mm:
-    (n, h, w), by how much the damage alone moves the partner's imprint. spacing: mm per pixel (x, y).
+    (n, h, w), how much the damage alone moves the partner's imprint. spacing: mm per pixel (x, y).
     """
 
     frames: Tensor
@@ -111,7 +111,7 @@ def _draw_spacing(host: Draws, high_resolution: float) -> Spacing:
 
 
 def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float]:
-    """Where the region lies in the crop: at its centre every second time, else anywhere inside."""
+    """The region's place in the crop: at its centre every second time, else anywhere inside."""
     if float(host.uniform(0, 1)) < 0.5:
         return (0.0, 0.0)
     free = [max(0.0, 1 - side * s / extent) for s, extent in zip(spacing, (20.288, 15.216), strict=True)]
@@ -119,7 +119,7 @@ def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float
 
 
 def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float) -> _Views:
-    """A command per part and a jitter per press; how well a part is held differs from part to part."""
+    """A command per part and a jitter per press; the size of the jitter differs from part to part."""
     shift_sd = draws.log_uniform(0.02, 0.2, n) * scale
     turn_sd = draws.log_uniform(0.15, 2.0, n) * (math.pi / 180)
     tilt_sd = draws.log_uniform(0.1, 0.6, n) * (math.pi / 180)
@@ -189,7 +189,7 @@ def _photograph(
         return torch.cat([values, values])
 
     relief, light = _draw_coat(draws, n, x, y, spacing)
-    # What is left of another press shows through one gel in four.
+    # One gel in four has the residual imprint of another press.
     left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
     seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
     nx, ny = render.normals(*render.slopes(seen, spacing))
@@ -217,12 +217,13 @@ def _photograph(
     return torch.where(sent > 0, compressed(frames, both(draws.uniform(*_JPEG_QUALITY, n))), frames)
 
 
-# Per region: grains that stay, grains that the partner alone has, scratches and stains.
+# Per region: grains of both presses, grains of the partner only, scratches and stains.
 _GRAINS, _NEW_GRAINS, _SCRATCHES, _STAINS = 8, 2, 2, 2
 
 
 def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing) -> tuple[Tensor, Tensor]:
-    """Relief in mm and share of light, both (2n, h, w), of dust and wear; alike in both presses but for new grains."""
+    """Relief in mm and share of light, both (2n, h, w), of dust and wear; the same in both presses except for new
+    grains."""
     half_x, half_y = spacing[0] * x.shape[1] / 2, spacing[1] * x.shape[0] / 2
 
     def place(count: int) -> tuple[Tensor, Tensor]:
@@ -260,7 +261,7 @@ def _bells(px: Tensor, py: Tensor, radius: Tensor, high: Tensor, x: Tensor, y: T
 def _under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
     """The planes under a tracking gel's dots, which spread away from where the gel bulges."""
     sx, sy = render.slopes(render.blur(surface, (0.6 / spacing[0], 0.6 / spacing[1])), spacing)
-    # The simulator pushes by +0.5 mm per unit of dz/dx; our slopes have the other sign.
+    # The simulator pushes by +0.5 mm per unit of dz/dx; these slopes have the other sign.
     u, v = x - 0.5 * sx, y - 0.5 * sy
     u = u - _DOT_PITCH_MM[0] * (u / _DOT_PITCH_MM[0]).round()
     v = v - _DOT_PITCH_MM[1] * (v / _DOT_PITCH_MM[1]).round()

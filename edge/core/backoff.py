@@ -23,7 +23,7 @@ class Backoff:
             raise ValueError(f"0 < first_s <= ceiling_s is needed, found {self.first_s} and {self.ceiling_s}")
 
     def failed(self) -> float:
-        """Note one more failure; gives the seconds to wait."""
+        """Count one more failure; returns the seconds to wait."""
         full = min(self.ceiling_s, self.first_s * float(2 ** min(self.failures, 16)))
         self.failures += 1
         return full / 2 + self.rng.uniform(0, full / 2)

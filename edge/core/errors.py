@@ -1,9 +1,9 @@
-"""Every error that gelgate raises, drawn as a tree; each says whose fault it is and what comes next.
+"""Every error that gelgate raises, as a tree; each says whose fault it is and what happens next.
 
 GelgateError
 ├── ConfigError        operator · fix the configuration; the gateway does not start
 ├── BundleError        operator · replace the bundle; the gateway does not start
-│   ├── BundleCorrupt      operator · copy the whole bundle again, or make it again
+│   ├── BundleCorrupt      operator · copy the complete bundle again, or make it again
 │   └── BundleMismatch     operator · use the bundle made for this sensor, or update the program
 ├── RecordingError     operator · name another folder, or record again
 ├── DatasetError       operator · repair or remove the files that are listed
@@ -13,10 +13,10 @@ GelgateError
 │   ├── DeviceLost         device · opened again as soon as it is back
 │   ├── DeviceStalled      device · opened again (it is a TimeoutError, too)
 │   ├── FrameCorrupt       device · counted; the next frame may be good
-│   └── RecordingEnded     nobody · the run ends
+│   └── RecordingEnded     none · the run ends
 ├── SinkError          broker · the row stays in the outbox and is sent again
 │   ├── SinkUnavailable    broker · sent again when it is back
-│   └── SinkRejected       broker · set aside, told as an alarm, offered again every hour
+│   └── SinkRejected       broker · set aside, published as an alarm, offered again every hour
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
 ├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
@@ -65,7 +65,7 @@ class BundleCorrupt(BundleError):
 
 
 class BundleMismatch(BundleError):
-    """The bundle is sound but was made for another sensor profile, region or program version."""
+    """The bundle is valid but was made for another sensor profile, region or program version."""
 
 
 class RecordingError(GelgateError):
@@ -105,7 +105,7 @@ class DeviceBusy(DeviceError):
 
 
 class DeviceLost(DeviceError):
-    """The device was open and is gone."""
+    """The device was open and has disappeared."""
 
 
 class DeviceStalled(DeviceError, TimeoutError):
@@ -125,8 +125,8 @@ class SinkError(GelgateError):
 
 
 class SinkUnavailable(SinkError):
-    """The receiver is not there, lets us not in, or did not acknowledge in time; the message is sent again."""
+    """The receiver is absent, refuses the login, or did not acknowledge in time; the message is sent again."""
 
 
 class SinkRejected(SinkError):
-    """The receiver is there and refused this message: permissions or size. Others may pass."""
+    """The receiver refused this message because of its permissions or size. It may accept others."""

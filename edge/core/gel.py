@@ -1,4 +1,4 @@
-"""The gel's life: how many presses it has had, how many it is good for, and what follows."""
+"""The gel's life: its presses, its limit, and what to do about it."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -9,14 +9,14 @@ __all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "MOST_PRESSES", "Ge
 # The maker's figure for the GelSight Mini gel: 1,000 coin presses (datasheet). Sharp threads cut faster than coins;
 # the seed paper used up two gels over 2,678 listed pictures, about 1,340 each.
 DEFAULT_LIMIT_PRESSES = 1000
-# More is a slip of the finger: no gel comes near.
+# A larger number is a typing error: no gel lasts as long.
 MOST_PRESSES = 10_000_000
 # Time to order and fit a new one.
 DEFAULT_WARN_FRACTION = 0.8
 
 
 class GelState(StrEnum):
-    """What to do about the gel. The words are part of the published payload."""
+    """What to do about the gel. The values are part of the published payload."""
 
     GOOD = "good"
     DUE = "due"
@@ -47,5 +47,5 @@ class GelLife:
     def pressed(self, times: int = 1) -> Self:
         """The same gel after more presses."""
         if times < 0:
-            raise ValueError(f"a gel is not pressed {times} times")
+            raise ValueError(f"the number of presses is 0 or more, found {times}")
         return replace(self, presses=self.presses + times)

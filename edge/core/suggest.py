@@ -1,4 +1,4 @@
-"""What to suggest for a name that is not known."""
+"""Suggestions for an unknown name."""
 
 import difflib
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ __all__ = ["suggestion"]
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """`did you mean 'x'?` where a known name is near, else `known: x, y`."""
+    """`did you mean 'x'?` where a known name is similar, else `known: x, y`."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(names) or 'none'}"

@@ -1,7 +1,7 @@
-"""A bundle's files on disk: a folder or a zip, read with suspicion and written whole or not at all.
+"""A bundle's files on disk: a folder or a zip, checked while reading and written completely or not at all.
 
-Files are read into memory once and never mapped: a mapped file that is replaced under a running gateway changes its
-scores or kills it (SIGBUS), and a bank is at most some megabytes.
+Files are read into memory once and never mapped. A mapped file that is replaced while a gateway runs changes its scores
+or kills it (SIGBUS), and a bank has at most some megabytes.
 """
 
 import os
@@ -20,16 +20,16 @@ __all__ = ["MANIFEST", "Archive", "open_archive", "write_archive", "write_file"]
 MANIFEST = "manifest.json"
 
 MAX_FILE_BYTES = 1 << 30
-"""No file of a bundle is larger: the largest trunk known (Wide-ResNet-50-2 with layer4) is 275 MB."""
+"""The largest file of a bundle: the largest known trunk (Wide-ResNet-50-2 with layer4) has 275 MB."""
 
 MAX_MEMBERS = 4096
 
-# Zip knows no time zone and no year before 1980: every member carries this time, so equal content is equal bytes.
+# Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 class Archive(Protocol):
-    """Where a bundle's files come from."""
+    """The source of a bundle's files."""
 
     @property
     def where(self) -> str: ...
@@ -54,14 +54,14 @@ class _Folder:
             raise _missing(self.where, name) from error
         except OSError as error:
             raise BundleCorrupt(
-                f"bundle {self.where}: {name} cannot be read ({error.strerror}); copy the whole bundle again, "
+                f"bundle {self.where}: {name} cannot be read ({error.strerror}); copy the complete bundle again, "
                 "links are not followed"
             ) from error
         with os.fdopen(descriptor, "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise BundleCorrupt(
-                    f"bundle {self.where}: {name} is not a plain file; copy the whole bundle again"
+                    f"bundle {self.where}: {name} is not a plain file; copy the complete bundle again"
                 )
             _check_size(self.where, name, status.st_size, limit)
             return file.read(limit + 1)
@@ -109,7 +109,7 @@ class _Zip:
 
 
 def _zip_root(names: list[str]) -> str:
-    """'' where the manifest is at the top, 'folder/' where the whole bundle folder was zipped."""
+    """'' where the manifest is at the top, 'folder/' where the bundle folder itself was zipped."""
     if MANIFEST in names:
         return ""
     roots = [
@@ -136,12 +136,12 @@ def _check_member(where: str, member: zipfile.ZipInfo) -> None:
 def _check_size(where: str, name: str, size: int, limit: int) -> None:
     if size > limit:
         raise BundleCorrupt(
-            f"bundle {where}: {name} has {size} bytes, at most {limit} were expected; copy the whole bundle again"
+            f"bundle {where}: {name} has {size} bytes, at most {limit} were expected; copy the complete bundle again"
         )
 
 
 def _missing(where: str, name: str) -> BundleCorrupt:
-    return BundleCorrupt(f"bundle {where}: {name} is missing; copy the whole bundle again")
+    return BundleCorrupt(f"bundle {where}: {name} is missing; copy the complete bundle again")
 
 
 def open_archive(path: Path) -> Archive:
@@ -210,7 +210,7 @@ def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _put_in_place(partial: Path, path: Path) -> None:
-    """Rename over; a folder that is being replaced is moved aside first, since rename cannot replace it."""
+    """Rename to the final path; an existing folder is moved away first, because rename cannot replace it."""
     if not path.is_dir():
         partial.rename(path)
         return

@@ -1,7 +1,7 @@
-"""A bundle: one detector for one position of one part, everything a gateway needs to score it, checked by hash.
+"""A bundle: one detector for one position of one part, with everything that scoring needs, checked by hash.
 
-`Bundle.load` reads a folder or a zip, `bundle_files` and `write_bundle` make one. What is checked is what is used:
-every file is read once, its hash is taken of those bytes, and those bytes become arrays and sessions.
+`Bundle.load` reads a folder or a zip, `bundle_files` and `write_bundle` make one. Every file is read once, and the
+bytes that are hashed are the bytes that become arrays and sessions.
 """
 
 import hashlib
@@ -65,11 +65,11 @@ class Graphs:
 
 @dataclass(frozen=True)
 class Bundle:
-    """A checked bundle in memory. bank: arrays unpacked, exactly as the head's inputs want them.
+    """A checked bundle in memory. bank: unpacked arrays, as the head's inputs need them.
 
-    `graphs.trunk` is None where the caller said that this trunk is open already. free_gel: the region untouched, uint8
-    (h, w, 3), where tiles may be skipped. digest: SHA-256 of the manifest, the
-    bundle's identity in every published result. where: path, for messages.
+    `graphs.trunk` is None where the caller has this trunk open already. free_gel: the region without contact, uint8 (h,
+    w, 3), where tiles may be skipped. digest: SHA-256 of the manifest, the bundle's identity in every published result.
+    where: path, for messages.
     """
 
     manifest: Manifest
@@ -84,9 +84,9 @@ class Bundle:
     def load(cls, path: str | Path, trunks: Path | None = None, loaded: Container[str] = ()) -> "Bundle":
         """Read and verify a bundle, a folder or a zip.
 
-        trunks: folder of `<sha256>.onnx`, for bundles sent without their trunk; `trunks/` beside the bundle and the
-        installed backbones are tried after it. loaded: SHA-256 of trunks that are open already and are not read.
-        Errors: BundleCorrupt (which file, found, expected), BundleMismatch (from a newer program).
+        trunks: folder of `<sha256>.onnx`, for bundles sent without their trunk; then `trunks/` next to the bundle and
+        the installed backbones are tried. loaded: SHA-256 of trunks that are already open and are not read. Errors:
+        BundleCorrupt (which file, found, expected), BundleMismatch (from a newer program).
         """
         archive = open_archive(Path(path))
         raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
@@ -102,7 +102,7 @@ class Bundle:
         where: str = "unwritten",
         loaded: Container[str] = (),
     ) -> "Bundle":
-        """The bundle that `files` would be, through the same checks; what is scored at fit is what will be loaded."""
+        """The bundle of these files, with the same checks, so fit scores what a gateway will load."""
         return cls._checked(
             manifest, hashlib.sha256(files[MANIFEST]).hexdigest(), _Memory(files, where), (), loaded
         )
@@ -158,7 +158,7 @@ def bundle_files(
     """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
 
     backbone: the trunk's id. with_trunk: False leaves the trunk to the gateway's store. Errors: FitError for an array
-    that cannot be stored as the bank asks.
+    that cannot be stored as the bank states.
     """
     files: dict[str, bytes] = {}
 
@@ -193,7 +193,7 @@ def bundle_files(
 
 
 def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> Path:
-    """Write what `bundle_files` gave, as a folder or (name ending in .zip) a zip; whole or not at all.
+    """Write the files of `bundle_files` as a folder or (name ending in .zip) a zip, completely or not at all.
 
     Errors: FileExistsError, OSError.
     """
@@ -253,7 +253,7 @@ def parse_manifest(raw: bytes, where: str) -> Manifest:
         return Manifest.model_validate(content)
     except ValidationError as error:
         faults = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'whole'}: {e['msg']}" for e in error.errors()[:5]
+            f"{'.'.join(map(str, e['loc'])) or 'manifest'}: {e['msg']}" for e in error.errors()[:5]
         )
         raise BundleCorrupt(
             f"bundle {where}: {MANIFEST} is wrong: {faults}; export the bundle again"
@@ -269,7 +269,7 @@ def _verified(data: bytes, entry: FileEntry, where: str) -> bytes:
     if found != entry.sha256:
         raise BundleCorrupt(
             f"bundle {where}: {entry.file} has SHA-256 {found[:12]} ({len(data)} bytes), the manifest expects "
-            f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the whole bundle again"
+            f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the complete bundle again"
         )
     return data
 
@@ -297,12 +297,12 @@ def _read_trunk(
 
 
 def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | None:
-    """The trunk of an installed backbone of that name, whole or cut behind these taps, if it is the very same one."""
+    """The trunk of an installed backbone of that name, complete or cut after these taps, if the hash is the same."""
     if backbone.id not in registry.names("backbones"):
         return None
     try:
-        whole = registry.backbone(backbone.id).trunk()
-        candidates = (whole, cut_trunk(whole, taps))
+        complete = registry.backbone(backbone.id).trunk()
+        candidates = (complete, cut_trunk(complete, taps))
     except (GelgateError, GraphRefused, ImportError):
         return None
     wanted = backbone.trunk.sha256
@@ -329,7 +329,7 @@ def _read_array(archive: Archive, name: str, entry: ArrayEntry) -> NDArray[Any]:
 
 
 def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where: str) -> NDArray[Any]:
-    """An array straight from npy bytes; the header must say what the manifest says, so nothing else is believed."""
+    """An array from npy bytes; its header must agree with the manifest."""
     stream = io.BytesIO(data)
     try:
         major, _ = np.lib.format.read_magic(stream)
@@ -346,7 +346,7 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
     if found_bytes != expected_bytes:
         raise BundleCorrupt(
             f"bundle {where}: {file} holds {found_bytes} bytes of data, {expected_bytes} were expected; "
-            "copy the whole bundle again"
+            "copy the complete bundle again"
         )
     return np.frombuffer(data, found_dtype, offset=stream.tell()).reshape(shape)
 

@@ -1,6 +1,6 @@
-"""The manifest of a bundle: what `manifest.json` holds, checked field by field when it is read.
+"""The manifest of a bundle: the content of `manifest.json`, checked field by field when it is read.
 
-Units: bytes, milliseconds and seconds are in the names; pixel positions are those of the picture (origin top left).
+Units: bytes, milliseconds and seconds are in the names; pixel positions are in the picture (origin top left).
 """
 
 import math
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 SCHEMA_VERSION = 1
-"""Raised when a reader of the last version would misread the new one; a newer bundle is refused by name."""
+"""Increased when a reader of the last version would misread the new one; a newer bundle is refused."""
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
@@ -54,7 +54,7 @@ class _Entry(BaseModel):
 
 
 class FileEntry(_Entry):
-    """One file: its place in the bundle and what its bytes must be."""
+    """One file: its place in the bundle, and the hash and size of its bytes."""
 
     file: RelativeFile
     sha256: Sha256
@@ -62,7 +62,7 @@ class FileEntry(_Entry):
 
 
 class ArrayEntry(_Entry):
-    """One bank array. dtype and shape are those the head is given; `packing` tells how `data` holds it.
+    """One bank array. dtype and shape are those of the head's input; `packing` says how `data` stores it.
 
     `scale` belongs to int8 (float32, one per row of the last axis), `exponent` to float16 (times 2**exponent).
     """
@@ -92,7 +92,7 @@ class BackboneEntry(_Entry):
 
 
 class ProfileEntry(_Entry):
-    """Every field of `SensorProfile`: how camera bytes became the pictures that were learnt."""
+    """Every field of `SensorProfile`: how camera bytes became the nominal pictures."""
 
     name: Name
     native: tuple[int, int]
@@ -170,7 +170,7 @@ class GridEntry(_Entry):
             raise ValueError(f"untouched tiles are numbered 0 to {count - 1}, found {self.tiles.untouched}")
         for tap, (_, h, w) in self.taps.items():
             if h % len(self.tiles.rows) or w % len(self.tiles.columns):
-                raise ValueError(f"the tap '{tap}' of {h}x{w} is no mosaic of whole tiles")
+                raise ValueError(f"the tap '{tap}' of {h}x{w} is not a mosaic of complete tiles")
         return self
 
     @classmethod
@@ -190,10 +190,10 @@ class GridEntry(_Entry):
 class ThresholdEntry(_Entry):
     """A press fails when its score is above `value`.
 
-    alpha: the false-alarm rate that was asked for. alpha_floor: 1 / (pieces + 1), the smallest that presses of so many
-    pieces can promise, as a mean over bundles. pieces: how many the nominal presses are of; a press of an unknown piece
-    counts as one. rate_range: where this one bundle's own rate lies, with a probability of 95 %. nominal_scores:
-    rising. method tells in words how the value was found; `edge.model.promise` what it promises.
+    alpha: the requested false-alarm rate. alpha_floor: 1 / (pieces + 1), the smallest rate that presses of this number
+    of pieces can guarantee, as a mean over bundles. pieces: the number of pieces; a press of an unknown piece counts as
+    one. rate_range: the range of this bundle's own rate, with a probability of 95 %. nominal_scores: rising. method:
+    how the value was found, in words; `edge.model.promise` states the guarantee.
     """
 
     value: float
@@ -210,13 +210,13 @@ class ThresholdEntry(_Entry):
 
     @property
     def is_floored(self) -> bool:
-        """Whether nominal presses of fewer pieces were given than the rate asked for needs."""
+        """Whether there were nominal presses of fewer pieces than the requested rate needs."""
         return self.alpha < self.alpha_floor
 
 
 class ToleranceEntry(_Entry):
-    """How far a score may lie from the one computed at fit: `score` and `score_map` absolute, plus `relative` of the
-    expected value. `measured` is the largest difference seen at fit over runs, threads and batch sizes."""
+    """The allowed difference from a score computed at fit: `score` and `score_map` absolute, plus `relative` of the
+    expected value. `measured` is the largest difference found at fit over runs, threads and batch sizes."""
 
     score: float = Field(ge=0)
     score_map: float = Field(ge=0)
@@ -224,7 +224,7 @@ class ToleranceEntry(_Entry):
     measured: float = Field(ge=0)
 
     def around(self, score: float) -> float:
-        """How far a score near this one may lie from it and still be the same."""
+        """The allowed difference from a score of this size."""
         return self.score + self.relative * abs(score)
 
 
@@ -242,7 +242,7 @@ class GoldenEntry(_Entry):
 
 
 class ContactRange(_Entry):
-    """Where nominal presses touch, (low, high) with a margin: fractions of the picture, as in `Touch`."""
+    """Where nominal presses have contact, (low, high) with a margin: fractions of the picture, as in `Touch`."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -253,10 +253,10 @@ Level = Annotated[float, Field(ge=0, le=255)]
 
 
 class ColourEntry(_Entry):
-    """`NominalColours`: what nominal presses look like from afar, so that other sensors are refused.
+    """`NominalColours`: the coarse colours of nominal presses, by which other sensors are refused.
 
-    cells: rows of columns of (r, g, b) over the region, levels. limit, spread: `colour_distance` at which a press is
-    refused, and the largest between a nominal press and the others; fractions of the light.
+    cells: rows of columns of (r, g, b) over the region, levels. limit: the `colour_distance` at which a press is
+    refused. spread: the largest between a nominal press and the others. Both are fractions of the light.
     """
 
     cells: tuple[tuple[tuple[Level, Level, Level], ...], ...]
@@ -275,7 +275,7 @@ class ColourEntry(_Entry):
 
 
 class CostCard(_Entry):
-    """What scoring and fitting cost on the machine that fitted. Milliseconds are medians of one frame.
+    """The time and size of scoring and fitting, on the machine of the fit. Milliseconds are medians of one frame.
 
     features_s: trunk over all presses. fit_s: the bank from the features. threshold_s: the folds for the threshold.
     """
@@ -303,7 +303,7 @@ class Provenance(_Entry):
 
 
 class Facts(_Entry):
-    """What a bundle says about itself besides its files."""
+    """The manifest without the list of files."""
 
     schema_version: Literal[1] = 1
     part: Name
@@ -326,10 +326,10 @@ class Facts(_Entry):
 
 
 class Manifest(Facts):
-    """Everything that is known of a bundle.
+    """The complete manifest of a bundle.
 
-    Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or `detector` alone: a single graph from
-    frames to score map, such as a third party's. free_gel: the region untouched, where tiles may be skipped.
+    Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or only `detector`: a single graph from
+    frames to score map, such as a third party's. free_gel: the region without contact, where tiles may be skipped.
     """
 
     backbone: BackboneEntry | None = None
@@ -351,9 +351,11 @@ class Manifest(Facts):
             self.grid is not None and self.grid.tiles is not None and bool(self.grid.tiles.untouched)
         )
         if is_skipping and pair and self.free_gel is None:
-            raise ValueError("tiles that are skipped need the picture free_gel, whose features stand in")
+            raise ValueError(
+                "tiles that are skipped need the picture free_gel, whose features replace theirs"
+            )
         if not self.region.region().is_within(self.profile.size):
-            raise ValueError(f"region {self.region.region()} lies outside the picture of {self.profile.size}")
+            raise ValueError(f"region {self.region.region()} is outside the picture of {self.profile.size}")
         return self
 
     def decide(self, score: float) -> Verdict:

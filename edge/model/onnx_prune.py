@@ -1,7 +1,7 @@
-"""A trunk without what lies behind its deepest tap in use: onnxruntime computes every output, wanted or not.
+"""Cuts a trunk after the deepest tap that is used, because onnxruntime computes every output.
 
-The cut works on the protobuf fields themselves and keeps the bytes of every node and weight that stays, so it needs
-no onnx package and equal trunks give equal cuts.
+The cut works on protobuf fields and keeps the bytes of every remaining node and weight. So it needs no onnx package,
+and equal trunks give equal cuts.
 
 Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 """
@@ -18,7 +18,7 @@ _NODE, _INITIALIZER, _OUTPUT, _VALUE_INFO, _QUANTIZATION = 1, 5, 12, 13, 14
 # NodeProto, TensorProto, and the ValueInfoProto and TensorAnnotation whose first field is a name.
 _NODE_INPUT, _NODE_OUTPUT, _NODE_ATTRIBUTE = 1, 2, 5
 _TENSOR_NAME, _FIRST_NAME = 8, 1
-# AttributeProto: a node that holds a graph of its own may read any value by name.
+# AttributeProto: a node with a subgraph may read any value by name.
 _SUBGRAPHS = (6, 11)
 _BYTES = 2  # wire type of a length-delimited field
 
@@ -28,9 +28,9 @@ Field = tuple[int, int | memoryview]
 def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
     """The trunk up to the last of these taps in the order of its outputs; the outputs before it stay.
 
-    So one backbone has at most as many cuts as taps, and parts of a line that read equally deep share one file. The
-    same bytes come back where nothing lies behind, a tap is not among the outputs, or nodes hold graphs of their own.
-    Errors: GraphRefused for bytes that are no model.
+    So one backbone has at most as many cuts as taps, and parts that use the same deepest tap share one file. The bytes
+    are unchanged if nothing can be cut, a tap is not among the outputs, or nodes have subgraphs. Errors: GraphRefused
+    for bytes that are not a model.
     """
     given = output_names(graph)
     if not taps or not set(taps) <= set(given):
@@ -50,7 +50,7 @@ def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
 
 
 def _cut(graph: memoryview, kept: Sequence[str]) -> bytes | None:
-    """The graph's bytes with these outputs alone, None where a node holds a graph."""
+    """The graph's bytes with only these outputs, None where a node has a subgraph."""
     content = list(fields(graph))
     nodes = [value for number, value in content if number == _NODE and isinstance(value, memoryview)]
     if any(_has_subgraph(node) for node in nodes):
@@ -76,9 +76,9 @@ def _stays(number: int, value: memoryview, used: set[int], needed: set[bytes], k
 
 
 def _needed(nodes: Sequence[memoryview], kept: Iterable[str]) -> tuple[set[int], set[bytes]]:
-    """The nodes (by identity) behind these outputs, and the names of every value that they read or give.
+    """The nodes (by identity) that these outputs need, and the names of every value that they read or give.
 
-    Nodes stand in the order in which they are computed, as ONNX demands.
+    Nodes are in the order of computation, as ONNX requires.
     """
     needed = {name.encode() for name in kept}
     used: set[int] = set()

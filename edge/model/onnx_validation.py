@@ -1,8 +1,8 @@
-"""What an ONNX file may contain before the runtime parses it, found by reading its protobuf fields alone.
+"""Checks what an ONNX file contains before the runtime parses it, by reading its protobuf fields.
 
 A graph in a bundle is refused when it points to data outside its own bytes, uses an operator domain other than the
-standard one, or brings functions of its own. onnxruntime resolves external data relative to the working directory
-when it loads from bytes, so the refusal cannot be left to it; the onnx package is not needed on the gateway.
+standard one, or defines its own functions. onnxruntime resolves external data relative to the working directory when it
+loads from bytes, so the refusal cannot be left to it; the onnx package is not needed on the gateway.
 
 Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 """
@@ -17,7 +17,7 @@ MAX_NODES = 20_000
 MAX_FIELDS = 2_000_000
 MAX_DEPTH = 12
 
-# onnx.proto3: message -> {field number: message it holds}; fields that are not listed are skipped unread.
+# onnx.proto3: message -> {field number: message it holds}; other fields are skipped.
 CHILDREN: dict[str, dict[int, str]] = {
     "model": {7: "graph", 8: "opset", 25: "function"},
     "graph": {1: "node", 5: "tensor", 15: "sparse"},
@@ -85,7 +85,7 @@ def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
         if child is None or not isinstance(value, memoryview):
             continue
         if child == "function":
-            raise GraphRefused("it defines functions of its own; inline them")
+            raise GraphRefused("it defines its own functions; inline them")
         if child == "node":
             budget.nodes -= 1
             if budget.nodes < 0:

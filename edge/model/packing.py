@@ -1,7 +1,7 @@
-"""How a bank array is stored, and how it becomes float32 again: packed once at fit, unpacked once at load.
+"""The stored form of bank arrays: packed once at fit, unpacked to float32 once at load.
 
-Dequantising inside the graph on every frame costs more than the head itself (PaDiM, 28x28, rank 16: 1.9 ms against
-0.3 ms on two cores), so the compact form lives on disk alone and the runtime is given float32.
+Dequantising inside the graph on every frame costs more than the head itself (PaDiM, 28x28, rank 16: 1.9 ms against 0.3
+ms on two cores), so the compact form is only on disk, and the runtime gets float32.
 """
 
 import math
@@ -15,7 +15,7 @@ from edge.core.detector import Packing
 
 __all__ = ["Packed", "pack", "unpack"]
 
-# A half holds 65504 at most and loses bits below 2**-14: the largest entry is brought just under 2**15.
+# A half holds 65504 at most and loses bits below 2**-14: the largest entry is scaled to just under 2**15.
 HALF_TOP_EXPONENT = 15
 INT8_TOP = 127
 MAX_FLOAT32_EXPONENT = 126
@@ -25,8 +25,8 @@ MAX_FLOAT32_EXPONENT = 126
 class Packed:
     """An array as stored.
 
-    data: the stored array. scale: float32, data's shape without its last axis, for int8 alone.
-    exponent: float16 data are multiplied by 2**exponent when unpacked.
+    data: the stored array. scale: float32, data's shape without its last axis, only for int8. exponent: float16 data
+    are multiplied by 2**exponent when unpacked.
     """
 
     data: NDArray[Any]
@@ -35,7 +35,7 @@ class Packed:
 
 
 def pack(array: NDArray[Any], packing: Packing) -> Packed:
-    """The stored form of a float32 array; any dtype passes `none` as it is.
+    """The stored form of a float32 array; `none` keeps any dtype.
 
     Error of one entry x: float16 at most 2**-11 |x| + 2**-40 max|array|; int8 at most 0.501 of its row's scale,
     which is max|row| / 127. Errors: ValueError for a non-finite entry or a packing that the dtype cannot take.
@@ -60,7 +60,8 @@ def _pack_float16(array: NDArray[np.float32]) -> Packed:
 
 
 def _doubled(array: NDArray[np.float32], times: int) -> NDArray[np.float32]:
-    """array * 2**times, exact but for subnormals; a product is ten times as fast as ldexp where a float32 holds it."""
+    """array * 2**times, exact except for subnormals; where a float32 holds the factor, a product is ten times faster
+    than ldexp."""
     if abs(times) <= MAX_FLOAT32_EXPONENT:
         return array * np.float32(2.0**times)
     return np.ldexp(array, times)
@@ -80,7 +81,7 @@ def _pack_int8(array: NDArray[np.float32]) -> Packed:
 
 
 def unpack(packed: Packed, packing: Packing) -> NDArray[Any]:
-    """The array as the head's input wants it. The inverse of `pack` within its stated error."""
+    """The array for the head's input: the inverse of `pack` within its stated error."""
     if packing == "none":
         return packed.data
     with np.errstate(under="ignore"):

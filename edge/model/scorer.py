@@ -1,7 +1,7 @@
-"""Scoring: frames in, score map and score out, with the features staying inside onnxruntime between the two graphs.
+"""Scoring: frames in, score map and score out; features stay inside onnxruntime between the two graphs.
 
-The trunk writes its taps into buffers that the head reads; the bank is bound once. Nothing here knows a method. A
-trunk that sees tiles is run by `edge.model.tile_runner`, which leaves out those that hold nothing but free gel.
+The trunk writes its taps into buffers that the head reads; the bank is bound once. There is no code for a particular
+method. `edge.model.tile_runner` runs a tiled trunk and skips tiles that show only free gel.
 """
 
 import time
@@ -23,7 +23,7 @@ __all__ = ["MAP_BLOCKS", "Scored", "Scorer", "map_peaks"]
 FRAMES, SCORE_MAP, SCORE = "frames", "score_map", "score"
 
 MAP_BLOCKS = 8
-"""A golden score map is summed up by the maxima of this many blocks along each side."""
+"""A golden score map is stored as the maxima of this many blocks along each side."""
 
 # onnxruntime's names of the dtypes that a bank may hold.
 ORT_TYPES = {
@@ -48,11 +48,11 @@ class Scored:
 
 
 class Scorer:
-    """A bundle made ready to score. Use one from one thread at a time.
+    """A bundle that is ready to score. Use it from one thread at a time.
 
-    trunks: pass the gateway's own so that bundles share a trunk. is_skipping: False runs every tile of a tiled trunk
-    on every press. Errors: BundleCorrupt where a graph cannot be opened, misses a tap, wants an array that the bank
-    lacks, or answers in another shape.
+    trunks: sessions to share between bundles. is_skipping: False runs every tile of a tiled trunk on every press.
+    Errors: BundleCorrupt where a graph cannot be opened, lacks a tap, needs an array that the bank lacks, or gives
+    another shape.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Scorer:
 
     @property
     def tiles_run(self) -> int:
-        """How often the trunk was run on a tile so far; 0 where it sees the region in one piece."""
+        """How often the trunk was run on a tile; 0 for a trunk without tiles."""
         return 0 if self._tiled is None else self._tiled.runner.runs
 
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
@@ -124,7 +124,7 @@ class Scorer:
     def check_golden(self) -> float:
         """Score every golden frame again; returns the largest score difference found.
 
-        Errors: BundleCorrupt when a score or a map lies outside the manifest's tolerance.
+        Errors: BundleCorrupt when a score or a map is outside the manifest's tolerance.
         """
         tolerance, worst = self.bundle.manifest.tolerance, 0.0
         for number, golden in enumerate(self.bundle.golden):
@@ -212,7 +212,7 @@ class Scorer:
         return {name: self.bundle.bank[name].shape for name in wanted}
 
     def _opened_tiles(self, is_skipping: bool) -> "_Tiled | None":
-        """The trunk bound to one tile; None where it sees the region in one piece."""
+        """The trunk bound to one tile; None for a trunk without tiles."""
         grid, entry = self.bundle.grid, self.bundle.manifest.grid
         if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
             return None
@@ -228,7 +228,7 @@ class Scorer:
             ) from error
 
     def _opened_pipe(self) -> "_Pipe":
-        """Buffers for one frame, tried on a grey one, so that a wrong shape is found before the first press."""
+        """Buffers for one frame, tried on a grey frame, so a wrong shape is found before the first press."""
         pipe = self._new_pipe(1)
         try:
             score_maps, scores, _, _ = pipe.run(np.full((1, *self.frame, 3), 128, np.uint8))
@@ -253,14 +253,14 @@ class Scorer:
 
 @dataclass(frozen=True)
 class _Tiled:
-    """A trunk that is run tile by tile, and what stands in for tiles without contact."""
+    """A trunk that is run tile by tile, and the features for tiles without contact."""
 
     runner: TileRunner
     free: FreeGel | None
 
 
 class _Pipe:
-    """The two graphs joined by buffers for a fixed number of frames. mosaics: set where the trunk sees tiles."""
+    """The two graphs joined by buffers for a fixed number of frames. mosaics: set for a tiled trunk."""
 
     def __init__(
         self,
@@ -273,7 +273,7 @@ class _Pipe:
     ) -> None:
         self.size = shape[0]
         self._mosaics = mosaics
-        # onnxruntime reads this array in place: writing a frame into it is binding it.
+        # onnxruntime reads this array in place: so a frame that is written into it is bound.
         self._frames = np.zeros(shape, np.uint8)
         frames = ort.OrtValue.ortvalue_from_numpy(self._frames)
         self._trunk, self._head = trunk, head
@@ -307,7 +307,7 @@ class _Pipe:
         middle = time.perf_counter()
         self._head.run_with_iobinding(self._head_io)
         end = time.perf_counter()
-        # The runtime writes the next answer into the same memory, so what is handed out is a copy.
+        # The runtime writes the next result into the same memory, so a copy is returned.
         score_map, score = (value.numpy().copy() for value in self._head_io.get_outputs())
         return score_map, score, (middle - start) * 1e3, (end - middle) * 1e3
 
@@ -320,7 +320,7 @@ def _fits(found: tuple[int, ...], wanted: list[Any]) -> bool:
 
 
 def map_peaks(score_map: NDArray[np.float32]) -> tuple[tuple[float, ...], ...]:
-    """A score map summed up by the maxima of 8 x 8 blocks, row by row; fewer where the map has fewer pixels."""
+    """The maxima of 8 x 8 blocks of a score map, row by row; fewer where the map has fewer pixels."""
     h, w = score_map.shape
     rows = np.linspace(0, h, min(MAP_BLOCKS, h) + 1).astype(int)[:-1]
     columns = np.linspace(0, w, min(MAP_BLOCKS, w) + 1).astype(int)[:-1]

@@ -1,4 +1,4 @@
-"""onnxruntime sessions, opened in one way only, and the trunks that several bundles share."""
+"""onnxruntime sessions with fixed options, and the trunks that several bundles share."""
 
 from functools import cache
 from importlib.resources import files
@@ -29,11 +29,11 @@ RUNTIME_ERRORS: tuple[type[Exception], ...] = (
     RuntimeError,
     ValueError,
 )
-"""What onnxruntime raises; it has no common base of its own."""
+"""The exceptions of onnxruntime, which have no common base class."""
 
 
 def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession:
-    """A session for untrusted bytes with fixed options. `where` names the file in refusals.
+    """A session for untrusted bytes with fixed options. `where` names the file in errors.
 
     Spinning threads are off: on a shared two-core gateway they gave a worst case of 53.9 ms against 39.9 with the
     same median. The arena is on: shapes are fixed, so it does not grow. Errors: BundleCorrupt.
@@ -43,7 +43,7 @@ def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession
     options.inter_op_num_threads = 1
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 3  # errors only: gelgate's own sentences say the rest
+    options.log_severity_level = 3  # errors only: gelgate's own messages cover the rest
     options.use_deterministic_compute = True
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     if saturates():
@@ -63,8 +63,8 @@ def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession
 def saturates() -> bool:
     """Whether onnxruntime lets the 16-bit sums of int8 products saturate here, as it does on x86 without VNNI.
 
-    Tried on a convolution whose every product is near the largest. Such a processor needs wider sums, which take an
-    int8 trunk twice as long (measured: 5.1 to 10.6 ms on one core), so others are spared them.
+    Tried on a convolution in which every product is near the maximum. Such a processor needs wider sums, with which an
+    int8 trunk takes twice as long (measured: 5.1 to 10.6 ms on one core), so others do not use them.
     """
     probe = files("edge.model").joinpath("saturation_probe.onnx").read_bytes()
     session = ort.InferenceSession(probe, providers=["CPUExecutionProvider"])

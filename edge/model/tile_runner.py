@@ -1,12 +1,11 @@
-"""A trunk that sees a large frame tile by tile: one tile's memory, and no work where the gel is free.
+"""Runs a trunk on a large frame tile by tile: the memory of one tile, and no work for tiles without contact.
 
-The tiles of a press go through the trunk one after the other, so that memory does not grow with the frame and a tile's
-features do not depend on which others are looked at. They are laid tile beside tile into the maps that the head reads
-(`edge.core.imaging.tiles`).
+The trunk runs on one tile after the other, so memory does not grow with the frame, and a tile's features do not depend
+on which others run. They are placed next to each other in the maps that the head reads (`edge.core.imaging.tiles`).
 
-A tile that no nominal press touches holds the untouched gel on every sound press. It is skipped on a press that looks
-like the free gel there: the features of the free gel, computed once, stand in. A press that differs there is looked at
-in full, so nothing that touches the gel goes unseen, wherever it lies.
+A tile that no nominal press touches shows free gel on every sound press. It is skipped where a press looks like the
+free gel; the features of the free gel, computed once, are used instead. Where a press differs, the tile is run, so
+contact at any place is inspected.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,10 +20,10 @@ from edge.core.imaging.tiles import Tiles
 
 __all__ = ["FREE_LEVELS", "FreeGel", "TileRunner", "TiledMaps", "most_typical", "untouched_tiles"]
 
-# A tile looks like the free gel when no block of it differs by more: half of what counts as touch, above the noise.
+# A tile looks like the free gel when no block differs by more: half of the contact level, above the noise.
 FREE_LEVELS = TOUCH_LEVELS / 2
 
-# Side in pixels of the blocks that are compared: 8 of 1280x720 are one pixel of the view in which touch is found.
+# Side in pixels of the blocks that are compared: 8 pixels of 1280x720 are one pixel of the contact view.
 BLOCK_SIDE = 8
 
 
@@ -49,7 +48,7 @@ class TileRunner:
             self._io.bind_ortvalue_output(tap, ort.OrtValue.ortvalue_from_numpy(array))
 
     def run(self, frame: NDArray[np.uint8], index: int, into: Mapping[str, NDArray[np.float32]]) -> None:
-        """The features of one tile of a frame (h, w, 3), laid into its place of the mosaics (channels, h, w)."""
+        """The features of one tile of a frame (h, w, 3), written to its place in the mosaics (channels, h, w)."""
         row, column = self.tiles.places[index]
         side = self.tiles.size
         self._tile[0] = frame[row : row + side, column : column + side]
@@ -59,13 +58,13 @@ class TileRunner:
             into[tap][self.place(tap, index)] = found[0]
 
     def place(self, tap: str, index: int) -> tuple[slice, slice, slice]:
-        """Where a tile lies in a tap's mosaic."""
+        """A tile's place in a tap's mosaic."""
         (row, column), (h, w) = divmod(index, len(self.tiles.columns)), self._cells[tap]
         return slice(None), slice(row * h, (row + 1) * h), slice(column * w, (column + 1) * w)
 
 
 class FreeGel:
-    """What stands in where a press is free gel: the trunk's features of it, run once.
+    """The trunk's features of the free gel, computed once, for tiles where a press shows free gel.
 
     rgb: uint8 (h, w, 3) of the region. untouched: the tiles that may be skipped, row by row.
     """
@@ -91,14 +90,14 @@ class FreeGel:
         return frozenset(i for i in self.untouched if not is_far[_reach(tiles.places[i], tiles.size)].any())
 
     def paste(self, index: int, into: Mapping[str, NDArray[np.float32]]) -> None:
-        """The free gel's features of a tile, laid into its place of the mosaics."""
+        """Copy the free gel's features of a tile to its place in the mosaics."""
         for tap, mosaic in into.items():
             place = self._runner.place(tap, index)
             mosaic[place] = self._maps[tap][place]
 
 
 class TiledMaps:
-    """The mosaics of n frames, brought up to date press by press. free: None where every tile is run.
+    """The mosaics of n frames, updated press by press. free: None where every tile is run.
 
     arrays: tap to float32 (n, channels, h, w), which a head may read in place.
     """
@@ -116,7 +115,7 @@ class TiledMaps:
         self._pasted: list[frozenset[int]] = [frozenset()] * frames
 
     def show(self, frames: NDArray[np.uint8]) -> None:
-        """Bring the mosaics to these frames, uint8 (n, h, w, 3)."""
+        """Update the mosaics to these frames, uint8 (n, h, w, 3)."""
         for number, frame in enumerate(frames):
             mosaics = {tap: array[number] for tap, array in self.arrays.items()}
             matching = frozenset() if self._free is None else self._free.matching(frame)
@@ -139,7 +138,8 @@ def untouched_tiles(tiles: Tiles, touched: NDArray[np.bool_]) -> tuple[int, ...]
 
 
 def most_typical(frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Of frames of the free gel, uint8 (m, h, w, 3), the one nearest to their mean: it carries the noise of one."""
+    """Of frames of the free gel, uint8 (m, h, w, 3), the one nearest to their mean; it keeps the noise of a single
+    frame."""
     blocks = np.stack([_blocks(frame) for frame in frames])
     distance = np.square(blocks - blocks.mean(axis=0)).sum(axis=(1, 2, 3))
     chosen: NDArray[np.uint8] = np.ascontiguousarray(frames[int(distance.argmin())])
@@ -147,17 +147,17 @@ def most_typical(frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDA
 
 
 def _blocks(frame: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Means over squares of 8 pixels, those at the right and bottom over what is left: float32 (h/8, w/8, 3)."""
+    """Means over squares of 8 pixels, at the right and bottom over the remaining pixels: float32 (h/8, w/8, 3)."""
     h, w = frame.shape[:2]
     more = (-h % BLOCK_SIDE, -w % BLOCK_SIDE)
-    whole = frame if more == (0, 0) else np.pad(frame, ((0, more[0]), (0, more[1]), (0, 0)), mode="edge")
-    size = (whole.shape[1] // BLOCK_SIDE, whole.shape[0] // BLOCK_SIDE)
+    padded = frame if more == (0, 0) else np.pad(frame, ((0, more[0]), (0, more[1]), (0, 0)), mode="edge")
+    size = (padded.shape[1] // BLOCK_SIDE, padded.shape[0] // BLOCK_SIDE)
     # In float32: an 8-bit mean would round half a level away.
-    return np.asarray(cv2.resize(whole.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+    return np.asarray(cv2.resize(padded.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _reach(place: tuple[int, int], side: int) -> tuple[slice, slice]:
-    """The blocks that a tile lies on, in part too."""
+    """The blocks that a tile overlaps, also partly."""
     row, column = place
     return (
         slice(row // BLOCK_SIDE, -(-(row + side) // BLOCK_SIDE)),

@@ -1,11 +1,11 @@
-"""Recordings: a folder of camera frames and an index, written by capture and simulation, played by false devices.
+"""Recordings: a folder of camera frames and an index, written by capture and simulation, played by virtual devices.
 
     recording.toml    `version` first, then who the sensor was and its video mode
     index.jsonl       one line a frame: sequence, time_ns, file, and `label` (any object, kept as it is)
     frames/*.jpg|png  the camera's bytes, untouched
 
 A frame's index line is written after its file is complete, so a recording cut short by a kill or a full disk is
-readable up to its last whole line. It is not synced frame by frame: after a power cut the last frames may be gone.
+readable up to its last complete line. It is not synced per frame: after a power cut the last frames may be missing.
 """
 
 import json
@@ -27,13 +27,14 @@ __all__ = ["VERSION", "RecordedFrame", "Recording", "RecordingHeader", "Recordin
 
 VERSION = 1
 _HEADER, _INDEX, _FRAMES = "recording.toml", "index.jsonl", "frames"
-# A report longer than this is not read; the rest is counted.
+# An error lists at most this many entries and counts the others.
 _LISTED = 20
 
 
 @dataclass(frozen=True)
 class RecordingHeader:
-    """Who was recorded. `mode` is (width, height) of the frames; `profile` hints at the sensor profile they suit."""
+    """The recorded sensor. `mode` is (width, height) of the frames; `profile` names the sensor profile that fits
+    them."""
 
     product: str
     serial: str
@@ -54,7 +55,7 @@ class RecordingHeader:
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """One frame and what was known about it. `frame.timestamp_ns` is the recorder's clock: only differences count."""
+    """One frame and its label. `frame.timestamp_ns` is the recorder's clock: only differences count."""
 
     frame: CameraFrame
     label: Mapping[str, object] | None = None
@@ -69,7 +70,7 @@ class _Entry:
 
 
 class Recording:
-    """A recording that was checked and can be played. Frames are read from disk when they are asked for."""
+    """A checked recording that can be played. Frames are read from disk at access."""
 
     def __init__(
         self, folder: Path, header: RecordingHeader, entries: tuple[_Entry, ...], *, is_cut: bool
@@ -108,7 +109,7 @@ class Recording:
         return (self[position] for position in range(len(self)))
 
     def labels(self) -> list[Mapping[str, object] | None]:
-        """What was known of every frame, without reading any frame."""
+        """The label of every frame, without reading any frame."""
         return [entry.label for entry in self._entries]
 
     def presses(self) -> int | None:
@@ -122,10 +123,10 @@ class Recording:
 
 
 class RecordingWriter:
-    """Writes one recording, frame by frame; a context manager. See `resume` for one that was cut.
+    """Writes one recording, frame by frame; a context manager. See `resume` for an interrupted one.
 
-    Errors: RecordingError when the folder already holds something, StoreError when the disk refuses a frame; what
-    was added before stays a sound recording.
+    Errors: RecordingError when the folder already holds something, StoreError when the disk refuses a frame; earlier
+    frames remain a valid recording.
     """
 
     def __init__(self, folder: Path, header: RecordingHeader) -> None:
@@ -137,10 +138,10 @@ class RecordingWriter:
 
     @classmethod
     def resume(cls, folder: Path, header: RecordingHeader, *, keep: int) -> Self:
-        """Go on with a recording that was cut: its first `keep` frames stay, every later frame and line goes.
+        """Continue an interrupted recording: its first `keep` frames stay, every later frame and line is removed.
 
-        With `keep` 0 the folder may lack anything, or hold other files, which stay. Errors: RecordingError, with
-        nothing changed, when there are fewer whole lines or another header; StoreError when the disk refuses.
+        With `keep` 0 the folder may be missing, or hold other files, which stay. Errors: RecordingError, with nothing
+        changed, for fewer complete lines or another header; StoreError when the disk refuses.
         """
         writer = cls.__new__(cls)
         writer._start(folder, header, keep, _end_of_kept(folder, header, keep) if keep else 0)
@@ -154,7 +155,7 @@ class RecordingWriter:
             if keep == 0:
                 (folder / _HEADER).write_text(_header_text(header), encoding="utf-8")
             self._index = (folder / _INDEX).open("ab", buffering=0)
-            # The lines go before their frames: killed in between, no line is left without its frame.
+            # Lines are removed before their frames, so a kill in between leaves no line without its frame.
             self._index.truncate(index_end)
             for path in (folder / _FRAMES).glob("[0-9]*.*"):
                 if path.stem.isdecimal() and int(path.stem) >= keep:
@@ -182,7 +183,7 @@ class RecordingWriter:
         self._count += 1
 
     def _append(self, line: bytes) -> None:
-        """One whole line or none: a disk that fills up in the middle of a line leaves the index as it was."""
+        """Append one complete line or none: when the disk fills up within a line, the index stays unchanged."""
         before = self._index.seek(0, os.SEEK_END)
         try:
             written = self._index.write(line)
@@ -210,7 +211,7 @@ class RecordingWriter:
 
 def _header_text(header: RecordingHeader) -> str:
     def quoted(text: str) -> str:
-        # A JSON string is a TOML basic string but for DEL, which TOML wants escaped.
+        # A JSON string is a TOML basic string except for DEL, which TOML wants escaped.
         return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
     return (
@@ -263,7 +264,7 @@ def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
         if not isinstance(table.get(key), type_)
     ]
     if wrong:
-        raise RecordingError(f"{path} lacks a field or has one of the wrong kind: {', '.join(wrong)}")
+        raise RecordingError(f"{path} lacks a field or has one of the wrong type: {', '.join(wrong)}")
     try:
         return RecordingHeader(
             product=str(table["product"]),
@@ -287,18 +288,19 @@ def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
         raise RecordingError(f"{folder / _INDEX} cannot be read: {error.strerror}") from error
     if len(lines) < keep:
         raise RecordingError(
-            f"recording {folder} has {len(lines)} whole frames, expected {keep} to go on after"
+            f"recording {folder} has {len(lines)} complete frames, expected at least {keep}; "
+            "start again in another folder"
         )
     return sum(len(line) + 1 for line in lines[:keep])
 
 
 def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:
-    """The entries, and whether the last line was cut off and left out."""
+    """The entries, and whether an incomplete last line was left out."""
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
         raise RecordingError(
-            f"{path.parent} has no {_INDEX}: it is not a recording, or was cut before its first frame"
+            f"{path.parent} has no {_INDEX}: it is not a recording, or ended before its first frame"
         ) from error
     *lines, rest = content.split(b"\n")
     entries: list[_Entry] = []
@@ -309,7 +311,7 @@ def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:
         except (ValueError, TypeError, KeyError) as error:
             faults.append(f"line {number} ({type(error).__name__}: {error})")
     if faults:
-        raise RecordingError(f"{path} has {len(faults)} lines that are no index entries: {_some(faults)}")
+        raise RecordingError(f"{path} has {len(faults)} lines that are not index entries: {_some(faults)}")
     _check_times(path, entries)
     return tuple(entries), bool(rest)
 
@@ -318,7 +320,7 @@ def _entry(line: bytes) -> _Entry:
     fields = json.loads(line)
     sequence, time_ns, file = fields["sequence"], fields["time_ns"], fields["file"]
     if not (isinstance(sequence, int) and isinstance(time_ns, int) and isinstance(file, str)):
-        raise TypeError("sequence and time_ns are integers, file is a text")
+        raise TypeError("sequence and time_ns are integers, file is a string")
     parts = Path(file).parts
     if Path(file).is_absolute() or ".." in parts:
         raise ValueError(f"file {file!r} leads out of the recording")

@@ -1,10 +1,9 @@
-"""Single press images turned into a recording of a sensor that is pressed and lifted.
+"""A recording of presses and lifts, made from single press images.
 
-Between presses the reference image, taken without contact, stands for the lifted sensor. What a still picture cannot
-give is not invented: no motion, no noise, no residual imprint. So the copies of a frame are identical, and identical
-frames are what a hung camera sends; a player refuses them as stale. Every copy says in its label that it is one, and
-one of two things makes copies playable: `number_copies` writes a comment into the file, which leaves every pixel as it
-was, and `noise` adds Gaussian noise of a chosen strength from a chosen seed and encodes the copy anew.
+Between presses the reference image, taken without contact, shows the lifted sensor. Motion, noise and residual imprint
+are not invented. So the copies of a frame are identical, as from a hung camera, and a player refuses them as stale. The
+label of every copy says that it is one. Two options make copies playable. `number_copies` writes a comment into the
+file and changes no pixel; `noise` adds Gaussian noise of a given strength and seed and encodes the copy again.
 """
 
 import itertools
@@ -37,9 +36,9 @@ class CopyNoise:
 
 @dataclass(frozen=True)
 class PressLift:
-    """How images become a sequence: frames per second, and how many frames a lift and a press last.
+    """The timing of the sequence: frames per second, and the frames of a lift and of a press.
 
-    lead_frames: how many more the first lift has, in which a gateway learns the free gel.
+    lead_frames: additional frames of the first lift, in which a gateway learns the free gel.
     """
 
     fps: float = 18.75
@@ -65,7 +64,7 @@ class _Shot:
 
 
 def images_in(folder: Path, pattern: str = "**/*") -> list[Path]:
-    """The JPEG and PNG files below a folder, numbers in their names in counting order. Errors: DatasetError."""
+    """The JPEG and PNG files below a folder, numbers in their names in numerical order. Errors: DatasetError."""
     if not folder.is_dir():
         raise DatasetError(f"{folder} is not a folder of press images")
     found = sorted(
@@ -89,7 +88,7 @@ def record_images(
 ) -> int:
     """Write the recording and return its number of frames. Without a reference there are no lifts between presses.
 
-    Errors: DatasetError naming every image that is broken or of another size than the first.
+    Errors: DatasetError naming every image that is damaged or of another size than the first.
     """
     mode = _common_size([*presses, *([reference] if reference else [])])
     # The sensor delivers three quarters of its nominal rate (firmware_notes/gelsight_mini.md).
@@ -129,7 +128,7 @@ def _copy(original: bytes, position: int, plan: PressLift) -> bytes:
 
 
 def _with_noise(original: bytes, noise: CopyNoise, position: int) -> bytes:
-    """The picture with noise of its own (seed and position decide it), in the same file format, JPEG quality 95."""
+    """The picture with noise from seed and position, in the same file format, JPEG quality 95."""
     import cv2
     import numpy as np
 

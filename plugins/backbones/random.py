@@ -1,6 +1,6 @@
-"""Seeded random weights: what trained weights are compared with, and what topologies are tested on.
+"""Seeded random weights, for comparison with trained ones and for tests of topologies.
 
-A random ResNet whose batch norms fit its inputs keeps edges and textures apart, so a detector on top of it works.
+A random ResNet whose batch norms fit its inputs separates edges and textures, so a detector can use it.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from plugins.backbones.topology import Conv, State, expected_shapes, topology
 
 __all__ = ["random_state"]
 
-# Statistics are rounded to so many decimals: sums differ in their last bits between machines, weights should not.
+# Decimals of the statistics: sums differ in their last bits between machines, weights should not.
 DECIMALS = 2
 
 
@@ -32,7 +32,7 @@ def random_state(topology_name: str, seed: int = 0) -> State:
 
     def fit_norm(conv: Conv, x: NDArray[np.floating]) -> NDArray[np.floating]:
         mean, var = x.mean(axis=(0, 2, 3)).round(DECIMALS), x.var(axis=(0, 2, 3)).round(DECIMALS)
-        # A channel that hardly moves on these pictures must not be amplified a hundredfold on others.
+        # A channel that is almost constant on these pictures must not be amplified a hundredfold on others.
         var = np.maximum(var, max(0.1 * float(var.mean()), 10.0**-DECIMALS)).round(DECIMALS)
         state[f"{conv.norm}.running_mean"], state[f"{conv.norm}.running_var"] = mean, var
         scaled: NDArray[np.floating] = (x - mean[:, None, None]) / np.sqrt(var[:, None, None] + NORM_EPS)

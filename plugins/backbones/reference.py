@@ -1,4 +1,4 @@
-"""The same network in float64 NumPy, not folded and not fast: the oracle that trunks are held against."""
+"""The same network in float64 NumPy, unfolded and slow: the reference for the ONNX trunks."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,7 +13,7 @@ __all__ = ["Norm", "batch_norm", "forward", "normalise"]
 
 Array = NDArray[np.floating]
 Norm = Callable[[Conv, Array], Array]
-"""What follows a convolution: takes the convolution and its output (n, c, h, w)."""
+"""The operation after a convolution: takes the convolution and its output (n, c, h, w)."""
 
 
 def normalise(
@@ -43,7 +43,7 @@ def forward(
 ) -> dict[str, Array]:
     """Normalised planes (n, 3, h, w) to taps (n, c, h', w'), in the precision of `planes`.
 
-    norm: what stands after each convolution; batch normalisation with the state's statistics when None.
+    norm: the operation after each convolution; batch normalisation with the state's statistics when None.
     """
     net = topology(topology_name)
     norm = norm or batch_norm(state)
@@ -75,7 +75,7 @@ def _convolve(x: Array, weight: Array, layer: Conv) -> Array:
 
 
 def _max_pool(x: Array) -> Array:
-    """3x3, stride 2, one cell of padding that never wins."""
+    """3x3, stride 2, one cell of padding with minus infinity."""
     padded = np.pad(x, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=-np.inf)
     result: Array = sliding_window_view(padded, (3, 3), axis=(2, 3))[:, :, ::2, ::2].max(axis=(4, 5))
     return result

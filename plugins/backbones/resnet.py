@@ -1,8 +1,8 @@
 """`build_trunk`: a state dict in torchvision's naming becomes an ONNX graph from frames to named feature maps.
 
-Batch norm is folded into the convolutions in float64. The normalisation of the pixels stays an operation of its own:
-folded into the first convolution it would be wrong along the border, where the padding is zero *after* normalising.
-The graph ends at the last tap that is asked for.
+Batch norm is folded into the convolutions in float64. The normalisation of the pixels stays a separate operation:
+folded into the first convolution it would be wrong at the border, where the padding is zero *after* normalising. The
+graph ends at the last tap that is requested.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,10 +38,10 @@ def build_trunk(
 ) -> bytes:
     """The trunk as serialised ONNX.
 
-    Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named
-    as the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. weights: how they are
-    stored; float16 halves the file and is widened once when the graph is loaded. facts: further entries for the
-    graph's metadata, where topology, mean and std always stand.
+    Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named as
+    the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. weights: how they are
+    stored; float16 halves the file and is widened once when the graph is loaded. facts: further entries for the graph's
+    metadata, which always has topology, mean and std.
 
     Errors: ConfigError for an unknown topology or tap, weights that are not this network's, or no tap at all.
     """
@@ -90,7 +90,7 @@ class _TrunkBuilder:
         self._net, self._state, self._dtype = net, state, np.dtype(weights)
 
     def run(self, x: Value, wanted: set[str]) -> dict[str, tuple[Value, int]]:
-        """Draw until every wanted block, `relu`, `maxpool` or `avgpool` exists: its value and channels by name."""
+        """Build until every wanted block, `relu`, `maxpool` or `avgpool` exists: its value and channels by name."""
         outputs: dict[str, tuple[Value, int]] = {}
         x = self.graph.op("Relu", self._conv(x, self._net.stem))
         outputs["relu"] = x, self._net.stem.outputs

@@ -1,6 +1,6 @@
-"""The backbone made for touch, as it ships: a ResNet-18 up to layer3, trained by this project on simulated presses.
+"""The shipped tactile backbone: a ResNet-18 up to layer3, trained by this project on simulated presses.
 
-The graphs and what is known of them lie beside this module; docs/backbone.md is the model card.
+The graphs and their facts are in this folder; docs/backbone.md is the model card.
 """
 
 import json
@@ -19,7 +19,7 @@ _FACTS = "tactile_resnet18.json"
 
 @cache
 def _read(file: str) -> bytes:
-    """A file beside this module. Errors: ConfigError when the installation lacks it."""
+    """A file of this folder. Errors: ConfigError when the installation lacks it."""
     try:
         return resources.files("plugins.backbones").joinpath(file).read_bytes()
     except OSError as error:
@@ -39,7 +39,7 @@ class TactileBackbone:
     topology: str = "resnet18"
 
     def facts(self) -> dict[str, object]:
-        """What a manifest records beside the trunk's SHA-256."""
+        """What a manifest records with the trunk's SHA-256."""
         known = json.loads(_read(_FACTS))
         recipe = known["recipe"]
         return {
@@ -57,7 +57,7 @@ class TactileBackbone:
         missing = [tap for tap in taps if tap not in TAPS]
         if missing or not taps:
             raise ConfigError(
-                f"the backbone {self.name} gives {', '.join(TAPS)}, asked for {', '.join(missing) or 'nothing'}; "
+                f"the backbone {self.name} gives {', '.join(TAPS)}, requested were {', '.join(missing) or 'nothing'}; "
                 "choose among them, or another backbone"
             )
         return _read(f"{self.name}.onnx")

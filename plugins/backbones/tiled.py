@@ -1,12 +1,11 @@
-"""`tile_trunk`: any trunk becomes one that sees a large frame in overlapping tiles and gives its taps as mosaics.
+"""`tile_trunk`: turns a trunk into one that reads a large frame in overlapping tiles and gives its taps as mosaics.
 
-Each tap lies tile beside tile, (c, tile rows * h, tile columns * w). To a head that is one larger map in which every
-tile's locations are its own, so a bank per tile and location comes of itself, and blending is a matrix
-(edge.core.imaging.tiles).
+Each tap is a mosaic of tiles, (c, tile rows * h, tile columns * w). For a head this is one larger map with separate
+locations for every tile, so its bank is per tile and location, and blending is a matrix (edge.core.imaging.tiles).
 
-The file holds the trunk for one tile and the layout in its metadata, where the fit finds it: the tiles are cut and laid
-out by whoever runs it (`tile_runner`), one at a time, so that memory stays that of one tile and tiles can be skipped.
-`mosaic_trunk` draws the same inside the graph, all tiles as one batch, for runtimes that are not gelgate.
+The file holds the trunk for one tile, and the layout in its metadata. `tile_runner` cuts the tiles and places their
+features one at a time, so memory stays that of one tile and tiles can be skipped. `mosaic_trunk` does the same inside
+the graph, all tiles as one batch, for other runtimes.
 """
 
 from typing import Any
@@ -85,7 +84,9 @@ def _plain(trunk: bytes, tiles: Tiles) -> Any:
     import onnx
 
     if tiles.size % STRIDE:
-        raise ConfigError(f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}")
+        raise ConfigError(
+            f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}; choose another size"
+        )
     model = onnx.load_from_string(trunk)
     if [i.name for i in model.graph.input] != ["frames"] or any(
         p.key == TILES_KEY for p in model.metadata_props
@@ -111,7 +112,7 @@ def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
         _, c, h, w = (dim.dim_value for dim in output.type.tensor_type.shape.dim)
         if not min(c, h, w):
             raise ConfigError(
-                f"the size of the trunk's tap '{output.name}' is not known beforehand; it cannot be tiled"
+                f"the size of the trunk's tap '{output.name}' is not known in advance; it cannot be tiled"
             )
         shapes[output.name] = (c, h, w)
     return shapes
@@ -136,12 +137,12 @@ def _mosaic(tap: str, shape: tuple[int, int, int], tiles: Tiles, constants: list
 
     c, h, w = shape
     rows, columns = len(tiles.rows), len(tiles.columns)
-    apart = _ints(f"{tap}_apart", [rows, columns, -1, c, h, w], constants)
-    whole = _ints(f"{tap}_whole", [-1, c, rows * h, columns * w], constants)
+    split = _ints(f"{tap}_split", [rows, columns, -1, c, h, w], constants)
+    mosaic = _ints(f"{tap}_mosaic", [-1, c, rows * h, columns * w], constants)
     return [
-        helper.make_node("Reshape", [f"{tap}_of_tiles", apart], [f"{tap}_tiles"]),
-        helper.make_node("Transpose", [f"{tap}_tiles"], [f"{tap}_beside"], perm=[2, 3, 0, 4, 1, 5]),
-        helper.make_node("Reshape", [f"{tap}_beside", whole], [tap]),
+        helper.make_node("Reshape", [f"{tap}_of_tiles", split], [f"{tap}_tiles"]),
+        helper.make_node("Transpose", [f"{tap}_tiles"], [f"{tap}_ordered"], perm=[2, 3, 0, 4, 1, 5]),
+        helper.make_node("Reshape", [f"{tap}_ordered", mosaic], [tap]),
     ]
 
 

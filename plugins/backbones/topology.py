@@ -133,7 +133,7 @@ def last_block(net: Topology, tap: str) -> str:
 
 
 def expected_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[str, tuple[int, ...]]:
-    """Name to shape of every weight that these taps need (the classifier `fc` and batch counters are in none)."""
+    """Name to shape of every weight that these taps need (never the classifier `fc` or the batch counters)."""
     shapes: dict[str, tuple[int, ...]] = {}
     convs = [net.stem]
     left = {last_block(net, tap) for tap in until} - {"relu", "maxpool"}
@@ -175,7 +175,7 @@ def check_state(
     bad = [key for key in shapes if key in state and not np.isfinite(state[key]).all()]
     if bad:
         raise ConfigError(
-            f"{name} hold values that are not finite, in {', '.join(bad[:4])}; export a sound checkpoint"
+            f"{name} hold values that are not finite, in {', '.join(bad[:4])}; export another checkpoint"
         )
 
 

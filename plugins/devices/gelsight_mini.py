@@ -1,8 +1,8 @@
 """The GelSight Mini on a real USB bus: found by pyusb, streamed by the kernel (v4l2) or directly (uvc).
 
-References and what is seen, measured, read or assumed: firmware_notes/gelsight_mini.md. Both stream paths were seen to
-work, be unplugged and come back on a virtual camera under a real kernel (tests/hardware/kernel_lab); not yet seen with
-this program is a sensor on a physical bus.
+References, and what is seen, measured, read or assumed: firmware_notes/gelsight_mini.md. Seen on a virtual camera under
+a real kernel (tests/hardware/kernel_lab): both stream paths work, are unplugged and come back. Not yet seen with this
+program: a sensor on a physical bus.
 """
 
 from typing import Literal
@@ -34,7 +34,7 @@ class GelsightMiniOptions(BaseModel):
     serial: str | None = Field(
         default=None,
         pattern="^[A-Z0-9]{8}$",
-        description="which sensor, where several are plugged in: the product's tail without its dash",
+        description="which sensor, if several are plugged in: the end of its product string, without the dash",
     )
     stream: Literal["v4l2", "uvc"] = Field(
         default="v4l2",
@@ -42,7 +42,7 @@ class GelsightMiniOptions(BaseModel):
     )
     controls: dict[str, int] = Field(
         default_factory=dict,
-        description="camera controls to pin, V4L2 names (old or new) to values; usually the sensor profile has them",
+        description="camera controls to pin, V4L2 names (old or new) to values; the sensor profile usually has them",
     )
 
 
@@ -64,7 +64,7 @@ class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOpt
         return _open_v4l2(backend, found, options, clock)
 
     def reset(self, options: GelsightMiniOptions) -> str:
-        """Reset the sensor as a re-plug would, and say which. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
+        """Reset the sensor as a re-plug does; returns which one. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
         found = choose(survey(get_backend()), options.serial)
         who = f"{found.sighting.product} at {found.sighting.place}"
         with guarded(who):

@@ -1,13 +1,13 @@
-"""A virtual GelSight Mini on a virtual USB bus, playing a recording through the driver that a real sensor would use.
+"""A virtual GelSight Mini on a virtual USB bus; it plays a recording through the driver of the real sensor.
 
 What is real: everything above pyusb's backend interface (identity by product string, kernel driver, negotiation,
-alternate settings, packets, reassembly, freshness, unplugging). Beside the sensor sits an unrelated webcam with the
-same vendor and product id.
+alternate settings, packets, reassembly, freshness, unplugging). An unrelated webcam with the same vendor and product id
+is on the same bus.
 
 What it does not simulate: electrical and timing effects of a bus (no jitter, no lost micro-frames unless scripted, no
-bandwidth limit), frames lost because the host reads too slowly (they come late instead), exposure and what camera
-controls do to a picture, the V4L2 path, and a JPEG encoder: a recording's JPEGs are sent as they are, its PNG frames
-as JPEG of quality 95.
+bandwidth limit); frames lost because the host reads too slowly (they come late instead); exposure and the effect of
+camera controls on a picture; the V4L2 path; a JPEG encoder. A recording's JPEGs are sent unchanged, its PNG frames as
+JPEG of quality 95.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,8 @@ def _fault(value: object) -> object:
 
 
 class UsbMockOptions(BaseModel):
-    """The TOML table of a virtual sensor. One options value is one bus: opened again, it goes on where it was."""
+    """The TOML table of a virtual sensor. One options value is one bus: opened again, it continues from its last
+    frame."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -49,15 +50,15 @@ class UsbMockOptions(BaseModel):
         default=1.0,
         ge=0,
         description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
-        "frames are read, each with the time that it has in real time, so that contact is told as there and no frame "
-        "is dropped; contact is told in seconds, so at 2 and more a film may be too short to learn the free gel",
+        "frames are read, each with its time at pace 1, so contact is detected as at pace 1 and no frame is dropped; "
+        "contact is timed in seconds, so at 2 and more a recording may be too short to learn the free gel",
     )
     loop: bool = Field(default=False, description="start over at the end")
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(
         default=(), description='texts such as "drop@12", "stall@40:2.5", "unplug@80:1": kind, frame, seconds'
     )
     with_webcam: bool = Field(
-        default=True, description="plug in, too, an unrelated webcam with the same USB id"
+        default=True, description="also plug in an unrelated webcam with the same USB id"
     )
     controls: dict[str, int] = Field(
         default_factory=dict,
@@ -68,7 +69,8 @@ class UsbMockOptions(BaseModel):
 
 
 class Bench:
-    """The virtual bus of one options value, with its sensor and webcam. Tests and demonstrations pull plugs here."""
+    """The virtual bus of one options value, with its sensor and webcam. Tests and demonstrations unplug the sensor
+    here."""
 
     def __init__(self, options: UsbMockOptions, clock: Clock) -> None:
         recording = Recording.open(options.recording)
@@ -90,7 +92,7 @@ class Bench:
         self.sensor.unplug(seconds)
 
     def plug_in(self, port: int | None = None) -> None:
-        """Put it back: the address changes, the port when one is named."""
+        """Plug it in again: the address changes, and the port if one is given."""
         self.bus.plug_in(self.sensor, port=port)
 
 
@@ -100,7 +102,7 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
     Options = UsbMockOptions
 
     def bench(self, options: UsbMockOptions, clock: Clock | None = None) -> Bench:
-        """The bus that belongs to these options, made when first asked for. Errors: RecordingError."""
+        """The bus of these options, made at its first use. Errors: RecordingError."""
         if options._bench is None:
             options._bench = Bench(options, clock or SystemClock())
         return options._bench
@@ -126,7 +128,8 @@ plugin = UsbMock()
 
 
 def _board(header: RecordingHeader, serial: str | None) -> Board:
-    """The recorded sensor's strings and its one video mode; another serial changes the product's tail with it."""
+    """The recorded sensor's strings and its one video mode; another serial also changes the end of the product
+    string."""
     mode = ((*header.mode, header.nominal_fps),)
     if serial is None:
         return Board(header.product, header.serial, mode)

@@ -1,4 +1,4 @@
-"""A tiled trunk: the plain trunk's features of every tile, side by side, for PaDiM and its kin to score as one map."""
+"""A tiled trunk: the plain trunk's features of every tile in one mosaic, which detectors score as one map."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def frames(n: int) -> np.ndarray:
 
 
 def test_a_mosaic_holds_every_tiles_own_features() -> None:
-    """Each block of each tap is what the plain trunk gives for that tile alone, for every frame of a batch."""
+    """Each block of each tap is the plain trunk's output for that tile alone, for every frame of a batch."""
     rgb = frames(2)
     mosaics = dict(
         zip(TAPS, session(mosaic_trunk(PLAIN, TILES)).run(list(TAPS), {"frames": rgb}), strict=True)
@@ -61,7 +61,7 @@ def test_the_fit_finds_the_layout_in_the_trunk() -> None:
 
 
 def test_the_full_frame_needs_nothing_of_its_own() -> None:
-    """The same frame in one piece: the plain trunk, a larger grid, the same detector."""
+    """The same frame without tiles: the plain trunk, a larger grid, the same detector."""
     trunk = session(PLAIN)
     grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
     assert grid.tiles is None
@@ -74,13 +74,13 @@ def test_the_full_frame_needs_nothing_of_its_own() -> None:
 
 
 def test_a_region_of_another_size_is_refused() -> None:
-    """A trunk tiled for 160x96 does not fit a region of 64x64, and the sentence says both."""
+    """A trunk tiled for 160x96 does not fit a region of 64x64, and the error names both."""
     with pytest.raises(FitError, match=r"\(96, 160\).*\(64, 64\)"):
         trunk_grid(session(tile_trunk(PLAIN, TILES)), TAPS[:3], (64, 64), 15.77)
 
 
 def test_neighbours_end_at_a_tile() -> None:
-    """The 3x3 neighbourhood of a cell at a seam repeats it instead of reaching into the next tile, another place."""
+    """The 3x3 neighbourhood of a cell at a seam repeats it instead of reading from the next tile."""
     trunk = session(tile_trunk(PLAIN, TILES))
     grid = trunk_grid(trunk, TAPS[:2], (96, 160), 15.77)
     train = {
@@ -114,7 +114,8 @@ def test_the_layout_survives_writing() -> None:
 
 
 def test_the_command_tiles_an_installed_backbone(tmp_path: Path) -> None:
-    """`gelgate export tiles tactile_resnet18` writes a trunk with its layout inside, and names what it cannot do."""
+    """`gelgate export tiles tactile_resnet18` writes a trunk with its layout inside, and refuses what it cannot
+    tile."""
     output = tmp_path / "tiled.onnx"
     arguments = ["export", "tiles", "tactile_resnet18", "-o", str(output), "--size", "64", "--overlap", "32"]
     done = CliRunner().invoke(build(), [*arguments, "--frame", "160x96"], catch_exceptions=False)

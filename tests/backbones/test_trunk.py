@@ -1,4 +1,4 @@
-"""Trunks: the same feature maps as a float64 network that folds nothing, for every topology and tap."""
+"""Trunks: the same feature maps as an unfolded float64 network, for every topology and tap."""
 
 import numpy as np
 import onnx
@@ -88,7 +88,7 @@ def test_one_graph_serves_every_size_and_batch() -> None:
 
 
 def test_the_graph_ends_at_the_last_tap() -> None:
-    """A trunk for layer2 carries no weight of layer3; one for avgpool carries all."""
+    """A trunk for layer2 has no weight of layer3; one for avgpool has all."""
     short, full = (
         len(build_trunk(RESNET18, "resnet18", taps)) for taps in (("layer2",), ("layer2", "avgpool"))
     )
@@ -124,7 +124,7 @@ def test_half_precision_refuses_what_it_cannot_hold() -> None:
 
 
 def test_a_dead_channel_folds_without_dividing_by_zero() -> None:
-    """Variance 0 is legal: the norm's own epsilon carries it."""
+    """Variance 0 is legal, because the norm adds its epsilon."""
     state = dict(RESNET18)
     state["bn1.running_var"] = np.zeros(64, np.float32)
     rgb = frames(1, 32, 32)
@@ -159,14 +159,14 @@ def test_foreign_weights_are_refused_by_name(change: dict[str, str], says: str) 
 
 
 def test_weights_of_another_network_are_refused() -> None:
-    """resnet18's weights as a resnet50: refused, and the sentence says what is missing."""
+    """resnet18's weights as a resnet50: refused, and the error says what is missing."""
     with pytest.raises(ConfigError, match=r"not a resnet50 .* missing"):
         build_trunk(RESNET18, "resnet50")
 
 
 @pytest.mark.parametrize("taps", [(), ("layer1", "layer1"), ("layer9",), ("layer1.7",)])
 def test_unknown_taps_are_refused(taps: tuple[str, ...]) -> None:
-    """No tap, a repeated tap, or one that the network has not: refused."""
+    """No tap, a repeated tap, or one that the network lacks: refused."""
     with pytest.raises(ConfigError, match="tap"):
         build_trunk(RESNET18, "resnet18", taps)
 
@@ -193,7 +193,7 @@ def test_taps_are_named_in_the_order_of_computation() -> None:
 
 
 def test_random_weights_keep_their_scale() -> None:
-    """Through all stages the activations neither die nor explode, and the seed decides the weights."""
+    """Through all stages the activations neither vanish nor explode, and the seed determines the weights."""
     features = forward(
         RESNET18, "resnet18", normalise(frames(1, 64, 64)), ("layer1", "layer2", "layer3", "layer4")
     )

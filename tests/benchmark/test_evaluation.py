@@ -1,4 +1,4 @@
-"""The evaluation: what is learnt is not scored, plain cases get plain numbers, and refusals are sentences."""
+"""The evaluation: learnt presses are not scored, simple cases have known numbers, and errors are one sentence."""
 
 import json
 import subprocess
@@ -54,7 +54,8 @@ SQUARES = EvaluationSet("Squares", "Black squares.", (partial(trial, "a", 0), pa
 
 
 def test_a_black_square_is_found() -> None:
-    """Two trials of an obvious defect: image AUROC 1, foreign frames far out, intervals around the mean of both."""
+    """Two trials of an obvious defect: image AUROC 1, foreign frames with high scores, intervals around the mean of
+    both."""
     found = evaluate({"random": random_trunk()}, {"squares": SQUARES}, ("padim",), replicates=20)
     written = found["sets"]["squares"]
     (row,) = written["rows"]
@@ -84,7 +85,7 @@ def test_brief_sets_compare_what_ships_with_random_weights() -> None:
 
 
 def test_trials_spread_over_processes_measure_the_same() -> None:
-    """Two workers give the numbers of one."""
+    """Two workers give the same numbers as one."""
     sets = {"pieces": EvaluationSet("Pieces", "Two.", (partial(part_trial, "PZ3", "plain", FEW),) * 2)}
     trunks = {"trained": open_trunk("tactile_resnet18").graph}
     alone = evaluate(trunks, sets, ("padim",), replicates=0)
@@ -110,8 +111,8 @@ def test_simulated_trials_hold_pieces_out(condition: str) -> None:
 
 
 def test_conditions_differ_where_they_say() -> None:
-    """The unseen sensor has other colours, the marker gel dark dots, a worn gel differs when scored, and a gel that
-    remembers shows it on a small part. A sliding press is smeared where it is scored and not where it is learnt.
+    """The unseen sensor has other colours, the marker gel dark dots, a worn gel differs when scored, and a residual
+    imprint shows on a small part. A sliding press is smeared among the scored presses and not among the learnt ones.
     """
     plain, sensor, worn, marker, remembering, sliding = (
         part_trial("PZ5", name, FEW)
@@ -133,7 +134,7 @@ def test_conditions_differ_where_they_say() -> None:
 
 
 def test_development_parts_are_no_analogues() -> None:
-    """They come without a change to the table of parts, and each number is another part."""
+    """They do not change the table of parts, and each number is another part."""
     first, second = development_trial(0, FEW), development_trial(1, FEW)
     assert (first.name, second.name) == ("RP0", "RP1")
     assert {"RP0", "RP1"}.isdisjoint(PARTS)
@@ -141,7 +142,7 @@ def test_development_parts_are_no_analogues() -> None:
 
 
 def test_development_parts_are_not_drawn_in_training(tmp_path: Path) -> None:
-    """Training has a generator of its own: the one that gives the development parts is not called."""
+    """Training has its own generator and does not call the one of the development parts."""
     program = """
 import torch
 from calibration.simulator import random_parts
@@ -193,7 +194,7 @@ def test_an_edit_changes_its_place_alone() -> None:
 
 
 def test_real_balls_are_learnt_and_edited(real_tactile: Path) -> None:
-    """Two thirds of a ball's presses are learnt; the rest are scored as they are, edited, and beside foreign frames."""
+    """Two thirds of a ball's presses are learnt; the others are scored unchanged, edited, and with foreign frames."""
     found = ball_trial(real_tactile, BALLS[1])
     own = ~found.is_foreign
     damaged = found.masks.any(axis=(1, 2))
@@ -228,12 +229,12 @@ def test_screws_are_shrunk_with_their_masks(real_tactile: Path) -> None:
     assert found.masks.any(axis=(1, 2)).sum() == 69
 
 
-def test_missing_pictures_are_said(tmp_path: Path) -> None:
-    """A folder that was not given, is not there, or lacks its pictures is a sentence, never an empty table."""
+def test_missing_pictures_are_reported(tmp_path: Path) -> None:
+    """A folder that is not given, missing, or without its pictures is an error message, never an empty table."""
     sets = evaluation_sets(None, tmp_path / "nowhere")
     assert tuple(sets) == SETS
     assert sets["real-presses"].missing == "no folder of real tactile frames was given (--tactile)"
-    assert "no folder of pictures of screws at the place given" in sets["screws"].missing
+    assert "the folder of pictures of screws given with" in sets["screws"].missing
     with pytest.raises(DatasetError, match="at least 3 are needed"):
         ball_trial(tmp_path, BALLS[0])
     with pytest.raises(DatasetError, match="holds no train/good"):
@@ -243,7 +244,7 @@ def test_missing_pictures_are_said(tmp_path: Path) -> None:
 
 
 def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One file with every number; tables or JSON on the standard output; what is left out on the error output."""
+    """One file with every number; tables or JSON on the standard output; skipped sets on the error output."""
     monkeypatch.setattr(
         evaluate_command,
         "_chosen_sets",
@@ -265,7 +266,7 @@ def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch:
 
 
 def test_judging_needs_no_torch() -> None:
-    """A plant can compare its own trunk with the shipped one where nothing was ever trained."""
+    """An installation without torch can compare another trunk with the shipped one."""
     program = """
 import sys
 from calibration.benchmark import command, evaluation, model_card, pictures, presses
@@ -276,7 +277,7 @@ assert not {'torch', 'onnx'} & sys.modules.keys()
 
 
 def test_refusals_are_sentences(tmp_path: Path) -> None:
-    """An unknown backbone or set, a name twice: said before anything is computed or written."""
+    """An unknown backbone or set, a name twice: refused before anything is computed or written."""
     for words, sentence in (
         (["resnet_of_nowhere"], "no backbone is named 'resnet_of_nowhere'"),
         (["a=tactile_resnet18", "a=tactile_resnet18_int8"], "found twice a"),

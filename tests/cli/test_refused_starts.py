@@ -106,7 +106,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     "no bundle": (
         lambda bench: bench.config(bundle="absent"), 3, ("no bundle at", "absent", "make one with `gelgate fit`"),
     ),
-    "wrong hash": (changed_head, 3, ("head.onnx has SHA-256", "copy the whole bundle again")),
+    "wrong hash": (changed_head, 3, ("head.onnx has SHA-256", "copy the complete bundle again")),
     "another sensor's bundle": (
         another_sensor, 3, ("sends 48x40 frames", "made from 96x40", "use a bundle made for this sensor's mode"),
     ),

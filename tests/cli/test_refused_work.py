@@ -123,7 +123,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     ),
     "verify of nothing": (lambda _: ["verify", "absent"], 5, ("no bundle at absent", "gelgate fit")),
     "verify of a recording": (lambda _: ["verify", "presses"], 5, ("presses: manifest.json is missing",)),
-    "verify of a changed bank": (verify_changed, 5, ("has SHA-256", "copy the whole bundle again")),
+    "verify of a changed bank": (verify_changed, 5, ("has SHA-256", "copy the complete bundle again")),
     "verify of other scores": (verify_other_scores, 5, ("golden frame 0 (a press) scores", "9")),
     "inspect of nothing": (lambda _: ["inspect", "absent"], 3, ("no bundle at absent",)),
     "gels of no database": (lambda _: ["gel", "show", "--database", "absent.db"], 3, ("absent.db does not exist",)),

@@ -1,4 +1,4 @@
-"""The reader thread: what is counted, what is said, and that it comes back."""
+"""The reader thread: its counters, its messages, and its reconnection."""
 
 import random
 import threading
@@ -48,7 +48,7 @@ def all_frames(acquisition: Acquisition) -> list[CameraFrame]:
 
 
 def wait_for(fact: Callable[[], bool]) -> None:
-    """Until another thread has done its part; the limit only ends a broken test."""
+    """Wait until another thread has done its part; the limit only ends a failing test."""
     end = time.monotonic() + PATIENCE_S
     while not fact():
         assert time.monotonic() < end, "the other thread never came there"
@@ -56,7 +56,7 @@ def wait_for(fact: Callable[[], bool]) -> None:
 
 
 def take_until(state: AcquisitionState, acquisition: Acquisition, seen: list[bytes]) -> None:
-    """Take what waits, so that a reader at pace 0 gets on, until the state is reached."""
+    """Take waiting frames, so that a reader at pace 0 continues, until the state is reached."""
 
     def reached() -> bool:
         frame = acquisition.next(0)
@@ -68,7 +68,7 @@ def take_until(state: AcquisitionState, acquisition: Acquisition, seen: list[byt
 
 
 class ScriptedDevice:
-    """Reads what a list says: a payload, or an error to raise."""
+    """Reads from a list: a payload, or an error to raise."""
 
     def __init__(self, script: list[bytes | Exception], clock: FakeClock) -> None:
         self.identity = DeviceIdentity("GelSight Mini R0B 2BNN-4ZE7", SERIAL, (64, 48), 25.0)
@@ -110,7 +110,7 @@ def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
 
 
 def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> None:
-    """24 frames of 50 ms while nobody takes any: what is kept ends with the newest and spans at most 0.8 s."""
+    """24 frames of 50 ms and no consumer: the kept frames end with the newest and span at most 0.8 s."""
     clock = FakeClock()
     device = ScriptedDevice([*(jpeg(seed) for seed in range(24)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock) as acquisition:
@@ -157,7 +157,7 @@ def test_pulled_twenty_times(tmp_path: Path) -> None:
 
 
 def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
-    """A stream that stops is closed and opened anew, which is what ends this stall; no frame is lost."""
+    """A stream that stops is closed and opened again, which ends this stall; no frame is lost."""
     options = options_for(tmp_path, "stall@3")
     clock = FakeClock()
     with Acquisition(
@@ -168,7 +168,7 @@ def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
     assert [frame.payload for frame in frames] == [jpeg(seed) for seed in range(8)]
 
 
-def test_changes_are_said_once() -> None:
+def test_changes_are_published_once() -> None:
     """State and fault are published when they change, and only then."""
     clock = FakeClock()
     said: list[tuple[AcquisitionState, str | None]] = []
@@ -202,7 +202,7 @@ def test_changes_are_said_once() -> None:
 
 
 def test_a_reconnection_leaves_a_gap() -> None:
-    """Frames before and after a loss are not consecutive, so that nobody takes them for one movement."""
+    """Frames before and after a loss are not consecutive, so they are not taken for one movement."""
     clock = FakeClock()
     devices = [
         ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
@@ -236,7 +236,8 @@ def test_pauses_grow_with_failures_in_a_row_and_frames_end_the_row() -> None:
 
 
 def test_another_sensor_is_not_taken_for_the_first() -> None:
-    """Swapped while running: refused with both serials and given back, so that wear is not counted on its gel."""
+    """Another sensor plugged in while running: refused with both serials and closed, so wear is not counted on its
+    gel."""
     clock = FakeClock()
     other = ScriptedDevice([jpeg(1)], clock)
     other.identity = DeviceIdentity("GelSight Mini R0B 28D8-PXEC", "28D8PXEC", (64, 48), 25.0)
@@ -254,7 +255,7 @@ def test_another_sensor_is_not_taken_for_the_first() -> None:
 
 
 def test_every_device_is_closed_once() -> None:
-    """Whatever ends an opening, its device is given back."""
+    """A device is closed in every case that ends its use."""
     clock = FakeClock()
     devices = [
         ScriptedDevice([DeviceLost("pulled")], clock),
@@ -267,7 +268,7 @@ def test_every_device_is_closed_once() -> None:
 
 
 def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
-    """A recording that does not exist is not retried for ever: `next` raises it."""
+    """A recording that does not exist is not retried: `next` raises the error."""
     clock = FakeClock()
     options = UsbMockOptions(recording=tmp_path / "nowhere")
     with (

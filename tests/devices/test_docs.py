@@ -1,4 +1,4 @@
-"""docs/sensors.md names every plugin, option and fault that there is."""
+"""docs/sensors.md names every plugin, option and fault."""
 
 from pathlib import Path
 from typing import get_args

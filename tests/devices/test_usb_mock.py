@@ -1,4 +1,4 @@
-"""The virtual sensor: what pyusb sees of it, and what each scripted fault becomes."""
+"""The virtual sensor as pyusb sees it, and the effect of each scripted fault."""
 
 import errno
 from pathlib import Path
@@ -84,14 +84,14 @@ class TestDescriptors:
         assert [one.identity.serial for one in plugin.survey(options) if one.identity] == [SERIAL]
 
     def test_a_webcam_alone_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
-        """With the sensor pulled, the matching id of the webcam is not enough; the message names what was seen."""
+        """With the sensor unplugged, the matching id of the webcam is not enough; the message names what was seen."""
         options = options_for(tmp_path)
         plugin.bench(options, clock).unplug()
         with pytest.raises(DeviceNotFound, match=r"USB 2\.0 Camera"):
             plugin.open(options, clock)
 
     def test_another_serial_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
-        """The message names the serial that is there."""
+        """The message names the serial of the other sensor."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
         from plugins.devices.uvc.identity import choose
@@ -108,7 +108,7 @@ class TestDescriptors:
 
 class TestKernelDriver:
     def test_claiming_a_bound_interface_is_busy(self, tmp_path: Path, clock: FakeClock) -> None:
-        """errno 16 until uvcvideo is detached, as on Linux; identity strings work all the while."""
+        """errno 16 until uvcvideo is detached, as on Linux; identity strings work all the time."""
         device = sensor_on(plugin.bench(options_for(tmp_path), clock))
         assert device.product.startswith("GelSight Mini")
         with pytest.raises(usb.core.USBError) as refused:
@@ -118,7 +118,7 @@ class TestKernelDriver:
         usb.util.claim_interface(device, 1)
 
     def test_detaching_control_releases_streaming_too(self, tmp_path: Path, clock: FakeClock) -> None:
-        """Seen with uvcvideo on a real kernel: both go together, and come back together."""
+        """Seen with uvcvideo on a real kernel: both are released together, and bound together."""
         device = sensor_on(plugin.bench(options_for(tmp_path), clock))
         device.detach_kernel_driver(0)
         assert not device.is_kernel_driver_active(1)
@@ -158,7 +158,7 @@ class TestFaults:
         assert [read(device, clock), read(device, clock)] == [jpeg(0), jpeg(2)]
 
     def test_error_bit(self, tmp_path: Path, clock: FakeClock) -> None:
-        """One packet with the error bit spoils its frame and no other."""
+        """One packet with the error bit invalidates its frame and no other."""
         device = plugin.open(options_for(tmp_path, "error_bit@1"), clock)
         assert read(device, clock) == jpeg(0)
         with pytest.raises(FrameCorrupt, match="error bit"):
@@ -166,7 +166,7 @@ class TestFaults:
         assert read(device, clock) == jpeg(2)
 
     def test_lost_packet(self, tmp_path: Path, clock: FakeClock) -> None:
-        """A packet that did not arrive spoils the frame, though both ends of the JPEG may be there."""
+        """A missing packet invalidates the frame, even if both ends of the JPEG are present."""
         device = plugin.open(options_for(tmp_path, "lost_packet@1"), clock)
         assert read(device, clock) == jpeg(0)
         with pytest.raises(FrameCorrupt, match="lost on the bus"):
@@ -193,7 +193,7 @@ class TestFaults:
         assert read(device, clock, within_s=2) == jpeg(1)
 
     def test_stall_until_opened_again(self, tmp_path: Path, clock: FakeClock) -> None:
-        """A stall without an end lasts until the stream is started anew."""
+        """A stall without an end lasts until the stream is started again."""
         options = options_for(tmp_path, "stall@1")
         device = plugin.open(options, clock)
         assert read(device, clock) == jpeg(0)
@@ -203,7 +203,7 @@ class TestFaults:
         assert read(plugin.open(options, clock), clock) == jpeg(1)
 
     def test_faults_at_run_time(self, tmp_path: Path, clock: FakeClock) -> None:
-        """A test can spoil the next frame of a running sensor."""
+        """A test can damage the next frame of a running sensor."""
         options = options_for(tmp_path)
         device = plugin.open(options, clock)
         assert read(device, clock) == jpeg(0)
@@ -221,14 +221,14 @@ class TestFaults:
 
     @pytest.mark.parametrize("text", ["drop", "drop@", "drop@-1", "melt@3", "stall@1:x"])
     def test_a_fault_that_cannot_be_read_is_refused(self, text: str) -> None:
-        """Wrong kinds, missing frames and bad numbers do not pass as no fault."""
+        """Wrong kinds, missing frames and bad numbers are refused."""
         with pytest.raises(ValueError, match=r"fault|float"):
             Fault.parse(text)
 
 
 class TestPlugging:
     def test_unplug_in_a_frame(self, tmp_path: Path, clock: FakeClock) -> None:
-        """Pulled between two packets of one frame: lost, and half a frame is not delivered."""
+        """Unplugged between two packets of one frame: lost, and half a frame is not delivered."""
         folder = write_recording(tmp_path / "r", 3, size=(640, 480))
         options = UsbMockOptions(recording=folder, pace=0)
         device = plugin.open(options, clock)
@@ -241,7 +241,7 @@ class TestPlugging:
         assert stream.enumerate_devices() is not None
 
     def test_replugged_at_another_port_is_the_same_sensor(self, tmp_path: Path, clock: FakeClock) -> None:
-        """Address and port change, the serial does not, the recording goes on, and the old handle stays dead."""
+        """Address and port change, the serial does not, the recording continues, and the old handle stays invalid."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
         first = plugin.open(options, clock)
@@ -259,7 +259,7 @@ class TestPlugging:
         assert read(second, clock) == jpeg(1)
 
     def test_scripted_unplugging_comes_back(self, tmp_path: Path, clock: FakeClock) -> None:
-        """Away for half a second, then found again."""
+        """Unplugged for half a second, then found again."""
         options = options_for(tmp_path, "unplug@1:0.5")
         device = plugin.open(options, clock)
         read(device, clock)
@@ -282,7 +282,7 @@ class TestPace:
         assert (clock.monotonic_ns() - start) / 1e9 == pytest.approx(8 / 18.75, abs=1e-6)
 
     def test_a_late_reader_gets_no_burst(self, tmp_path: Path, clock: FakeClock) -> None:
-        """After ten seconds away one frame is waiting, and the beat starts anew."""
+        """After a pause of ten seconds one frame is waiting, and the period starts again."""
         device = plugin.open(options_for(tmp_path, pace=1.0), clock)
         read(device, clock)
         clock.sleep(10)
@@ -305,7 +305,7 @@ def test_an_empty_recording_is_over_at_once(tmp_path: Path, clock: FakeClock) ->
 
 
 def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: FakeClock) -> None:
-    """The second one is told which process has it; after close it may."""
+    """The second one gets an error with the process number; after close it succeeds."""
     import os
 
     options = options_for(tmp_path)

@@ -1,4 +1,4 @@
-"""The kernel's path: the right node, the controls by either name, and what OpenCV's answers mean."""
+"""The path through the kernel: the right node, the controls by either name, and the meaning of OpenCV's answers."""
 
 import os
 import struct
@@ -41,7 +41,7 @@ def plug(
 
 class TestNodes:
     def test_index_0_of_the_right_sensor(self, tmp_path: Path) -> None:
-        """Webcam first, metadata twin before the capture node, a second sensor: still the one, by its stable link."""
+        """Webcam first, metadata twin before the capture node, a second sensor: the right node, by its stable link."""
         plug(tmp_path, 0, product="USB 2.0 Camera", serial="SN0001", port="1-1")
         plug(tmp_path, 2, product=PRODUCT, serial=SERIAL, port="1-2", index=1)
         plug(tmp_path, 10, product=PRODUCT, serial=SERIAL, port="1-2", index=0)
@@ -63,7 +63,7 @@ class TestNodes:
             capture_node(SERIAL, tmp_path / "sys", tmp_path / "dev")
 
     def test_nodes_without_usb_are_left_out(self, tmp_path: Path) -> None:
-        """A camera on another bus is none of ours; no node at all is an empty list."""
+        """A camera that is not on USB is ignored; without a node the list is empty."""
         assert video_nodes(tmp_path / "sys", tmp_path / "dev") == []
         (tmp_path / "sys/devices/platform/video4linux/video7").mkdir(parents=True)
         (tmp_path / "sys/class/video4linux").mkdir(parents=True)
@@ -117,7 +117,7 @@ class TestControls:
     @pytest.mark.parametrize("wish", ["exposure_absolute", "exposure_time_absolute"])
     @pytest.mark.parametrize("title", ["Exposure (Absolute)", "Exposure Time, Absolute"])
     def test_old_and_new_names_mean_the_same(self, tmp_path: Path, wish: str, title: str) -> None:
-        """A profile of either age works on a kernel of either age."""
+        """A profile with old or new names works on an old or new kernel."""
         camera = FakeControls({title: [0x9A0902, 157, 5000]})
         node = tmp_path / "video0"
         node.touch()
@@ -135,7 +135,7 @@ class TestControls:
         assert control_ids(0, camera) == {"gain": 1, "gamma": 2}
 
     def test_what_does_not_stick_is_reported(self, tmp_path: Path) -> None:
-        """A camera that takes a value and keeps another is found by reading back."""
+        """A camera that accepts a value and keeps another is found by reading back."""
 
         class Stubborn(FakeControls):
             def __call__(self, fd: int, request: int, argument: bytes) -> bytes:
@@ -152,7 +152,7 @@ class TestControls:
 
 
 class FakeCapture:
-    """OpenCV's capture with the conversion off: payloads as (1, n) uint8, then False for ever."""
+    """OpenCV's capture with the conversion off: payloads as (1, n) uint8, then always False."""
 
     def __init__(self, *payloads: bytes) -> None:
         self._payloads = list(payloads)
@@ -179,7 +179,7 @@ def sensor_with(
 
 class TestSensor:
     def test_bytes_are_the_cameras(self) -> None:
-        """Frames are new, in order, untouched; a repeated one is left out and counted."""
+        """Frames are new, in order, untouched; a repeated one is dropped and counted."""
         clock = FakeClock()
         sensor, _ = sensor_with(FakeCapture(jpeg(0), jpeg(0), jpeg(1)), clock)
         frames = [sensor.read(clock.monotonic_ns() + 1) for _ in range(2)]
@@ -189,7 +189,7 @@ class TestSensor:
 
     @pytest.mark.parametrize(("present", "says"), [(True, "stopped sending"), (False, "was unplugged")])
     def test_the_first_false_is_the_end(self, present: bool, says: str) -> None:
-        """OpenCV says False for ever after an unplug: one DeviceLost, told apart by asking the bus, and no spinning."""
+        """After an unplug OpenCV always gives False: one DeviceLost, decided by asking the bus, and no busy loop."""
         clock = FakeClock()
         sensor, _ = sensor_with(FakeCapture(jpeg(0)), clock, present=present)
         sensor.read(clock.monotonic_ns() + 1)
@@ -199,7 +199,7 @@ class TestSensor:
 
     @pytest.mark.parametrize(
         ("payload", "says"),
-        [(jpeg(0)[:-20], "FFD9"), (jpeg(0, (32, 32)), r"\(32, 32\)"), (b"\x00" * 100, "no JPEG")],
+        [(jpeg(0)[:-20], "FFD9"), (jpeg(0, (32, 32)), r"\(32, 32\)"), (b"\x00" * 100, "not a JPEG")],
     )
     def test_a_bad_frame_is_corrupt(self, payload: bytes, says: str) -> None:
         """Cut, of another size, or converted by OpenCV after all; the next is good."""
@@ -209,8 +209,8 @@ class TestSensor:
             sensor.read(clock.monotonic_ns() + 1)
         assert sensor.read(clock.monotonic_ns() + 1).payload == jpeg(1)
 
-    def test_the_same_frame_again_and_again_is_stalled(self) -> None:
-        """A driver that serves its buffer over and over does not pass for a live camera."""
+    def test_a_repeated_frame_is_stalled(self) -> None:
+        """A driver that repeats its buffer is not taken for a live camera."""
         clock = FakeClock()
 
         class Stuck(FakeCapture):
@@ -220,11 +220,11 @@ class TestSensor:
 
         sensor, _ = sensor_with(Stuck(), clock)
         sensor.read(clock.monotonic_ns() + 10**9)
-        with pytest.raises(DeviceStalled, match="again and again"):
+        with pytest.raises(DeviceStalled, match="repeats the same frame"):
             sensor.read(clock.monotonic_ns() + 10**9)
 
     def test_close_gives_back_once(self) -> None:
-        """Capture and lock are let go, once."""
+        """Capture and lock are released once."""
         capture = FakeCapture(jpeg(0))
         sensor, closed = sensor_with(capture, FakeClock())
         sensor.close()
@@ -232,7 +232,7 @@ class TestSensor:
         assert (capture.released, closed) == (1, ["lock"])
 
     def test_a_node_that_does_not_open_is_busy(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        """OpenCV gives no reason; the sentence names the two usual ones."""
+        """OpenCV gives no reason; the message names the two usual ones."""
         monkeypatch.setitem(os.environ, "OPENCV_LOG_LEVEL", "SILENT")
         (tmp_path / "video0").touch()
         with pytest.raises(DeviceBusy, match="group video"):

@@ -1,4 +1,4 @@
-"""AU-PRO equals the official definition, written here a second time in the most_typical way."""
+"""AU-PRO equals the official definition, implemented here a second time in the simplest way."""
 
 from itertools import pairwise
 from typing import Any
@@ -89,7 +89,7 @@ def test_worked_by_hand() -> None:
 
 
 def test_undefined_is_none() -> None:
-    """Without a defect, without a sound pixel or without images there is no value and no crash."""
+    """Without a defect, without a sound pixel or without images the value is None."""
     zero = np.zeros((4, 4))
     assert aupro([zero], [zero > 1]) is None
     assert aupro([zero], [zero < 1]) is None
@@ -105,7 +105,7 @@ def test_undefined_is_none() -> None:
     ],
 )
 def test_refuses_what_has_no_rank(score_map: Array, mask: Array, message: str) -> None:
-    """Non-finite maps, other sizes and integer masks are refused by a sentence that names the image."""
+    """Non-finite maps, other sizes and integer masks are refused with an error that names the image."""
     with pytest.raises(ValueError, match=f"image 0.*{message}"):
         aupro([score_map], [mask])
     with pytest.raises(ValueError, match="limit"):

@@ -1,4 +1,4 @@
-"""The weighted table equals scikit-learn on repeated images, and AUPIMO a plain search over thresholds."""
+"""The weighted table equals scikit-learn on repeated images, and AUPIMO equals a search over thresholds."""
 
 from typing import Any
 
@@ -39,7 +39,7 @@ def test_a_weight_is_a_repetition(levels: int) -> None:
 
 
 def test_blocks_do_not_change_the_value(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One threshold at a time gives what all at once gives: nothing is lost between blocks."""
+    """One threshold at a time gives the same as all together: nothing is lost between blocks."""
     maps, masks = scene(2)
     weights = np.ones((2, 6))
     whole = pixel_measures(maps, masks, weights)

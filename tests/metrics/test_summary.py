@@ -28,7 +28,7 @@ def by_name(measures: tuple[Measure, ...]) -> dict[str, Measure]:
 
 
 def test_names_and_intervals() -> None:
-    """Each measure lies in its intervals; specimens, being fewer and correlated, give the wider one."""
+    """Each measure is in its intervals; specimens are fewer and correlated, so their interval is wider."""
     maps, masks, scores, ids = presses(np.random.default_rng(0))
     measures = by_name(measure(maps, masks, scores, ids, replicates=200))
     assert list(measures) == ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01", "aupimo_1e-5_1e-4"]
@@ -43,7 +43,7 @@ def test_names_and_intervals() -> None:
 
 
 def test_same_seed_same_intervals() -> None:
-    """The intervals are a function of the seed."""
+    """The intervals depend only on the seed."""
     maps, masks, scores, ids = presses(np.random.default_rng(1))
     assert measure(maps, masks, scores, ids, replicates=50, seed=3) == measure(
         maps, masks, scores, ids, replicates=50, seed=3

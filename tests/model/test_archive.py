@@ -1,4 +1,4 @@
-"""A bundle's files: read with suspicion, written whole or not at all."""
+"""A bundle's files: checked while reading, written completely or not at all."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ FILES = {"manifest.json": b"{}", "bank/mean.npy": b"12345"}
 
 
 def zip_with(path: Path, name: str, data: bytes = b"x", mode: int = stat.S_IFREG | 0o644) -> Path:
-    """A sound zip with one member more."""
+    """A valid zip with one more member."""
     write_archive(path, FILES)
     with zipfile.ZipFile(path, "a") as archive:
         member = zipfile.ZipInfo(name)
@@ -40,7 +40,7 @@ def test_equal_files_give_equal_zip_bytes(tmp_path: Path) -> None:
 
 
 def test_a_zipped_bundle_folder_is_a_bundle(tmp_path: Path) -> None:
-    """`zip -r part.zip part/` puts the folder's name before each member; that is understood."""
+    """`zip -r part.zip part/` puts the folder's name before each member; this is accepted."""
     write_archive(tmp_path / "a.zip", {f"part/{name}": data for name, data in FILES.items()})
     assert open_archive(tmp_path / "a.zip").read("bank/mean.npy") == b"12345"
 
@@ -69,7 +69,7 @@ def test_a_zip_with_a_file_twice_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["b", "b.zip"])
 def test_a_file_larger_than_expected_is_not_read(tmp_path: Path, name: str) -> None:
-    """The limit holds before the bytes are read, so a bomb costs nothing."""
+    """The limit is checked before the bytes are read, so a zip bomb costs nothing."""
     write_archive(tmp_path / name, FILES)
     with pytest.raises(BundleCorrupt, match="5 bytes, at most 4"):
         open_archive(tmp_path / name).read("bank/mean.npy", 4)
@@ -114,7 +114,7 @@ def test_nothing_at_the_path_is_a_sentence(tmp_path: Path) -> None:
 
 
 class Failing(Mapping[str, bytes]):
-    """Files of which the second cannot be had: the disk is full, or Ctrl-C was pressed."""
+    """Files whose second read fails: the disk is full, or Ctrl-C was pressed."""
 
     def __init__(self, error: BaseException) -> None:
         self.error = error
@@ -133,10 +133,8 @@ class Failing(Mapping[str, bytes]):
 
 @pytest.mark.parametrize("name", ["b", "b.zip"])
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_an_interrupted_write_leaves_nothing_new_and_the_old_whole(
-    tmp_path: Path, name: str, error: BaseException
-) -> None:
-    """A full disk or Ctrl-C in the middle: the old bundle stands, and no half of a new one."""
+def test_an_interrupted_write_leaves_the_old_bundle(tmp_path: Path, name: str, error: BaseException) -> None:
+    """A full disk or Ctrl-C in the middle: the old bundle is unchanged, and no part of a new one exists."""
     write_archive(tmp_path / name, FILES)
     with pytest.raises(type(error)):
         write_archive(tmp_path / name, Failing(error), overwrite=True)
@@ -146,7 +144,7 @@ def test_an_interrupted_write_leaves_nothing_new_and_the_old_whole(
 
 @pytest.mark.parametrize("name", ["b", "b.zip"])
 def test_an_existing_bundle_is_replaced_only_when_asked(tmp_path: Path, name: str) -> None:
-    """Without the word nothing is lost; with it no file of the old one stays."""
+    """Without `overwrite` nothing is lost; with it no file of the old one stays."""
     write_archive(tmp_path / name, {**FILES, "old": b"old"})
     with pytest.raises(FileExistsError):
         write_archive(tmp_path / name, FILES)

@@ -1,4 +1,4 @@
-"""A bundle: equal inputs give equal bytes, and whatever is changed in it is found and named."""
+"""A bundle: equal inputs give equal bytes, and every change in it is found and named."""
 
 import dataclasses
 import io
@@ -21,7 +21,7 @@ GOLDEN = GoldenFrame(tiny.presses(1)[0], "a press", 0.5, ((0.5,),))
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A whole bundle with an int8 bank and a golden frame, as a folder."""
+    """A complete bundle with an int8 bank and a golden frame, as a folder."""
     _, files = tiny.tiny_files(tiny.tiny_bank(packing="int8"), golden=[GOLDEN])
     return write_bundle(tmp_path / "bolt", files)
 
@@ -36,7 +36,7 @@ def edited(folder: Path, change: Callable[[dict], object]) -> Path:
 
 
 def test_equal_inputs_give_equal_bytes() -> None:
-    """A bundle has no clock and no chance in it."""
+    """A bundle depends on neither time nor chance."""
     first, second = (tiny.tiny_files(golden=[GOLDEN])[1] for _ in range(2))
     assert first == second
 
@@ -142,14 +142,14 @@ NAN = np.where(np.arange(48).reshape(3, 4, 4) == 7, np.float32(np.nan), MEAN)
     ids=["pickle", "cut", "longer", "dtype", "shape", "order", "nan", "bare pickle", "empty"],
 )
 def test_a_bank_file_that_is_not_what_the_manifest_says_is_refused(data: bytes, reason: str) -> None:
-    """Even with the right hash: nothing in a bank is unpickled, and no header is believed."""
+    """Even with the right hash nothing in a bank is unpickled, and every header is checked."""
     manifest, files = with_bank_file(data)
     with pytest.raises(BundleCorrupt, match=reason):
         Bundle.in_memory(manifest, files)  # type: ignore[arg-type]
 
 
 def test_a_newer_schema_is_refused_by_name(folder: Path) -> None:
-    """An old gateway says that it is old, not that the bundle is broken."""
+    """A gateway that is too old says so, not that the bundle is damaged."""
     edited(folder, lambda m: m.update(schema_version=SCHEMA_VERSION + 1, unheard_of=True))
     with pytest.raises(
         BundleMismatch, match=rf"schema {SCHEMA_VERSION + 1}, this program reads up to {SCHEMA_VERSION}"
@@ -181,7 +181,7 @@ def test_a_manifest_that_makes_no_sense_is_refused(
 
 @pytest.mark.parametrize("text", ["", "[]", "nonsense", "[" * 100_000, '{"schema_version": "1"}'])
 def test_a_manifest_that_is_no_json_object_is_refused(folder: Path, text: str) -> None:
-    """Empty, foreign or hostile text gets a sentence."""
+    """Empty, foreign or hostile text gives one clear error."""
     (folder / MANIFEST).write_text(text)
     with pytest.raises(BundleCorrupt, match=r"manifest\.json"):
         Bundle.load(folder)
@@ -208,13 +208,13 @@ class TestWithoutTrunk:
         store = self.stored(tmp_path / "store", tiny.tiny_trunk())
         assert Bundle.load(slim, store).graphs.trunk == tiny.tiny_trunk()
 
-    def test_it_is_found_beside_the_bundle(self, slim: Path, tmp_path: Path) -> None:
+    def test_it_is_found_next_to_the_bundle(self, slim: Path, tmp_path: Path) -> None:
         """A folder `trunks` next to the bundle needs no setting."""
         self.stored(tmp_path / "trunks", tiny.tiny_trunk())
         assert Bundle.load(slim).graphs.trunk == tiny.tiny_trunk()
 
     def test_a_wrong_file_of_that_name_is_refused(self, slim: Path, tmp_path: Path) -> None:
-        """A file's name proves nothing; its bytes do."""
+        """A file is checked by its bytes, not by its name."""
         store = self.stored(tmp_path / "store", tiny.tiny_trunk()[:-1] + b"?")
         with pytest.raises(BundleCorrupt, match="SHA-256"):
             Bundle.load(slim, store)
@@ -225,14 +225,14 @@ class TestWithoutTrunk:
             Bundle.load(slim, tmp_path)
 
     def test_a_trunk_that_is_open_already_is_not_read(self, slim: Path) -> None:
-        """Changing the part on a line never reads the trunk again."""
+        """A change of part does not read the trunk again."""
         manifest, _ = tiny.tiny_files()
         assert manifest.backbone is not None
         assert Bundle.load(slim, loaded={manifest.backbone.trunk.sha256}).graphs.trunk is None
 
 
 def test_a_bank_that_cannot_be_stored_is_a_fit_error() -> None:
-    """A dtype that no head takes is refused when the bundle is made, not on the line."""
+    """A dtype that no head accepts is refused when the bundle is made, not on the line."""
     bank = tiny.tiny_bank()
     wrong = dataclasses.replace(bank, arrays={"mean": bank.arrays["mean"].astype(np.float64)})
     with pytest.raises(FitError, match="float64"):
@@ -240,7 +240,7 @@ def test_a_bank_that_cannot_be_stored_is_a_fit_error() -> None:
 
 
 def test_a_file_replaced_after_loading_changes_nothing(folder: Path) -> None:
-    """What was checked is what scores: nothing is read or mapped later, even when the files vanish."""
+    """The checked bytes are the ones that score: nothing is read or mapped later, even when the files are removed."""
     scorer = Scorer(Bundle.load(folder))
     before = scorer.score(GOLDEN.rgb).anomaly_score
     (folder / "bank" / "mean.npy").write_bytes(b"")

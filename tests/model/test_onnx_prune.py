@@ -1,4 +1,4 @@
-"""Trunks end where the detector stops reading, whatever they are made of, without the onnx package."""
+"""Any trunk is cut after the last tap that the detector reads, without the onnx package."""
 
 import numpy as np
 import onnx.checker
@@ -33,7 +33,7 @@ def test_a_cut_trunk_gives_the_same_features(backbone: str) -> None:
 
 
 def test_parts_that_read_equally_deep_share_one_file() -> None:
-    """layer2 alone and layer1 with layer2 are one cut; all three taps are the file as it is."""
+    """layer2 alone and layer1 with layer2 are one cut; all three taps are the unchanged file."""
     whole = tactile_resnet18.trunk()
     assert cut_trunk(whole, ("layer2",)) == cut_trunk(whole, ("layer1", "layer2"))
     for taps in ((), ("layer3",), ("layer1", "layer3"), ("layer1", "layer4")):
@@ -41,7 +41,7 @@ def test_parts_that_read_equally_deep_share_one_file() -> None:
 
 
 def test_what_is_no_model_is_refused_and_what_nests_graphs_is_left_alone() -> None:
-    """Bytes that are no protobuf are refused; a node with a graph of its own may read anything, so nothing is cut."""
+    """Bytes that are not protobuf are refused; a node with a subgraph may read anything, so nothing is cut."""
     with pytest.raises(GraphRefused):
         cut_trunk(b"\xff" * 40, ("layer1",))
     nested = onnx.parser.parse_model("""
@@ -59,7 +59,7 @@ def test_what_is_no_model_is_refused_and_what_nests_graphs_is_left_alone() -> No
 
 
 def test_a_trunk_of_any_origin_is_cut() -> None:
-    """Weights, inputs and metadata that stay keep their bytes; what only the rest used is gone."""
+    """Weights, inputs and metadata that stay keep their bytes; what only the removed nodes used is removed."""
     graph = Graph("two")
     x = graph.op("Cast", graph.input("frames", ("n", "h", "w", 3), "uint8"), to=1)
     shallow = graph.op("Mul", x, graph.constant(np.full((3,), 2.0, np.float32)))

@@ -1,4 +1,4 @@
-"""Packing: what is stored comes back within the stated bound, whatever the scale of the values."""
+"""Packing: unpacked values are within the stated bound of the originals, at any scale."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_none_keeps_every_bit() -> None:
 
 
 def test_an_outlier_beyond_float16_range_survives() -> None:
-    """1e6 does not become infinity: the whole array is scaled by a power of two."""
+    """1e6 does not become infinity: the array is scaled by a power of two."""
     found = unpack(pack(np.array([1e6, 1.0], np.float32), "float16"), "float16")
     np.testing.assert_allclose(found, [1e6, 1.0], rtol=2**-11)
 
@@ -81,6 +81,6 @@ def test_only_float32_is_packed() -> None:
 
 
 def test_int8_without_its_scale_is_refused() -> None:
-    """The two files of an int8 array belong together."""
+    """An int8 array without its scale file is refused."""
     with pytest.raises(ValueError, match="scale"):
         unpack(Packed(np.zeros((2, 2), np.int8)), "int8")

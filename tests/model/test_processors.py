@@ -1,7 +1,7 @@
 """The same bundle on another processor gives the same scores.
 
 int8 products of two neighbours are added in 16 bits by processors without VNNI (Intel before 2019, most Atoms; AMD
-before Zen 4), where onnxruntime lets the sum saturate unless told otherwise. Such a processor is emulated here.
+before Zen 4), where onnxruntime lets the sum saturate by default. Such a processor is emulated here.
 """
 
 from importlib.resources import files
@@ -53,7 +53,7 @@ def probe() -> bytes:
 
 
 def test_the_probe_is_the_graph_that_is_drawn_here() -> None:
-    """What ships is what this file says."""
+    """The shipped probe is the graph of this file."""
     shipped = files("edge.model").joinpath("saturation_probe.onnx").read_bytes()
     assert onnx.load_from_string(shipped) == onnx.load_from_string(probe())
 

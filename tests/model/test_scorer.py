@@ -1,4 +1,4 @@
-"""The scorer: the same graph values as the oracle, the same answer every time, and no score is never a pass."""
+"""The scorer: the values of the reference, the same answer every time, and an error, never a pass, without a score."""
 
 import dataclasses
 import re
@@ -84,7 +84,7 @@ def test_runs_batches_and_threads_agree_within_the_tolerance(packing: str) -> No
 
 
 def test_a_score_is_kept_when_the_next_frame_is_scored() -> None:
-    """The map handed out is the caller's own, though the scorer uses its buffers again."""
+    """The returned map is a copy, because the scorer uses its buffers again."""
     scorer, frames = Scorer(bundle()), tiny.presses(2)
     first = scorer.score(frames[0])
     kept = first.score_map.copy()
@@ -101,7 +101,7 @@ def test_a_score_is_kept_when_the_next_frame_is_scored() -> None:
         np.zeros((32, 32, 4), np.uint8),
     ],
 )
-def test_a_frame_of_another_kind_is_a_sentence(frame: np.ndarray) -> None:
+def test_a_frame_of_another_kind_is_refused(frame: np.ndarray) -> None:
     """Found and expected are both named."""
     expected = re.escape("scores uint8 (32, 32, 3) frames (h, w, 3), found")
     with pytest.raises(ValueError, match=expected):
@@ -151,7 +151,7 @@ def test_one_bad_pixel_in_the_map_is_no_score() -> None:
 def test_a_head_that_does_not_fit_is_refused_before_the_first_press(
     body: str, inputs: str, reason: str
 ) -> None:
-    """The scorer cannot be made; the sentence names what does not fit."""
+    """The scorer cannot be made; the error names what does not fit."""
     with pytest.raises(BundleCorrupt, match=reason):
         Scorer(with_head(body, inputs))
 
@@ -193,7 +193,7 @@ def test_a_graph_that_is_no_graph_is_refused() -> None:
 
 
 class TestGolden:
-    """Golden frames are scored again, and a machine that scores them otherwise is refused."""
+    """Golden frames are scored again, and a machine with other scores is refused."""
 
     def golden(self, score_error: float = 0.0, map_error: float = 0.0) -> GoldenFrame:
         rgb = tiny.presses(1)[0]
@@ -209,7 +209,7 @@ class TestGolden:
         assert Scorer(bundle(golden=[self.golden()])).check_golden() == 0.0
 
     def test_a_difference_within_the_tolerance_is_fine(self) -> None:
-        """Other processors round otherwise."""
+        """Differences within the tolerance are accepted: other processors round in another way."""
         assert Scorer(bundle(golden=[self.golden(8e-6, 8e-6)])).check_golden() == pytest.approx(
             8e-6, rel=0.01
         )
@@ -227,7 +227,7 @@ class TestGolden:
             Scorer(bundle(golden=[self.golden(map_error=1e-3)])).check_golden()
 
     def test_a_map_summed_up_otherwise_is_refused(self) -> None:
-        """A manifest with another number of blocks was made by something else."""
+        """A manifest with another number of blocks is refused."""
         with pytest.raises(BundleCorrupt, match=r"golden map 0 is \(1, 1\), found \(8, 8\)"):
             Scorer(bundle(golden=[dataclasses.replace(self.golden(), map_peaks=((0.5,),))])).check_golden()
 

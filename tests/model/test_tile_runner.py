@@ -1,4 +1,4 @@
-"""A trunk that sees tiles: one after the other, those without contact left out, and nothing unseen for it."""
+"""A tiled trunk: one tile after the other, tiles without contact skipped, and every contact inspected."""
 
 from pathlib import Path
 
@@ -79,7 +79,7 @@ MAPS = {"layer1": (64, 32, 64), "layer2": (128, 16, 32)}
 
 
 def test_the_fit_writes_which_tiles_no_press_touches(bundle: Bundle) -> None:
-    """The layout, the untouched tiles and a picture of the free gel stand in the bundle."""
+    """The layout, the untouched tiles and a picture of the free gel are in the bundle."""
     assert bundle.manifest.grid is not None
     assert bundle.manifest.grid.tiles is not None
     assert bundle.manifest.grid.tiles.untouched == UNTOUCHED == untouched_tiles(TILES, TOUCHED)
@@ -104,7 +104,7 @@ def test_a_skipped_tile_costs_nothing(bundle: Bundle) -> None:
 
 
 def test_kept_tiles_score_the_same(bundle: Bundle) -> None:
-    """Where the kept tiles lie alone, beyond the blur's reach, the map is the same to the bit."""
+    """Outside the blur's reach of skipped tiles the map is the same to the bit."""
     frame = presses(1, 7)[0]
     skipping, whole = Scorer(bundle).score(frame), Scorer(bundle, is_skipping=False).score(frame)
     np.testing.assert_array_equal(skipping.score_map[:, :32], whole.score_map[:, :32])
@@ -113,7 +113,7 @@ def test_kept_tiles_score_the_same(bundle: Bundle) -> None:
 
 @pytest.mark.parametrize("place", [(2, 130), (60, 100), (90, 155), (40, 70)], ids=str)
 def test_a_contact_where_none_belongs_is_seen(bundle: Bundle, place: tuple[int, int]) -> None:
-    """A press that touches a tile without nominal contact scores as if no tile were ever skipped there.
+    """A press that touches a tile without nominal contact scores as if no tile were skipped.
 
     Checked by removal: with `matching` answering all untouched tiles, the foreign contact scores like a nominal press.
     """
@@ -141,7 +141,7 @@ def test_a_foreign_contact_leaves_no_trace(bundle: Bundle) -> None:
 
 
 def test_another_light_skips_nothing(bundle: Bundle) -> None:
-    """A level that moved by more than the bound costs time, not sight."""
+    """A level change above the bound costs time, but every tile is run."""
     scorer = Scorer(bundle)
     before = scorer.tiles_run
     scorer.score(np.clip(presses(1, 5)[0].astype(int) + int(FREE_LEVELS), 0, 255).astype(np.uint8))
@@ -163,7 +163,7 @@ def test_a_press_scores_the_same_alone_and_in_a_batch(bundle: Bundle) -> None:
     marks=st.lists(st.tuples(st.integers(0, 95), st.integers(0, 159)), max_size=3),
 )
 def test_any_set_of_tiles_may_be_skipped(untouched: set[int], marks: list[tuple[int, int]]) -> None:
-    """A tile's features are its own frame's, or the free gel's where it is untouched and looks so; never anything else.
+    """A tile's features are those of its frame, or of the free gel where it is untouched and looks like it.
 
     Whichever tiles are left out and wherever something touches, no tile with a mark in it is skipped.
     """
@@ -190,7 +190,7 @@ def test_any_set_of_tiles_may_be_skipped(untouched: set[int], marks: list[tuple[
             assert index not in matching
 
 
-def test_a_frame_of_odd_size_is_compared_whole() -> None:
+def test_a_frame_of_odd_size_is_compared_completely() -> None:
     """Blocks of 8 that the border cuts still count: a mark in the last rows and columns is seen."""
     tiles = tiling((100, 161), 64, 32)
     maps = {"layer1": (64, 16 * len(tiles.rows), 16 * len(tiles.columns))}
@@ -203,7 +203,7 @@ def test_a_frame_of_odd_size_is_compared_whole() -> None:
 
 
 def test_the_most_typical_frame_is_one_of_them() -> None:
-    """The nearest to the mean: an odd one out is not taken."""
+    """The nearest to the mean: an outlier is not chosen."""
     frames = free_gel(4, 2)
     frames[2] += 30
     assert any((most_typical(frames) == frames[k]).all() for k in (0, 1, 3))
@@ -234,7 +234,7 @@ def test_the_merged_graph_sees_every_tile(bundle: Bundle, tmp_path: Path, as_bun
     [
         ({"untouched": (8,)}, "numbered 0 to 7"),
         ({"rows": (0, 20)}, "cover 96 pixels"),
-        ({"columns": (0, 48, 96), "untouched": ()}, "no mosaic of whole tiles"),
+        ({"columns": (0, 48, 96), "untouched": ()}, "not a mosaic of complete tiles"),
     ],
     ids=str,
 )

@@ -1,4 +1,4 @@
-"""Press images become a press-and-lift recording."""
+"""Press images become a recording of presses and lifts."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_lift_press_lift_press_lift(tmp_path: Path) -> None:
 
 
 def test_the_first_lift_is_longer_by_the_lead(tmp_path: Path) -> None:
-    """A gateway learns the free gel from it; the later lifts stay as they are."""
+    """Only the first lift is longer, because a gateway learns the free gel from it."""
     recording = make(tmp_path, PressLift(lead_frames=4, free_frames=1, press_frames=1))
     states = [frame.label["state"] for frame in recording if frame.label]
     assert states == ["free"] * 5 + ["press", "free", "press", "free"]
@@ -42,7 +42,7 @@ def test_the_first_lift_is_longer_by_the_lead(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 def test_bytes_are_untouched(tmp_path: Path, suffix: str) -> None:
-    """Without being asked, every frame is the file's own bytes, copies too."""
+    """By default every frame, copies included, has the file's own bytes."""
     recording = make(tmp_path, PressLift(free_frames=1, press_frames=2), suffix=suffix)
     sent = [frame.frame.payload for frame in recording]
     expected = [jpeg(seed, suffix=suffix) for seed in (99, 0, 0, 99, 1, 1, 99)]
@@ -51,7 +51,7 @@ def test_bytes_are_untouched(tmp_path: Path, suffix: str) -> None:
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
 def test_numbered_copies_differ_in_bytes_alone(tmp_path: Path, suffix: str) -> None:
-    """A comment makes copies distinct and leaves them whole, pixel by pixel the same; originals are untouched."""
+    """A comment makes copies distinct with the same pixels; originals are unchanged."""
     recording = make(tmp_path, PressLift(free_frames=1, press_frames=3, number_copies=True), suffix=suffix)
     original, first, second = (recording[position].frame.payload for position in (1, 2, 3))
     assert original == jpeg(0, suffix=suffix)
@@ -66,7 +66,7 @@ def test_numbered_copies_differ_in_bytes_alone(tmp_path: Path, suffix: str) -> N
 
 
 def test_noise_has_its_strength_and_its_seed(tmp_path: Path) -> None:
-    """Copies of a grey PNG differ from it by the wished deviation; the same seed gives the same bytes."""
+    """Copies of a grey PNG differ from it by the requested deviation; the same seed gives the same bytes."""
     grey = tmp_path / "grey.png"
     cv2.imwrite(str(grey), np.full((96, 128, 3), 128, np.uint8))
     takes = []
@@ -97,7 +97,7 @@ def test_images_are_taken_in_counting_order(tmp_path: Path) -> None:
 
 
 def test_every_unfit_image_is_named(tmp_path: Path) -> None:
-    """A broken file and one of another size: one report, both names, and nothing written."""
+    """A damaged file and one of another size: one report, both names, and nothing written."""
     (tmp_path / "a.jpg").write_bytes(jpeg(0))
     (tmp_path / "b.jpg").write_bytes(jpeg(1)[:-9])
     (tmp_path / "c.jpg").write_bytes(jpeg(2, (32, 32)))
@@ -107,7 +107,7 @@ def test_every_unfit_image_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pattern", ["*.bmp", "**/*"])
-def test_no_images_is_said(tmp_path: Path, pattern: str) -> None:
+def test_no_images_is_refused(tmp_path: Path, pattern: str) -> None:
     """An empty folder, or a pattern that matches nothing, is refused."""
     with pytest.raises(DatasetError, match="no JPEG or PNG"):
         images_in(tmp_path, pattern)

@@ -1,4 +1,4 @@
-"""Recordings: written frame by frame, read back byte by byte, refused in whole sentences."""
+"""Recordings: written frame by frame, read back byte by byte, refused with clear errors."""
 
 import json
 import subprocess
@@ -31,7 +31,7 @@ def test_written_and_read_back(tmp_path: Path) -> None:
 
 
 def test_version_comes_first_in_the_header(tmp_path: Path) -> None:
-    """So that a later program may change everything after it."""
+    """The version is the first line, so a later program may change everything after it."""
     folder = write_recording(tmp_path / "r", 1)
     assert (folder / "recording.toml").read_text().startswith("version = 1\n")
 
@@ -41,7 +41,7 @@ def test_version_comes_first_in_the_header(tmp_path: Path) -> None:
 def test_any_text_survives_the_header(
     product: str, serial: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Quotes, control characters and foreign letters in a product string do not break the file."""
+    """Quotes, control characters and foreign letters in a product string keep the file readable."""
     product, serial = (text.encode("utf-8", "ignore").decode() for text in (product, serial))
     folder = tmp_path_factory.mktemp("header") / "r"
     RecordingWriter(folder, RecordingHeader(product, serial, (64, 48), 25.0)).close()
@@ -59,7 +59,7 @@ def test_newer_version_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_all_missing_files_are_listed_at_once(tmp_path: Path) -> None:
-    """Three frames gone: one report with three names."""
+    """Three missing frames: one report with three names."""
     folder = write_recording(tmp_path / "r", 6)
     for position in (1, 3, 4):
         (folder / f"frames/{position:06d}.jpg").unlink()
@@ -68,7 +68,7 @@ def test_all_missing_files_are_listed_at_once(tmp_path: Path) -> None:
 
 
 def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
-    """Killed in the middle of an index line: everything before it plays, and the recording says that it was cut."""
+    """Killed in the middle of an index line: everything before it plays, and the recording is marked as cut."""
     folder = write_recording(tmp_path / "r", 5)
     index = folder / "index.jsonl"
     index.write_bytes(index.read_bytes()[:-7])
@@ -77,14 +77,14 @@ def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
 
 
 def test_a_frame_without_its_line_is_left_out(tmp_path: Path) -> None:
-    """Killed between the frame and its line: the frame that nobody finished is not part of the recording."""
+    """Killed between the frame and its line: the unfinished frame is not part of the recording."""
     folder = write_recording(tmp_path / "r", 2)
     (folder / "frames/000002.jpg").write_bytes(jpeg(2)[:100])
     assert len(Recording.open(folder)) == 2
 
 
 def test_damage_in_the_middle_is_refused(tmp_path: Path) -> None:
-    """Only the last line may be cut; rubbish before it is named by its line."""
+    """Only the last line may be cut; an invalid line before it is named."""
     folder = write_recording(tmp_path / "r", 3)
     lines = (folder / "index.jsonl").read_text().splitlines()
     (folder / "index.jsonl").write_text("\n".join([lines[0], "{rubbish", lines[2], ""]))
@@ -94,7 +94,7 @@ def test_damage_in_the_middle_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("file", ["../outside.jpg", "/etc/passwd", "frames/../../x.jpg"])
 def test_a_file_outside_the_folder_is_refused(tmp_path: Path, file: str) -> None:
-    """A recording from a stranger cannot make us read other files."""
+    """A recording cannot name files outside its folder."""
     folder = write_recording(tmp_path / "r", 1)
     (folder / "index.jsonl").write_text(json.dumps({"sequence": 0, "time_ns": 0, "file": file}) + "\n")
     with pytest.raises(RecordingError, match="leads out"):
@@ -174,14 +174,14 @@ def test_going_on_after_nothing_begins_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "keep", "says"),
     [
-        (HEADER, 5, "has 4 whole frames, expected 5"),
+        (HEADER, 5, "has 4 complete frames, expected at least 5"),
         (RecordingHeader("other", SERIAL, (64, 48), 25.0, "mini_lr"), 2, "choose another folder"),
     ],
 )
-def test_another_recording_is_not_gone_on_with(
+def test_another_recording_is_not_continued(
     tmp_path: Path, header: RecordingHeader, keep: int, says: str
 ) -> None:
-    """Fewer whole lines than are to be kept, or another sensor: refused, and nothing is changed."""
+    """Fewer complete lines than requested, or another sensor: refused, and nothing is changed."""
     with RecordingWriter(tmp_path / "r", HEADER) as writer:
         for k in range(5):
             writer.add(jpeg(k), k)
@@ -213,7 +213,7 @@ except StoreError as error:
 
 @pytest.mark.parametrize(("size", "beyond_index"), [(5000, 500), (10, 20), (10, 0)])
 def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, size: int, beyond_index: int) -> None:
-    """No room for the frame, for the end of its line, or for its line at all: a sentence, and two frames play."""
+    """No room for the frame, for the end of its line, or for its line at all: a clear error, and two frames play."""
     folder = tmp_path / "r"
     command = [sys.executable, "-c", WRITE_UNTIL_FULL, str(folder), str(size), str(beyond_index)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -223,15 +223,15 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, size: int, beyond_i
     assert not recording.is_cut
 
 
-def test_where_nothing_can_be_written_is_said(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_refused(tmp_path: Path) -> None:
     """A folder below a file cannot be made."""
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be started"):
         RecordingWriter(tmp_path / "file" / "r", HEADER)
 
 
-def test_a_frame_that_vanishes_while_playing_is_said(tmp_path: Path) -> None:
-    """Frames are read when asked for; one that is gone by then is named."""
+def test_a_frame_removed_while_playing_is_named(tmp_path: Path) -> None:
+    """Frames are read at access; one that is missing then is named."""
     folder = write_recording(tmp_path / "r", 2)
     recording = Recording.open(folder)
     (folder / "frames/000001.jpg").unlink()

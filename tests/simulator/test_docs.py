@@ -21,7 +21,7 @@ MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
 
 
 def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
-    """Parts, defects, effects, sensors and the scenes that come along."""
+    """Parts, defects, effects, sensors and the shipped scenes."""
     names = [*PARTS, *DEFECTS, *EFFECTS, *SENSORS, *scene_names()]
     assert [name for name in names if name not in MANUAL] == []
 

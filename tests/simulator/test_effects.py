@@ -1,4 +1,4 @@
-"""Effects are paid for only when a scene names them, and each one changes the picture in its own way."""
+"""Effects cost time only when a scene names them, and each one changes the picture."""
 
 import sys
 from collections.abc import Callable
@@ -24,7 +24,7 @@ KEY = ("PZ1", "pos1", 1, 1)
 
 
 class Listening:
-    """Streams that remember which words were asked for."""
+    """Streams that record the requested words."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str | int, ...]] = []
@@ -39,7 +39,7 @@ class Listening:
 
 
 def picture(names: tuple[str, ...], streams: Callable[..., np.random.Generator] | None = None) -> np.ndarray:
-    """A press that gives every effect something to do: worn gel, a previous press, a warm lamp, a slide."""
+    """A press on which every effect acts: worn gel, a previous press, a warm lamp, a slide."""
     renderer = Renderer(SMALL, names, streams=streams or named_streams(7))
     placed = renderer.place(Pose(), KEY)
     imprint = renderer.imprint(sample(THREAD, placed, SMALL), 0.5 * placed.depth_factor)
@@ -102,7 +102,7 @@ def code_of(name: str) -> CodeType:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_that_is_not_named_is_not_called(name: str) -> None:
-    """Its function never runs when it is left out, and runs when it is named."""
+    """Its function runs when it is named, and never otherwise."""
     assert code_of(name) not in called(without(name))
     assert code_of(name) in called(tuple(EFFECTS))
 
@@ -111,7 +111,7 @@ def test_an_effect_that_is_not_named_is_not_called(name: str) -> None:
 def test_left_out_the_bytes_are_those_of_a_program_without_it(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its function taken away, renderer, dataset and recording give the bytes that they give with it there."""
+    """With its function removed, renderer, dataset and recording give the same bytes as with it."""
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.format(effects=list(without(name))))
     scene = load_scene(path)
@@ -131,7 +131,7 @@ def test_left_out_the_bytes_are_those_of_a_program_without_it(
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_switching_an_effect_never_shifts_another_ones_random_numbers(name: str) -> None:
-    """Without it, exactly its own streams are not asked for; every other stream is named by the same words."""
+    """Without it, exactly its own streams are not requested; every other stream has the same words."""
     everything, rest = Listening(), Listening()
     picture(tuple(EFFECTS), everything)
     picture(without(name), rest)
@@ -147,7 +147,7 @@ RANDOM = [name for name, effect in EFFECTS.items() if effect.draws]
 def test_datasets_and_recordings_draw_nothing_for_an_effect_that_is_left_out(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """None of its streams is asked for on the way to a file either; with it they are."""
+    """None of its streams is requested for a file either; with it they are."""
     path = tmp_path / "scene.toml"
     drawn = {}
     for effects in (without(name), tuple(EFFECTS)):
@@ -165,37 +165,37 @@ def test_datasets_and_recordings_draw_nothing_for_an_effect_that_is_left_out(
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_that_is_named_changes_the_picture(name: str) -> None:
-    """With all others on, adding it changes bytes, so no name in the list is idle."""
+    """With all others on, adding it changes bytes, so every name in the list has an effect."""
     assert not np.array_equal(picture(tuple(EFFECTS)), picture(without(name)))
 
 
 def test_a_picture_without_effects_draws_nothing() -> None:
-    """No effect, no random number: not one stream is asked for."""
+    """Without effects no stream is requested."""
     streams = Listening()
     picture((), streams)
     assert streams.asked == []
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
-    """Equal streams, equal bytes; the order in which effects are named means nothing."""
+    """Equal streams, equal bytes; the order of the names does not matter."""
     again = picture(tuple(reversed(EFFECTS)))
     assert np.array_equal(picture(tuple(EFFECTS)), again)
     assert not np.array_equal(again, picture(tuple(EFFECTS), named_streams(8)))
 
 
-def test_every_effect_says_what_it_is() -> None:
+def test_every_effect_has_a_description() -> None:
     """Each function has a docstring, which the manual quotes."""
     assert all(effect.summary for effect in EFFECTS.values())
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:
-    """Slips of the pen are told what was meant, all at once."""
+    """Misspelt names are reported together, each with the nearest known one."""
     with pytest.raises(ValueError, match=r"did you mean 'noise'.* did you mean 'shadows'"):
         chosen(["shadow", "nois"])
 
 
 def test_neighbouring_frames_differ_by_noise_alone() -> None:
-    """Two exposures of the same light differ everywhere a little and nowhere much."""
+    """Two exposures of the same light differ a little everywhere."""
     renderer = Renderer(LR, DEFAULT_EFFECTS)
     light = renderer.light(renderer.surface(np.zeros(LR.shape, np.float32)))
     first, second = (
@@ -206,7 +206,7 @@ def test_neighbouring_frames_differ_by_noise_alone() -> None:
     assert difference.max() < 30
 
 
-def test_pose_jitter_is_as_large_as_it_is_told() -> None:
+def test_pose_jitter_has_the_given_size() -> None:
     """Over many presses the shift's standard deviation is the stated one, cut at 2.5."""
     renderer = Renderer(SMALL, ("pose_jitter",), jitter=Jitter(0.2, 1.0, 0.5, 0.05))
     poses = [renderer.place(Pose(), (k,)) for k in range(400)]
@@ -217,7 +217,7 @@ def test_pose_jitter_is_as_large_as_it_is_told() -> None:
 
 
 def test_partial_contact_lifts_one_side_of_a_part() -> None:
-    """A flat plate that leans is touched on one side and free on the other; level, it is touched all over."""
+    """A tilted flat plate has contact on one side only; a level one has contact everywhere."""
 
     def plate(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(np.maximum(np.abs(x), np.abs(y)) < 5, np.float32(0), np.float32(-3))

@@ -1,4 +1,4 @@
-"""The gel: clears the part, relaxes beside it, forgets slowly, and looks the same at every resolution."""
+"""The gel: above the part, relaxed around it, slow to recover, and the same at every resolution."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ def imprint(field: Field, part: str = "PZ5") -> np.ndarray:
 
 
 def test_no_part_leaves_the_gel_flat() -> None:
-    """Nothing in, nothing out, and the input is not handed back as the output."""
+    """An empty obstacle gives a flat surface, in a new array."""
     flat = np.zeros(LR.shape, np.float32)
     surface = deformation(flat, LR)
     assert surface is not flat
@@ -34,7 +34,7 @@ def test_the_gel_never_sinks_into_a_flat_part_nor_above_it() -> None:
     assert surface.min() >= 0
 
 
-def test_beside_an_edge_the_gel_falls_as_two_exponentials() -> None:
+def test_near_an_edge_the_gel_falls_as_two_exponentials() -> None:
     """0.45 exp(-d/0.25) + 0.55 exp(-d/1.1) of the height, up to 11 % of it lower: a sweep's step rounds the corner."""
     x, _ = grids(LR)
     wall = np.where(x < 0, np.float32(0.5), np.float32(0))

@@ -1,4 +1,4 @@
-"""Ctrl-C in the middle of making a dataset: whole files only, and the same bytes in the end."""
+"""Ctrl-C while a dataset is made: only complete files, and the same bytes in the end."""
 
 import hashlib
 import signal
@@ -23,8 +23,9 @@ def digests(folder: Path) -> dict[str, str]:
     }
 
 
-def test_an_interrupted_dataset_is_whole_as_far_as_it_goes_and_goes_on(tmp_path: Path) -> None:
-    """After SIGINT: exit code 130, every picture readable, no half files; given again, the bytes of an unbroken run."""
+def test_an_interrupted_dataset_has_complete_files_and_continues(tmp_path: Path) -> None:
+    """After SIGINT: exit code 130, every picture readable, no partial files; the same command then gives the bytes of
+    an uninterrupted run."""
     cut = tmp_path / "cut"
     arguments = ["simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
     process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
@@ -44,7 +45,7 @@ def test_an_interrupted_dataset_is_whole_as_far_as_it_goes_and_goes_on(tmp_path:
 
 
 def test_a_killed_command_leaves_no_workers_and_no_half_files(tmp_path: Path) -> None:
-    """After SIGKILL its workers end too (they hold its standard error open), and a second run tidies what was cut."""
+    """After SIGKILL its workers end too (they hold its standard error open), and a second run removes partial files."""
     cut = tmp_path / "cut"
     arguments = ["simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
     process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)

@@ -45,7 +45,7 @@ def test_normals_of_a_plane_are_its_slope() -> None:
 
 
 def test_shadows_darken_only_behind_relief() -> None:
-    """Nothing brightens; red, which comes from the top, darkens only below the ridge, blue only above it."""
+    """Nothing becomes brighter; red, which comes from the top, darkens only below the ridge, blue only above it."""
     y = grids(LR)[1]
     ridge = np.where(np.abs(y) < 0.3, np.float32(0.5), np.float32(0))
     before = np.full((3, *LR.shape), 100, np.float32)
@@ -86,7 +86,7 @@ def test_the_free_gel_has_the_measured_colours() -> None:
 
 
 def test_vignette_gives_the_measured_background_back() -> None:
-    """Lights without the lens are brighter in the corners; with the lens they are what was measured."""
+    """Lights without the lens are brighter in the corners; with the lens they are as measured."""
     lit = Renderer(LR, ("illumination", "vignette")).free_gel().astype(np.float32)
     bare = Renderer(LR, ("illumination",)).free_gel().astype(np.float32)
     measured = sensor_appearance.background(SENSORS["unit_b"], LR).transpose(1, 2, 0)
@@ -114,7 +114,7 @@ def test_motion_blur_smears_along_the_motion_only() -> None:
 
 
 def test_the_lamps_fall_by_four_percent_while_they_warm_up() -> None:
-    """At power on 4 % brighter than after minutes, apart from a wander below 1 %."""
+    """At power on 4 % brighter than after minutes, apart from a drift below 1 %."""
     planes = np.full((3, 8, 8), 100, np.float32)
     rng = np.random.default_rng
     cold = cam.led_drift(planes.copy(), 0.0, rng(1)).mean()
@@ -147,7 +147,7 @@ def test_grain_shows_more_where_the_coat_is_stretched() -> None:
 
 
 def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
-    """There are 9 x 7 dots; right of a bulge they lie further right than on the free gel."""
+    """There are 9 x 7 dots; right of a bulge they are further right than on the free gel."""
     flat = np.zeros(LR.shape, np.float32)
     white = np.full((3, *LR.shape), 200, np.float32)
     free = gel_surface.markers(white.copy(), flat, LR)[0] < 120
@@ -208,5 +208,5 @@ def test_jpeg_stays_near_its_picture() -> None:
 
 
 def test_exposures_default_to_a_warm_sensor() -> None:
-    """A picture asked for without a time is not taken in the first seconds of warm-up."""
+    """A picture without a given time is not from the first seconds of warm-up."""
     assert Exposure().time_s >= 60

@@ -1,4 +1,4 @@
-"""Recordings and datasets: right counts, true labels, equal bytes, and going on after a cut."""
+"""Recordings and datasets: right counts, true labels, equal bytes, and resuming."""
 
 import hashlib
 import json
@@ -86,7 +86,7 @@ def test_a_recording_is_labelled_with_the_truth(tmp_path: Path) -> None:
 
 
 def test_a_recordings_held_frames_show_the_press(tmp_path: Path) -> None:
-    """Held frames differ from the free gel far more than the free gel from itself."""
+    """Frames in contact differ from the free gel far more than free-gel frames from each other."""
     recording = Recording.open(simulate_recording(scene_of(tmp_path, RUNS), tmp_path / "out", 1))
     pictures: dict[str, list[np.ndarray]] = {}
     for frame in recording:
@@ -116,7 +116,7 @@ def test_a_native_recording_decodes_to_the_low_resolution_picture(tmp_path: Path
 
 
 def test_recordings_repeat_and_are_never_overwritten(tmp_path: Path) -> None:
-    """Same seed, same bytes; a whole one is kept as it is, another one is refused."""
+    """Same seed, same bytes; a complete one is kept, another one is refused."""
     scene = scene_of(tmp_path, RUNS)
     first = digests(simulate_recording(scene, tmp_path / "a", 1))
     assert first == digests(simulate_recording(scene, tmp_path / "b", 1, workers=2))
@@ -126,7 +126,7 @@ def test_recordings_repeat_and_are_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_presses_can_be_asked_for_and_runs_by_name(tmp_path: Path) -> None:
-    """Fewer presses keep the share of damage; a run that is not there is named with those that are."""
+    """Fewer presses keep the share of damage; an unknown run is refused with the list of known ones."""
     scene = scene_of(tmp_path, RUNS)
     recording = Recording.open(simulate_recording(scene, tmp_path / "one", 1, run="line", presses=1))
     assert {f.label["press"] for f in recording if f.label} == {None, 0}
@@ -169,7 +169,7 @@ def test_low_resolution_masks_are_pooled_blocks_of_the_high_resolution_ones(tmp_
 
 
 def test_a_dataset_goes_on_where_it_was_cut_with_the_same_bytes(tmp_path: Path) -> None:
-    """Files taken away are made again as they were, the others are not touched; another seed is refused."""
+    """Removed files are made again with the same bytes, the others are not touched; another seed is refused."""
     scene = load_scene("small")
     scene = scene.model_copy(
         update={"nominal": scene.nominal and scene.nominal.model_copy(update={"specimens": 2})}
@@ -199,7 +199,7 @@ def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_half_a_dataset_and_one_of_another_version_are_not_read(tmp_path: Path) -> None:
-    """A summary that says so is believed: measures of half a dataset would pass for those of the whole."""
+    """An incomplete dataset is refused: its measures would be taken for those of the complete one."""
     root = simulate_dataset(scene_of(tmp_path, SET), tmp_path / "set", 4)
     summary = json.loads((root / "dataset.json").read_text())
     for changes, sentence in (
@@ -246,7 +246,7 @@ def test_the_command_makes_a_preview(tmp_path: Path) -> None:
 
 
 def test_the_command_makes_recordings_a_folder_each(tmp_path: Path) -> None:
-    """Every run of a scene gets its folder; asked for one, it goes straight into the output."""
+    """Every run of a scene gets its folder; a single requested run goes directly into the output."""
     import typer
 
     app = typer.Typer()

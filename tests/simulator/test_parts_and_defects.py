@@ -81,7 +81,7 @@ def test_pieces_of_a_part_differ_within_tolerance() -> None:
 
 @pytest.mark.parametrize("kind", DEFECTS)
 def test_a_defect_of_no_severity_changes_nothing(kind: str) -> None:
-    """Severity 0 gives the sound part's very numbers."""
+    """Severity 0 gives the sound part's numbers exactly."""
     sound = PARTS["PZ1"].positions["pos1"]
     harmless = Defect(kind, 0.0, (0.0, 1.0))
     assert np.array_equal(sample(Damaged(sound, harmless), Pose(), COARSE), sample(sound, Pose(), COARSE))
@@ -117,7 +117,7 @@ def test_a_defect_stays_where_it_was_put() -> None:
 
 
 def test_a_burr_only_adds_and_a_loss_only_takes() -> None:
-    """The signs of damage: a burr stands up, a chip, a flat and a scratch's furrow go down."""
+    """The signs of damage: a burr is higher, a chip, a flat and a scratch are lower."""
     sound = PARTS["PZ2"].positions["pos1"]
     base = sample(sound, Pose(), COARSE)
 
@@ -144,14 +144,14 @@ def test_defects_are_placed_where_the_press_touches_and_the_detector_looks() -> 
     [({"kind": "rust"}, "found 'rust'"), ({"severity": 1.2}, "found 1.2"), ({"size": 0.0}, "found 0.0")],
 )
 def test_a_nonsensical_defect_is_refused(change: dict[str, object], found: str) -> None:
-    """Unknown kinds, severities beyond 1 and sizes of nothing are named."""
+    """Unknown kinds, severities above 1 and a size of 0 are refused."""
     good: dict[str, object] = {"kind": "dent", "severity": 0.5, "at_mm": (0.0, 0.0)}
     with pytest.raises(ValueError, match=found):
         Defect(**{**good, **change})  # type: ignore[arg-type]
 
 
 def test_a_press_that_touches_nothing_cannot_be_damaged() -> None:
-    """Placing asks for a spot; without contact there is none, and it says so."""
+    """Placing needs contact; without contact it is refused."""
     nothing = lambda x, y: np.full_like(x, -3)  # noqa: E731
     with pytest.raises(ValueError, match="touches nothing"):
         place_defect("dent", 1.0, nothing, 0.4, np.random.default_rng(0))

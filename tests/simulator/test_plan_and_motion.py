@@ -1,4 +1,4 @@
-"""What a scene amounts to, before anything is rendered."""
+"""The plan of a scene, before anything is rendered."""
 
 from collections import Counter
 
@@ -21,7 +21,7 @@ def test_the_paper_plan_has_table_ones_counts_and_ten_presses_a_piece() -> None:
 
 
 def test_damaged_pieces_are_no_sound_pieces_and_come_mixed_among_them() -> None:
-    """No specimen is both; damaged presses lie in the first and in the last third, so wear tells nothing."""
+    """No specimen is both; damaged presses are in the first and in the last third, so wear carries no information."""
     plans = dataset_plan(paper_scenes()[0], 0)
     sound, damaged = ({p.specimen for p in plans if bool(p.kind) is flag} for flag in (False, True))
     assert not sound & damaged
@@ -83,19 +83,19 @@ def test_a_press_goes_down_rests_and_comes_up() -> None:
 
 
 def test_a_plan_is_the_same_for_the_same_seed_only() -> None:
-    """Equal seeds give equal plans; another seed mixes otherwise."""
+    """Equal seeds give equal plans; another seed gives another order."""
     scene = load_scene("small")
     assert dataset_plan(scene, 5) == dataset_plan(scene, 5)
     assert [p.name for p in dataset_plan(scene, 5)] != [p.name for p in dataset_plan(scene, 6)]
 
 
 def test_a_scene_of_recordings_is_no_dataset() -> None:
-    """Asking the demo for a dataset's plan is refused."""
+    """A dataset plan of the demo scene is refused."""
     with pytest.raises(ValueError, match="recordings"):
         dataset_plan(load_scene("demo"), 0)
 
 
 def test_negative_seeds_are_refused() -> None:
-    """Seeds count from 0."""
+    """Negative seeds are refused."""
     with pytest.raises(ValueError, match="from 0 up"):
         named_streams(-1)

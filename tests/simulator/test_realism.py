@@ -1,4 +1,4 @@
-"""Simulated frames held against real ones, where those are at hand."""
+"""Simulated frames compared with real ones, where those are available."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def test_the_free_gel_has_the_real_histograms(real_tactile: Path) -> None:
 
 
 def test_a_balls_press_is_the_real_one(real_tactile: Path) -> None:
-    """Profile across the contact's edge within 5 levels, histograms four fifths in common, spectra within half."""
+    """Profile across the contact's edge within 5 levels, histograms with an overlap of 80 %, spectra within half."""
     figures = ball_figures(real_tactile / "skleff1994__gs_sdk")
     assert figures.presses > 20
     assert np.abs(figures.edge[0] - figures.edge[1]).max() < 5
@@ -29,7 +29,7 @@ def test_a_balls_press_is_the_real_one(real_tactile: Path) -> None:
 
 
 def test_figures_of_equal_pictures_are_equal() -> None:
-    """A picture has all of its histogram in common with itself."""
+    """A picture's histogram overlaps completely with itself."""
     picture = np.random.default_rng(0).normal(100, 20, (240, 320, 3)).astype(np.float32)
     assert np.allclose(histogram_overlap(picture, picture), 1)
 

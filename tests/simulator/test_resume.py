@@ -1,4 +1,4 @@
-"""A recording that was cut goes on after its last whole press, and ends as the bytes of an unbroken one."""
+"""An interrupted recording continues after its last complete press and ends with the bytes of an uninterrupted one."""
 
 import hashlib
 import signal
@@ -16,7 +16,7 @@ from edge.core.errors import RecordingError
 from edge.recording.format import Recording
 
 COMMAND = Path(sys.executable).with_name("gelgate")
-# Every effect that knows of time or of earlier presses, on a gel that changes within the run.
+# Every effect that depends on time or on earlier presses, on a gel that changes within the run.
 SCENE = """version = 1
 name = "tiny"
 part = "PZ3"
@@ -81,7 +81,7 @@ def changed(folder: Path) -> dict[str, int]:
 def test_a_killed_recording_goes_on(
     how: signal.Signals, workers: int, then: int, path: Path, unbroken: dict[str, str], tmp_path: Path
 ) -> None:
-    """Killed in the middle and given again, with other workers: equal bytes, and whole presses are not made again."""
+    """Killed and started again with another number of workers: equal bytes, and complete presses are not made again."""
     part = tmp_path / "r.part"
     command: list[str | Path] = [
         COMMAND,
@@ -113,10 +113,11 @@ def test_a_killed_recording_goes_on(
     assert not part.exists()
 
 
-def test_a_full_disk_is_said_and_the_recording_goes_on(
+def test_a_full_disk_is_reported_and_the_recording_continues(
     path: Path, scene: Scene, unbroken: dict[str, str], tmp_path: Path
 ) -> None:
-    """No room for the index in the middle of a line: a sentence; with room again, the bytes of an unbroken run."""
+    """No room for the index in the middle of a line: a clear error; with room again, the bytes of an uninterrupted
+    run."""
     command = f'ulimit -f 32; exec "{COMMAND}" simulate "{path}" -o "{tmp_path}/r" --run line --seed {SEED}'
     done = subprocess.run(
         ["bash", "-c", f"{command} --workers 1"], capture_output=True, text=True, timeout=60
@@ -133,14 +134,14 @@ def _in_a_line(part: Path) -> None:
 
 
 def _in_a_frame(part: Path) -> None:
-    """The file of the next frame is half there, its line is not."""
+    """The file of the next frame is partial, its line is missing."""
     _in_a_line(part)
     last = sorted((part / "frames").iterdir())[-1]
     last.write_bytes(last.read_bytes()[:100])
 
 
 def _in_a_kept_frame(part: Path) -> None:
-    """As after a power cut: the line is there, the picture is not."""
+    """As after a power cut: the line exists, the picture does not."""
     (part / f"frames/{IDLE + 2 * PRESS + 4:06d}.jpg").write_bytes(b"")
 
 
@@ -163,7 +164,7 @@ def _in_the_stamp(part: Path) -> None:
 
 
 def _before_it_is_moved(part: Path) -> None:
-    """Everything is there but the new name."""
+    """Everything is complete except the final rename."""
 
 
 @pytest.mark.parametrize(
@@ -178,7 +179,7 @@ def _before_it_is_moved(part: Path) -> None:
         _before_it_is_moved,
     ],
 )
-def test_wherever_it_is_cut_it_ends_as_an_unbroken_one(
+def test_an_interrupted_recording_ends_as_an_uninterrupted_one(
     cut: Callable[[Path], None], scene: Scene, tmp_path: Path
 ) -> None:
     """In the middle of a line, a frame, the header or the stamp: the same files with the same bytes in the end."""
@@ -191,7 +192,7 @@ def test_wherever_it_is_cut_it_ends_as_an_unbroken_one(
 
 
 def test_an_unfinished_recording_of_another_seed_is_refused(scene: Scene, tmp_path: Path) -> None:
-    """So is one of other numbers; both seeds are said, and what is there stays."""
+    """So is one with other settings; the error names both seeds, and the files stay."""
     folder = simulate_recording(scene, tmp_path / "r", SEED, presses=1)
     part = folder.rename(tmp_path / "r.part")
     _in_a_line(part)

@@ -26,7 +26,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_a_scene_is_read_with_the_parts_own_figures(tmp_path: Path) -> None:
-    """What the file leaves out comes from the part; effects are kept in the order in which they act."""
+    """Settings that the file omits come from the part; effects are kept in the order in which they act."""
     scene = load_scene(written(tmp_path, GOOD))
     assert scene.at == ("pos1", "pos2")
     assert scene.press_depth_mm == 0.4
@@ -35,7 +35,7 @@ def test_a_scene_is_read_with_the_parts_own_figures(tmp_path: Path) -> None:
 
 
 def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
-    """Four slips, four lines, each with what was found and the nearest name where there is one."""
+    """Four faults, four lines, each with what was found and the nearest name if there is one."""
     text = GOOD.replace('"noise"', '"nois"').replace("PZ3", "PZ9").replace("specimens = 2", "specimen = 2")
     with pytest.raises(ConfigError) as caught:
         load_scene(written(tmp_path, text + "[camera]\nfps = -3\n"))
@@ -62,7 +62,7 @@ def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_scene_says_what_is_wrong(change: tuple[str, str], sentence: str, tmp_path: Path) -> None:
-    """One slip at a time; the sentence names it."""
+    """Each single fault is named."""
     with pytest.raises(ConfigError) as caught:
         load_scene(written(tmp_path, GOOD.replace(*change)))
     assert sentence in str(caught.value)
@@ -75,14 +75,14 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name() -> None:
 
 
 def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
-    """Broken files and absent ones are told apart from faulty ones."""
+    """Unreadable, missing and faulty files have different errors."""
     with pytest.raises(ConfigError, match="cannot be read"):
         load_scene(written(tmp_path, "version = "))
     with pytest.raises(ConfigError, match="cannot be read"):
         load_scene(tmp_path / "absent.toml")
 
 
-def test_every_scene_that_comes_along_is_sound_and_says_its_version_first() -> None:
+def test_every_shipped_scene_is_valid_and_begins_with_its_version() -> None:
     """Each file parses and its first line is the version."""
     files = sorted(SCENES.rglob("*.toml"))
     assert len(files) >= 7

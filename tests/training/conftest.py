@@ -1,4 +1,4 @@
-"""What the tests of training share. Without torch none of them is collected; `test_torch.py` says so, once."""
+"""Fixtures of the training tests. Without torch none of these tests is collected; `test_torch.py` says so once."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ if not is_installed("torch"):
 
 @pytest.fixture(scope="module")
 def trunk() -> "TrunkNetwork":
-    """A random network whose batch norms have seen something."""
+    """A random network whose batch norms have statistics."""
     import torch
 
     from calibration.training.network import TrunkNetwork

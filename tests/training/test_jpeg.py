@@ -11,7 +11,7 @@ from calibration.training.training_pairs import draw_pairs
 
 @pytest.mark.parametrize("quality", [60, 85, 95])
 def test_it_agrees_with_a_real_encoder(quality: int) -> None:
-    """Within one grey level on average; at 60, where compression is rough, within a third of what it takes away."""
+    """Within one grey level on average; at quality 60 within a third of the encoder's own error."""
     drawn = draw_pairs(0, "train", 3, pairs=2, side=128, device=torch.device("cpu"), high_resolution=0.0)
     planes = drawn.frames[:2]
     found = compressed(planes, torch.full((2,), float(quality))).permute(0, 2, 3, 1).numpy()
@@ -36,6 +36,6 @@ def test_each_picture_has_its_own_quality() -> None:
 
 
 def test_an_even_picture_stays() -> None:
-    """A picture of one grey has nothing to lose."""
+    """A picture of one grey is unchanged."""
     grey = torch.full((1, 3, 32, 32), 119.0)
     assert torch.equal(compressed(grey, torch.tensor([75.0])), grey)

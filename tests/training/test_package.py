@@ -1,4 +1,4 @@
-"""Packaging: graphs that answer as the trained network does, variants of a bounded size, and a card of facts alone."""
+"""Packaging: graphs equal to the trained network, variants of limited size, and a model card made of facts."""
 
 import json
 import sys
@@ -92,7 +92,7 @@ def evaluation(measures: dict[str, object]) -> dict[str, object]:
 
 
 def test_the_card_has_the_facts_and_the_evaluation() -> None:
-    """Every number of the card stands in the facts or the evaluation; without an evaluation it says so."""
+    """Every number of the card is in the facts or the evaluation; without an evaluation it says so."""
     assert "Not evaluated yet" in card(FACTS, None)
     measures = {"aupro_fpr01": {"value": 0.71, "over_images": [0.65, 0.77]}, "image_auroc": {"value": None}}
     text = card(FACTS, evaluation(measures))
@@ -105,7 +105,7 @@ def test_the_card_has_the_facts_and_the_evaluation() -> None:
 
 
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
-    """An evaluation that compared no file of these facts is as good as none."""
+    """An evaluation of other files is ignored."""
     other = {**evaluation({"aupro_fpr01": {"value": 0.7}}), "trunks": {"trained": {"sha256": "ef" * 32}}}
     for stale in (other, {**evaluation({"aupro_fpr01": {"value": 0.7}}), "format": 1}):
         text = card(FACTS, stale)
@@ -166,7 +166,7 @@ def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:
 
 
 def test_the_card_needs_its_facts(tmp_path: Path) -> None:
-    """No facts, or broken ones, no page: one sentence; with facts alone there is a page."""
+    """Missing or invalid facts give one error and no page; with facts alone there is a page."""
     with pytest.raises(ConfigError, match="package the run again"):
         page(tmp_path)
     file = tmp_path / "tactile_resnet18.json"

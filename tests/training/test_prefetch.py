@@ -1,4 +1,4 @@
-"""Batches drawn in another process are those drawn in place, and its death is a sentence."""
+"""Batches drawn in another process equal those drawn in this one, and its death is reported."""
 
 import multiprocessing
 import os
@@ -31,7 +31,7 @@ def test_drawn_ahead_is_drawn_in_place() -> None:
 
 
 def test_a_dead_drawing_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed before its first batch, the next step says with which signal it ended."""
+    """Killed before its first batch, the next step reports its exit code."""
     monkeypatch.setattr(prefetch, "_PATIENCE_S", 0.2)
     with drawn_ahead(SMALL, 0) as take:
         (drawer,) = multiprocessing.active_children()

@@ -31,8 +31,8 @@ def test_it_loses_what_onnxruntime_loses(
     trunk: TrunkNetwork, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, run: Callable[..., list[NDArray[Any]]]
 ) -> None:
     """At each tap the rounded maps have 256 values at most and err by as much as the int8 graph does, within a
-    twentieth, in the same direction more than by chance: equal they cannot be, since one ranges over rounded values and
-    the other over whole ones. So it is with VNNI and without.
+    twentieth, in the same direction more than by chance. They cannot be equal, because one takes its range from rounded
+    values and the other from exact ones. This holds with VNNI and without.
     """
     frames = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)
     monkeypatch.setattr(packaging, "calibration_frames", lambda *_: iter([frames]))
@@ -75,5 +75,5 @@ def test_a_run_rounds_and_keeps_the_statistics(tmp_path: Path) -> None:
     )
     same = {name for name in before if np.array_equal(before[name], after[name])}
     assert same == {name for name in before if "running" in name}
-    with pytest.raises(ConfigError, match="a run to begin with"):
+    with pytest.raises(ConfigError, match="a run to start from"):
         TrainConfig.shipped(precision="int8")

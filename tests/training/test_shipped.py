@@ -1,4 +1,4 @@
-"""The backbone that ships: its files are those of the facts, it answers as trunks do, and its card is current."""
+"""The shipped backbone: its files are those of the facts, it works as a trunk, and its card is current."""
 
 import hashlib
 import json
@@ -47,9 +47,9 @@ def test_it_answers_as_every_trunk_does(backbone: TactileBackbone) -> None:
 
 
 def test_other_taps_are_refused() -> None:
-    """What the file does not give is named, with what it does give."""
+    """An unknown tap is named, with the known ones."""
     assert tactile_resnet18.trunk(("layer2",)) == tactile_resnet18.trunk()
-    with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, asked for layer4"):
+    with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, requested were layer4"):
         tactile_resnet18.trunk(("layer2", "layer4"))
 
 
@@ -61,14 +61,14 @@ def test_a_missing_file_is_a_sentence() -> None:
 
 
 def test_the_page_has_their_evaluation_and_trials() -> None:
-    """docs/backbone.md, which is compared with the program elsewhere, lacks nothing."""
+    """docs/backbone.md, which another test compares with the program, is complete."""
     text = page(HOME)
     assert "Not evaluated yet" not in text
     assert "## What was tried" in text
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
-    """`gelgate train-backbone RUN` without any setting makes these weights again."""
+    """`gelgate train-backbone RUN` without any setting reproduces these weights."""
     assert TrainConfig.from_json(json.dumps(FACTS["recipe"])) == TrainConfig.shipped()
     assert FACTS["trained_steps"] == TrainConfig.shipped().steps
     assert FACTS["before"] == []

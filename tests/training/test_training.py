@@ -1,4 +1,4 @@
-"""The training loop on a few small steps: loss falls, a cut run equals a whole one, refusals are sentences."""
+"""The training loop on a few small steps: loss falls, a resumed run equals an uninterrupted one, errors are clear."""
 
 import json
 import os
@@ -19,7 +19,7 @@ SMALL = TrainConfig.shipped(steps=6, pairs=2, side=64, precision="float32", max_
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six steps in one go."""
+    """Six steps without interruption."""
     folder = tmp_path_factory.mktemp("whole")
     train(SMALL, TrainingRun(folder, log_every=1, validate_every=3, threads=1, device="cpu"))
     return folder
@@ -29,7 +29,9 @@ def weights(folder: Path) -> dict[str, torch.Tensor]:
     return checkpoints.load(folder).weights
 
 
-def test_cut_and_resumed_equals_whole(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Interrupted within the fourth step, then two more in another folder: equal bit for bit, one continuous log."""
     first, second = tmp_path / "first", tmp_path / "second"
     calls = 0
@@ -58,7 +60,7 @@ def test_cut_and_resumed_equals_whole(whole: Path, tmp_path: Path, monkeypatch: 
 
 
 def test_same_seed_same_weights_other_seed_others(whole: Path, tmp_path: Path) -> None:
-    """A run is a function of its recipe."""
+    """A run depends only on its recipe."""
     again, other = tmp_path / "again", tmp_path / "other"
     train(SMALL, TrainingRun(again, threads=1, device="cpu"))
     train(TrainConfig(**{**vars(SMALL), "seed": 1}), TrainingRun(other, threads=1, device="cpu"))
@@ -76,7 +78,7 @@ def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
 
 
 def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None:
-    """The second run learns on from the first, remembers it, and refuses a start that its recipe does not name."""
+    """The second run starts from the first, records it, and refuses a start that its recipe does not name."""
     recipe = TrainConfig(
         **{**vars(SMALL), "steps": 1, "start": checkpoints.weights_sha256(whole), "max_rate": 1e-9}
     )
@@ -85,7 +87,7 @@ def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None
     assert [run["steps"] for run in found.history] == [6, 1]
     name = "trunk.layer1.0.conv1.weight"
     assert torch.allclose(found.weights[name], weights(whole)[name], atol=1e-6)
-    with pytest.raises(ConfigError, match="the recipe begins with"):
+    with pytest.raises(ConfigError, match="the recipe starts from"):
         train(recipe, TrainingRun(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
     with pytest.raises(ConfigError, match="needs their run"):
         train(recipe, TrainingRun(tmp_path / "fourth", threads=1, device="cpu"))
@@ -139,7 +141,7 @@ def test_a_damaged_checkpoint_is_refused(whole: Path, tmp_path: Path) -> None:
 def test_a_full_disk_keeps_the_last_checkpoint(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """When writing fails, the error names the checkpoint that is whole, and it still loads."""
+    """When writing fails, the error names the complete checkpoint, and it still loads."""
     saved = checkpoints.load(whole)
     checkpoints.save(tmp_path, saved)
 
@@ -182,7 +184,7 @@ def test_the_rate_is_one_cycle() -> None:
         ({"max_rate": float("nan")}, "'max_rate' is nan"),
         ({"stpes": 3}, "'stpes' is not known; did you mean 'steps'?"),
         ({"unchanged_mm": 0.03}, "unchanged_mm 0.03 is not below changed_mm 0.02"),
-        ({"precision": "int8"}, "needs a run to begin with"),
+        ({"precision": "int8"}, "needs a run to start from"),
         ({"geometry_weight": 0.0, "pair_weight": 0.0, "rank_weight": 0.0}, "loss weights are all 0"),
     ],
 )
@@ -193,7 +195,7 @@ def test_recipes_refuse_nonsense(settings: dict[str, object], fault: str) -> Non
 
 
 def test_a_recipe_from_before_a_setting_keeps_its_meaning() -> None:
-    """A file that does not name them is of a run without window, with equal stages and unit features."""
+    """A file without these settings is of a run without window, with equal stages and unit features."""
     old = TrainConfig.from_json('{"steps": 5, "side": 128}')
     assert (old.window_mm, old.finest_weight, old.distance) == (0.0, 1.0, "cosine")
     assert TrainConfig.from_json(TrainConfig.shipped().to_json()) == TrainConfig.shipped()

@@ -1,4 +1,4 @@
-"""What training draws: pairs that differ as they should, by effects that agree with the simulator's, and no leak."""
+"""Training pairs: the right differences, effects that agree with the simulator's, and no evaluation data."""
 
 import math
 import subprocess
@@ -46,7 +46,7 @@ def test_the_gel_agrees_with_the_simulator(field: Field) -> None:
 
 
 def test_light_agrees_with_the_simulator() -> None:
-    """On one surface and look, slopes agree to 1e-5, lit planes to 0.01 and shadows and gloss to 1 grey level."""
+    """On one surface and appearance, slopes agree to 1e-5, lit planes to 0.01 and shadows and gloss to 1 grey level."""
     surface = gel.deformation(imprint(LR), LR)
     z = torch.from_numpy(surface)[None]
     nx, ny = optics.normals(surface, LR)
@@ -146,14 +146,14 @@ def test_a_shift_within_the_window_costs_nothing(kind: Distance) -> None:
     moved = torch.cat([cells, cells.roll(1, 3)])
     assert float(cell_distances(moved, (0, 1), kind)[:, :, 1:].max()) < 2e-3
     assert float(cell_distances(moved, (1, 0), kind).min()) > 0.1
-    # What left at the right came in at the left, where it has no neighbour within one column.
+    # Values that left at the right came in at the left, where they have no neighbour within one column.
     assert float(cell_distances(moved, (0, 1), kind)[:, :, 0].min()) > 0.1
 
 
 @pytest.mark.parametrize("kind", ["cosine", "euclidean"])
 @pytest.mark.parametrize("reach", [(0, 0), (1, 2), (3, 0)])
 def test_distances_agree_with_a_search_in_float64(reach: tuple[int, int], kind: Distance) -> None:
-    """Against the plain search over every place of the window."""
+    """The distances equal those of a search over every place of the window."""
     features = torch.rand(4, 6, 5, 7, generator=torch.Generator().manual_seed(1))
     found = cell_distances(features, reach, kind).numpy()
     wide = features.double().numpy()

@@ -15,7 +15,7 @@ from edge.core.imaging.sensor_profile import SensorProfile
 __all__ = ["VIEW_SIZE", "decode", "decode_view"]
 
 # (width, height) of the contact view. A part touches thousands of the 76,800 pixels of a 320x240 picture, so a quarter
-# of them decides as well, and the work outside the JPEG decoder stays under a millisecond.
+# of them is enough, and the work outside the JPEG decoder takes less than a millisecond.
 VIEW_SIZE = (160, 120)
 
 _FLAGS = {
@@ -30,7 +30,7 @@ def decode(frame: CameraFrame, profile: SensorProfile) -> Picture:
     """The picture of a frame in its profile's geometry: RGB uint8, (h, w, 3) of profile.size.
 
     The payload is a JPEG or a PNG; the JPEG is decoded at 1/decode_scale in the DCT domain. Errors: FrameCorrupt for
-    bytes that are no picture, end early, or have another native size.
+    bytes that are not a picture, end early, or have another native size.
     """
     bgr = _resized(_cropped(frame, profile, profile.decode_scale), profile.size)
     return Picture(_to_rgb(bgr), frame.timestamp_ns, frame.sequence)
@@ -97,15 +97,15 @@ def _imdecode(frame: CameraFrame, flag: int) -> NDArray[np.uint8]:
         raise FrameCorrupt(f"frame {frame.sequence} cannot be decoded: {error.err}") from error
     if pixels is None:
         raise FrameCorrupt(
-            f"frame {frame.sequence} cannot be decoded: {len(frame.payload)} bytes are no picture"
+            f"frame {frame.sequence} cannot be decoded: {len(frame.payload)} bytes are not a picture"
         )
     return np.asarray(pixels, dtype=np.uint8)
 
 
 def _ends_without_data(bgr: NDArray[np.uint8]) -> bool:
-    """True where the decoder ran out of data: the rows left over are one flat colour, unlike the rest.
+    """True where the decoder ran out of data: the last rows are one flat colour, unlike the others.
 
-    A wholly flat picture (black, saturated) is another matter, and quality's.
+    `quality` judges a picture that is flat everywhere (black, saturated).
     """
     tail, head = bgr[-2:], bgr[: max(1, bgr.shape[0] // 8)]
     return bool((tail == tail[0, 0]).all() and (head != tail[0, 0]).any())

@@ -16,9 +16,9 @@ __all__ = ["CameraFrame", "Picture"]
 class CameraFrame:
     """One frame exactly as the camera sent it.
 
-    payload: the JPEG (or PNG) bytes, untouched, so that what is archived is what was seen.
+    payload: the JPEG (or PNG) bytes, unchanged, so the archive holds what the camera sent.
     timestamp_ns: monotonic nanoseconds at arrival. sequence: rises by one per frame that the device delivered.
-    is_on_demand: made when it was asked for; its time is that of the recording, and its age says nothing.
+    is_on_demand: made when it was requested; its time is that of the recording, and its age has no meaning.
     """
 
     payload: bytes

@@ -1,6 +1,6 @@
-"""Encoded pictures as bytes: is a JPEG or PNG whole, how large is it, and is it the one we have just had.
+"""Encoded pictures as bytes: is a JPEG or PNG complete, how large is it, and is it a repeat of the last one.
 
-Nothing is decoded here, so these checks cost microseconds and can stand in front of every frame.
+Nothing is decoded here, so these checks take microseconds and can run on every frame.
 """
 
 import struct
@@ -28,10 +28,10 @@ def kind(payload: bytes) -> str | None:
 
 
 def damage(payload: bytes) -> str | None:
-    """Why these bytes are not one whole JPEG or PNG, or None when both ends are there.
+    """Why these bytes are not one complete JPEG or PNG, or None when both ends are present.
 
-    Cameras may pad a JPEG with zero bytes, so only zeros are allowed after its end. A hole in the middle that leaves
-    both ends in place is not seen here; the transport must report it.
+    Cameras may pad a JPEG with zero bytes, so only zeros are allowed after its end. A gap in the middle is not detected
+    here; the transport must report it.
     """
     match kind(payload):
         case "jpg":
@@ -51,7 +51,7 @@ def damage(payload: bytes) -> str | None:
 
 
 def picture_size(payload: bytes) -> tuple[int, int] | None:
-    """(width, height) from the header of a JPEG or PNG, or None when there is none to be read."""
+    """(width, height) from the header of a JPEG or PNG, or None when it cannot be read."""
     if kind(payload) == "png":
         return struct.unpack(">II", payload[16:24]) if len(payload) >= 24 else None
     return _jpeg_size(payload) if kind(payload) == "jpg" else None
@@ -76,7 +76,7 @@ def _jpeg_size(payload: bytes) -> tuple[int, int] | None:
 def with_comment(payload: bytes, text: str) -> bytes:
     """The same picture with a comment at its front: a JPEG COM segment (T.81 B.2.4.5) or a PNG tEXt chunk (11.3.4.3).
 
-    No pixel changes, but the bytes differ, so a copy is told from a frame that a hung camera sends twice.
+    No pixel changes, but the bytes differ, so a copy is not taken for a frame that a hung camera sends twice.
     """
     body = text.encode("ascii")
     if kind(payload) == "jpg":
@@ -98,10 +98,10 @@ def comment(payload: bytes) -> str | None:
 
 
 class Freshness:
-    """Tells a new frame from the last one delivered again.
+    """Distinguishes a new frame from a repeat of the last one.
 
     A camera that hangs, or a driver that serves its buffer twice, gives byte-identical payloads; sensor noise makes
-    that impossible for two true exposures. `stale` counts the repeats.
+    that impossible for two real exposures. `stale` counts the repeats.
     """
 
     def __init__(self) -> None:

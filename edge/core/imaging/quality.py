@@ -1,4 +1,4 @@
-"""Is a settled press fit to be scored? Each reason against it is a value, not an exception."""
+"""Checks whether a settled press can be scored. Each reason against it is a value, not an exception."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -22,7 +22,7 @@ __all__ = [
 
 
 class Reason(StrEnum):
-    """Why a press has no verdict. The words are part of the published payload."""
+    """Why a press has no verdict. The values are part of the published payload."""
 
     BLACK = "black"
     SATURATED = "saturated"
@@ -45,7 +45,7 @@ class Rejection:
 class NominalContact:
     """Where nominal presses touch, each (low, high): centroid in picture pixels, area as a fraction of the view.
 
-    A range is taken as it stands; whoever measures it from nominal presses adds the slack.
+    A range is used without a margin; the fit, which measures it from nominal presses, adds one.
     """
 
     x_px: tuple[float, float]
@@ -65,7 +65,8 @@ class QualitySettings:
 
     # Real no-contact pictures have mean levels of 78 to 168; below 8 the LEDs or the camera are off.
     black_level: float = 8.0
-    # A value of 250 of 255 has lost its slope. Steep flanks of real imprints clip in blue and red on well under 5 %.
+    # A value of 250 of 255 no longer shows the slope. Steep flanks of real imprints clip in blue and red on far less
+    # than 5 %.
     saturated_level: int = 250
     saturated_fraction: float = 0.10
     max_age_s: float = 1.0
@@ -102,7 +103,7 @@ def check_light(
 
 
 def saturated_fraction(rgb: NDArray[np.uint8], settings: QualitySettings | None = None) -> float:
-    """The fraction of pixels with a channel at the top of its range. rgb: uint8 (h, w, 3)."""
+    """The fraction of pixels with a saturated channel. rgb: uint8 (h, w, 3)."""
     limits = settings or QualitySettings()
     return float((rgb.max(axis=2) >= limits.saturated_level).mean())
 
@@ -110,7 +111,7 @@ def saturated_fraction(rgb: NDArray[np.uint8], settings: QualitySettings | None 
 def check_freshness(
     timestamp_ns: int, now_ns: int, settings: QualitySettings | None = None
 ) -> Rejection | None:
-    """Stale, or None. Both times are monotonic; a frame from the future is as wrong as an old one."""
+    """Stale, or None. Both times are monotonic; a frame from the future is also refused."""
     limits = settings or QualitySettings()
     age_s = (now_ns - timestamp_ns) / 1e9
     if 0 <= age_s <= limits.max_age_s:

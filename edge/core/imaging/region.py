@@ -48,9 +48,9 @@ class Region:
 
     @classmethod
     def parse(cls, text: str, size: tuple[int, int]) -> Self:
-        """A region from the configuration's words: `centre`, `full`, or `x,y,WIDTHxHEIGHT` such as `48,8,224x224`.
+        """A region from its text in the configuration: `centre`, `full`, or `x,y,WIDTHxHEIGHT` such as `48,8,224x224`.
 
-        size: (width, height) of the picture. Errors: ConfigError for other words or a region outside the picture.
+        size: (width, height) of the picture. Errors: ConfigError for another text or a region outside the picture.
         """
         match text.strip().lower():
             case "centre" | "center":
@@ -75,7 +75,7 @@ class Region:
         return region
 
     def is_within(self, size: tuple[int, int]) -> bool:
-        """True where the whole region lies in a picture of size (width, height)."""
+        """True where the region is completely inside a picture of size (width, height)."""
         return self.x + self.width <= size[0] and self.y + self.height <= size[1]
 
     def crop(self, pixels: NDArray[_Scalar]) -> NDArray[_Scalar]:
@@ -92,7 +92,8 @@ class Region:
 def touched_in(mask: NDArray[np.bool_], size: tuple[int, int], region: Region) -> NDArray[np.bool_]:
     """The touched area of a contact view, seen in a region of the picture: bool (region.height, region.width).
 
-    mask: bool (h, w) of the view. size: (width, height) of the picture. Nearest pixel, because a mask has no halves.
+    mask: bool (h, w) of the view. size: (width, height) of the picture. Nearest pixel, because a mask has no
+    intermediate values.
     """
     pixels = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return region.crop(np.asarray(pixels, dtype=np.bool_))

@@ -1,7 +1,7 @@
-"""Is a press from the kind of sensor that was learnt? Told by its coarse colours, before anything is scored.
+"""Checks by coarse colours, before scoring, whether a press is from the sensor of the nominal presses.
 
-The lights of a sensor paint its gel in the same coarse colours at every press; an imprint changes few of them. Features
-of a trunk made for touch look past the light at the imprint, so a score does not tell sensors apart: this does.
+The lights of a sensor paint its gel in the same coarse colours at every press; an imprint changes few of them. A
+tactile trunk depends on the imprint more than on the light, so a score does not distinguish sensors.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ __all__ = ["NominalColours", "check_sensor", "colour_cells", "colour_distance"]
 
 F64 = NDArray[np.float64]
 
-# A cell of the nominal colours counts as at least this light, in levels: a black corner has no ratio.
+# The smallest level of a nominal cell in a ratio: a black corner has no ratio.
 _LEAST_LEVEL: Final = 1.0
-# Sixty-four times darker than nominal is black, which is no gain of a lamp any more.
+# Sixty-four times darker than nominal is black, which no lamp's gain explains.
 _LEAST_GAIN: Final = 1 / 64
 
 
@@ -27,7 +27,7 @@ _LEAST_GAIN: Final = 1 / 64
 class NominalColours:
     """The coarse colours of nominal presses. cells: levels, float64 (rows, columns, 3) RGB over the inspected region.
 
-    limit: the largest `colour_distance` at which a press is taken for one of the same sensor.
+    limit: the largest `colour_distance` of a press from the same sensor.
     """
 
     cells: F64
@@ -49,11 +49,11 @@ def colour_cells(rgb: NDArray[np.uint8], shape: tuple[int, int]) -> F64:
 
 
 def colour_distance(cells: F64, nominal: F64) -> float:
-    """How far apart two sets of coarse colours lie, as a fraction of the nominal light.
+    """The distance of two sets of coarse colours, as a fraction of the nominal light.
 
-    One common gain is taken out, the median over cells of the ratio of light, so that lamps that grow dim or warm move
-    nothing. Of what remains the largest of the three channels counts in each cell, and of the cells the median, so that
-    an imprint on less than half of the region moves little.
+    One common gain is taken out, the median over cells of the ratio of light, so dim or warm lamps do not count. Of the
+    residue the largest of the three channels counts in each cell, and of the cells the median, so an imprint on less
+    than half of the region changes little.
     """
     light = nominal.mean(axis=2)
     gain = float(np.median(cells.mean(axis=2) / np.maximum(light, _LEAST_LEVEL)))
@@ -69,6 +69,7 @@ def check_sensor(rgb: NDArray[np.uint8], nominal: NominalColours) -> Rejection |
         return None
     return Rejection(
         Reason.OTHER_SENSOR,
-        f"the colours lie {distance:.1%} of the light from those of the nominal presses, at most {nominal.limit:.1%} "
-        "is accepted; check that this is the sensor that was learnt and that all its lights burn, or fit again on it",
+        f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
+        f"{nominal.limit:.1%} is accepted; check that this is the sensor of the fit and that all its lights "
+        "work, or fit again on it",
     )

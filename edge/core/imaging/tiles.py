@@ -1,11 +1,11 @@
-"""Tiles: a large frame cut into overlapping squares, and grids of distances put together again without seams.
+"""Tiles: a large frame cut into overlapping squares, and grids of distances joined without seams.
 
-The last tile of an axis is shifted back to the border, so nothing is padded and nothing is left out. Tiles lie on a
-regular grid, so their feature maps can be laid out as one mosaic, tile beside tile, and putting them together is one
-matrix per axis: the frame's grid is `rows @ mosaic @ columns.T`. Raw distances are blended, before any blur.
+The last tile of an axis is shifted back to the border, so nothing is padded or left out. Tiles form a regular grid, so
+their feature maps form one mosaic, and joining them is one matrix per axis: the frame's grid is `rows @ mosaic @
+columns.T`. Raw distances are blended, before any blur.
 
-Each tile weighs fully where it lies alone and falls off linearly where a neighbour overlaps it, never to zero; on a
-side without a neighbour it does not fall off. After division the weights at every cell sum to 1.
+A tile's weight is 1 where no neighbour overlaps it and decreases linearly where one does, never to zero. After division
+the weights at every cell sum to 1.
 """
 
 import json
@@ -78,7 +78,7 @@ class Tiles:
 
     @classmethod
     def read(cls, text: str) -> "Tiles":
-        """What `written` wrote. Errors: ValueError for anything else."""
+        """Reads the text of `written`. Errors: ValueError for anything else."""
         try:
             layout = json.loads(text)
             h, w = layout["frame"]
@@ -92,13 +92,15 @@ class Tiles:
 
 
 def tiling(frame: tuple[int, int], size: int = 224, overlap: int = 56) -> Tiles:
-    """Tiles of `size` over `frame` (h, w), at least `overlap` pixels in common, the last one shifted to the border.
+    """Tiles of `size` over `frame` (h, w), with at least `overlap` pixels in common, the last one shifted to the
+    border.
 
-    The defaults are the seed paper's. Errors: ValueError when the frame is smaller than a tile, or nothing advances.
+    The defaults are the seed paper's. Errors: ValueError when the frame is smaller than a tile, or the overlap is not
+    smaller.
     """
     if min(frame) < size:
         raise ValueError(
-            f"a tile of {size} does not fit into a frame of {frame} (h, w); inspect it in one piece"
+            f"a tile of {size} does not fit into a frame of {frame} (h, w); inspect it without tiles"
         )
     if not 0 <= overlap < size:
         raise ValueError(f"an overlap lies in 0..{size - 1} for tiles of {size}, found {overlap}")

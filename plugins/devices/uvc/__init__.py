@@ -1,1 +1,1 @@
-"""USB: finding a sensor on a bus, UVC as values, payloads, streaming, locks; a real and a virtual bus look the same."""
+"""USB: finding a sensor on a bus, UVC as values, payloads, streaming, locks; the same for a real and a virtual bus."""

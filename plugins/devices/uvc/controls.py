@@ -32,7 +32,7 @@ NEW_NAMES: Mapping[str, str] = {
     "exposure_absolute": "exposure_time_absolute",
     "exposure_auto_priority": "exposure_dynamic_framerate",
 }
-# An automatic must be off before the value that it rules can be set.
+# An automatic control must be off before its value can be set.
 _AUTOMATICS = ("white_balance_automatic", "auto_exposure", "exposure_dynamic_framerate")
 _CAMERA_TERMINAL, _PROCESSING_UNIT = 0x02, 0x05  # descriptor subtypes (table A-5)
 # V4L2's menu of auto_exposure (auto, manual, shutter, aperture priority) as UVC's bit (UVC 4.2.2.1.2).
@@ -41,7 +41,7 @@ _EXPOSURE_MODE_BITS = (0x02, 0x01, 0x04, 0x08)
 
 @dataclass(frozen=True)
 class UvcControl:
-    """Where a control lives: the descriptor subtype of its entity, its selector, its size in bytes."""
+    """The address of a control: the descriptor subtype of its entity, its selector, its size in bytes."""
 
     entity: int
     selector: int
@@ -68,12 +68,12 @@ _UVC: Mapping[str, UvcControl] = {
 
 
 def uvc_control(name: str) -> UvcControl | None:
-    """The control of that name, old or new, or None when UVC has none like it."""
+    """The control of that name, old or new, or None when UVC has no such control."""
     return _UVC.get(NEW_NAMES.get(name, name))
 
 
 def in_setting_order(controls: Mapping[str, int]) -> list[tuple[str, int]]:
-    """Automatics first, the others by name."""
+    """Automatic controls first, the others by name."""
     return sorted(
         controls.items(), key=lambda item: (NEW_NAMES.get(item[0], item[0]) not in _AUTOMATICS, item[0])
     )
@@ -82,7 +82,7 @@ def in_setting_order(controls: Mapping[str, int]) -> list[tuple[str, int]]:
 def pin(
     controls: Mapping[str, int], set_value: Callable[[str, int], None], get_value: Callable[[str], int]
 ) -> dict[str, str]:
-    """Set every control, read all of them back, and give the ones that are not as wished, each with the reason.
+    """Set every control, read all of them back, and return those with another value, each with the reason.
 
     `set_value` and `get_value` raise OSError (a USBError is one) or KeyError for a control that is not there.
     """
@@ -108,7 +108,7 @@ def _read_back(name: str, get_value: Callable[[str], int]) -> int | None:
 
 
 def report_unset(serial: str, unset: Mapping[str, str]) -> None:
-    """Say once, at opening, which controls are not pinned: the picture may drift, but it can be inspected."""
+    """Log at opening which controls are not pinned: the picture may drift, but inspection is possible."""
     for name, reason in unset.items():
         _log.warning("camera control %s of sensor %s is not pinned: %s", name, serial, reason)
 

@@ -20,7 +20,7 @@ BY_ERRNO: Mapping[int, tuple[type[DeviceError], str]] = {
     ),
     errno.ENOSPC: (
         DeviceBusy,
-        "no bandwidth is left on this USB bus; give every sensor a root port of its own",
+        "no bandwidth is left on this USB bus; plug every sensor into a separate root port",
     ),
     errno.ENODEV: (DeviceLost, "it was unplugged"),
     errno.ETIMEDOUT: (DeviceStalled, "it did not answer in time"),
@@ -30,7 +30,7 @@ _OTHERWISE = (DeviceLost, "it stopped answering; it is opened again")
 
 @contextmanager
 def guarded(who: str) -> Iterator[None]:
-    """Whatever pyusb raises inside comes out as a DeviceError that names the sensor."""
+    """Turns what pyusb raises inside into a DeviceError that names the sensor."""
     try:
         yield
     except usb.core.USBError as error:

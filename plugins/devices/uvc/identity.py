@@ -1,7 +1,7 @@
 """Which of the devices on the bus is a GelSight Mini.
 
 Ref: USB dumps in public reports (firmware_notes/gelsight_mini.md). The id 0c45:636d belongs to a camera bridge that
-webcams share, so it only chooses what is looked at; the product string decides.
+webcams share, so it only selects candidates; the product string decides.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ PRODUCT_PREFIX = "GelSight Mini"
 
 @dataclass(frozen=True)
 class SensorOnBus:
-    """A pyusb device together with what it turned out to be."""
+    """A pyusb device and its identification."""
 
     device: Any
     sighting: Sighting
@@ -56,7 +56,7 @@ def survey(backend: Any) -> list[SensorOnBus]:
 
 
 def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
-    """The sensor with this serial, or the only one. Errors: DeviceNotFound with all that was seen instead."""
+    """The sensor with this serial, or the only one. Errors: DeviceNotFound with every device that was seen instead."""
     sensors = [one for one in seen if one.sighting.identity is not None]
     chosen = [one for one in sensors if serial in (None, _serial(one))]
     if len(chosen) == 1:
@@ -114,7 +114,7 @@ def _look(device: Any) -> Sighting:
 
 
 def _tail(product: str) -> str:
-    """The serial that the product string ends with, its dash left out: `... 2BNN-4ZE7` is 2BNN4ZE7."""
+    """The serial at the end of the product string, without its dash: `... 2BNN-4ZE7` is 2BNN4ZE7."""
     return product.split()[-1].replace("-", "")
 
 

@@ -1,11 +1,11 @@
 """The real bus: pyusb's libusb1 backend, plus isochronous reads that keep every packet's length.
 
 Ref: pyusb 1.3.1, usb/backend/libusb1.py, whose private structures are used here (the version is pinned and a test
-checks the names); libusb 1.0 API, "asynchronous device I/O". Many transfers are queued, because one at a time loses
-the micro-frames that pass between two calls.
+checks the names); libusb 1.0 API, "asynchronous device I/O". Many transfers are queued, because one at a time loses the
+micro-frames between two calls.
 
-Seen: a virtual camera over USB/IP under a real kernel (Linux 6.1, vhci-hcd, usbfs): frames whole, controls set,
-interfaces given back, unplugged and plugged in again (tests/hardware/kernel_lab). Not yet seen: a sensor on a physical
+Seen: a virtual camera over USB/IP under a real kernel (Linux 6.1, vhci-hcd, usbfs): complete frames, controls set,
+interfaces released, unplugged and plugged in again (tests/hardware/kernel_lab). Not yet seen: a sensor on a physical
 bus.
 """
 
@@ -94,7 +94,7 @@ class LibusbPacketStream:
         return packets
 
     def _packets(self, position: int) -> list[Packet]:
-        """Packet n lies at n strides in the buffer, and only its own first bytes are valid."""
+        """Packet n starts at n strides in the buffer, and only its first bytes are valid."""
         descriptors = libusb1._get_iso_packet_list(self._transfers[position].contents)
         view = memoryview(self._buffers[position])
         return [
@@ -122,7 +122,7 @@ class LibusbPacketStream:
             if not self._flying:
                 break
             self._handle_events(100)
-        # A transfer that never came back is still known to libusb: freeing it would crash, so it is left alone.
+        # libusb still uses a transfer that did not come back: freeing it would crash, so it is not freed.
         for position, transfer in enumerate(self._transfers):
             if position not in self._flying:
                 self._lib.libusb_free_transfer(transfer)
@@ -132,8 +132,8 @@ class LibusbPacketStream:
 def get_backend() -> LibusbBackend:
     """The libusb of the system or of the `libusb-package` wheel. Errors: DeviceNotFound when neither loads.
 
-    One for the whole process: a second one would shut its libusb down when it is collected, perhaps before the
-    devices that were found through it, and libusb then reads freed memory (seen: a crash after an unplug).
+    One per process: a second one shuts its libusb down when it is collected, perhaps before the devices found through
+    it, and libusb then reads freed memory (seen: a crash after an unplug).
     """
     import libusb_package
 

@@ -1,7 +1,7 @@
 """One process per sensor: an advisory lock on a file named after it, held as long as the sensor is open.
 
-The kernel keeps two processes off one USB interface, but not off one V4L2 node, and it says only "busy". This lock
-covers every stream path, names the process, and vanishes with the process whatever way it ends.
+The kernel refuses a second process on a USB interface, but not on a V4L2 node, and says only "busy". This lock covers
+every stream path, names the process, and ends with the process in every case.
 """
 
 import fcntl
@@ -22,7 +22,7 @@ def lock_folder() -> Path:
 
 
 class SensorLock:
-    """Held from birth to `close`. Errors: DeviceBusy with the process that holds it."""
+    """Held until closed. Errors: DeviceBusy with the process that holds it."""
 
     def __init__(self, name: str, folder: Path | None = None) -> None:
         self.path = (folder or lock_folder()) / f"gelgate-{re.sub(r'[^A-Za-z0-9_-]', '_', name)}.lock"
@@ -42,10 +42,10 @@ class SensorLock:
             os.ftruncate(self._file, 0)
             os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
         except OSError:
-            pass  # read-only: somebody else's file; the lock itself holds, only the name of its holder is missing
+            pass  # read-only: another user's file; the lock works, only the name of its holder is missing
 
     def close(self) -> None:
-        """Let go; harmless when repeated. The file stays: removing it would let two processes hold two files."""
+        """Release; harmless when repeated. The file stays: removing it would let two processes hold two files."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1

@@ -1,8 +1,8 @@
 """UVC payloads: cutting a frame into isochronous packets, and putting packets together to frames again.
 
-Ref: UVC 1.5 section 2.4.3.3 (payload header). Both halves are pure and stand side by side, so that one is the test of
-the other. There is no sequence number in a UVC packet: a loss that the host controller does not report leaves a hole
-that nobody can see, which is why every packet here carries its transfer status.
+Ref: UVC 1.5 section 2.4.3.3 (payload header). Both halves are pure and in one module, so each can test the other. A UVC
+packet has no sequence number: a loss that the host controller does not report cannot be detected, so every packet here
+carries its transfer status.
 """
 
 import struct
@@ -19,7 +19,7 @@ _PLAIN_HEADER, _PTS_HEADER = 2, 6
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One isochronous packet as the host controller gave it: its own bytes, and whether it arrived whole."""
+    """One isochronous packet as the host controller gave it: its own bytes, and whether it arrived complete."""
 
     data: bytes
     arrived: bool = True
@@ -57,10 +57,10 @@ def split_frame(
 
 
 class FrameAssembler:
-    """Puts packets together to frames. A frame is given out whole, or with its fault; never silently short.
+    """Puts packets together to frames. A frame is returned complete, or with its fault; never silently short.
 
-    max_frame_bytes: the camera's own promise (dwMaxVideoFrameSize); 0 when it made none. What arrives before the
-    first frame boundary belongs to a frame whose start was not seen, and is left out without being counted.
+    max_frame_bytes: the camera's limit (dwMaxVideoFrameSize); 0 when it states none. What arrives before the first
+    frame boundary belongs to a frame whose start was not seen, and is dropped without being counted.
     """
 
     def __init__(self, max_frame_bytes: int = 0) -> None:
@@ -91,7 +91,7 @@ class FrameAssembler:
             return
         flags = data[1]
         if self._fid is not None and (flags & FID) != self._fid:
-            self._finish(done)  # the last packet of the frame before was lost
+            self._finish(done)  # the last packet of the previous frame was lost
             self._in_step = True
         self._fid = flags & FID
         if flags & ERROR:
@@ -115,8 +115,8 @@ class FrameAssembler:
     def _doubt(self, payload: bytes) -> str | None:
         if self._max_frame_bytes and len(payload) > self._max_frame_bytes:
             return f"a frame of {len(payload)} bytes; the camera promised at most {self._max_frame_bytes}"
-        # Entropy-coded data stuffs a zero after FF, so a second start can only be a second frame: both the end of
-        # this frame and a whole frame's worth of toggles were lost.
+        # Entropy-coded data stuffs a zero after FF, so a second start is a second frame: the end of this frame and the
+        # toggle of the next one were lost.
         if payload.find(b"\xff\xd8\xff", 2) >= 0:
-            return "two frames that ran together"
+            return "two frames without a boundary"
         return damage(payload)

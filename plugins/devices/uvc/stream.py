@@ -1,6 +1,6 @@
-"""A UVC sensor streamed through pyusb: take the interfaces, agree on a mode, read packets, give out whole frames.
+"""A UVC sensor streamed through pyusb: claim the interfaces, negotiate a mode, read packets, return complete frames.
 
-The same driver serves a real bus (`plugins.devices.uvc.libusb`) and a virtual one; it cannot tell which it has.
+The same driver serves a real bus (`plugins.devices.uvc.libusb`) and a virtual one, without knowing which.
 
 Ref: UVC 1.5 section 4.3.1.1 (negotiation); the kernel's behaviour as seen with uvcvideo on Linux 6.1
 (firmware_notes/gelsight_mini.md).
@@ -40,7 +40,7 @@ from plugins.devices.uvc.uvc import (
 
 __all__ = ["PacketBackend", "PacketStream", "UvcSensor"]
 
-# No single wait on the bus is longer, so that a deadline and a `close` from outside are noticed in time.
+# The longest single wait on the bus, so that a deadline and a `close` from outside take effect in time.
 _LONGEST_WAIT_MS = 200
 
 
@@ -63,9 +63,9 @@ class PacketBackend(Protocol):
 class UvcSensor:
     """An open, streaming sensor (a `Device`).
 
-    stale: frames that came twice and were not delivered. unset_controls: camera controls that are not as they were
-    to be pinned, with the reasons. played_ns: set by a plugin whose frames come as fast as they are read; gives the
-    time that the last one would have had in real time.
+    stale: frames that came twice and were not delivered. unset_controls: camera controls that could not be pinned, with
+    the reasons. played_ns: set by a plugin whose frames come as fast as they are read; gives the time that the last one
+    would have had in real time.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class UvcSensor:
         lock_name: str | None = None,
         controls: Mapping[str, int] | None = None,
     ) -> Self:
-        """Lock, take, set and start the sensor; whatever was done is undone when a later step fails.
+        """Lock, claim, set and start the sensor; every step is undone when a later one fails.
 
         Errors: DeviceBusy, DeviceLost, DeviceStalled.
         """
@@ -144,7 +144,7 @@ class UvcSensor:
             remaining_ms = -((self._clock.monotonic_ns() - deadline_ns) // 1_000_000)  # rounded up
             if remaining_ms <= 0:
                 raise DeviceStalled(
-                    f"{self.identity.product} gave no new frame in time ({self.stale} frames came twice so far)"
+                    f"{self.identity.product} gave no new frame in time ({self.stale} repeated frames until now)"
                 )
             self._received.extend(
                 self._assembler.feed(self._read_packets(min(remaining_ms, _LONGEST_WAIT_MS)))
@@ -176,13 +176,13 @@ class UvcSensor:
         return frame
 
     def close(self) -> None:
-        """Stop the stream, give the interfaces back to the kernel and let go of the lock."""
+        """Stop the stream, return the interfaces to the kernel and release the lock."""
         self._lost = self._lost or f"{self.identity.product} was closed"
         self._undo.close()
 
 
 def _quietly(undo: ExitStack, step: Any, *arguments: object) -> None:
-    """On the way out, a sensor that is gone already is no news."""
+    """At closing, a missing sensor is not an error."""
 
     def attempt() -> None:
         with suppress(usb.core.USBError, DeviceError):
@@ -195,7 +195,7 @@ def _take_interfaces(device: Any, undo: ExitStack) -> None:
     """Detach uvcvideo from both interfaces and claim them.
 
     The kernel releases the streaming interface together with the control interface, and binds both again when the
-    control interface is attached, so each is asked for its state right before it is touched.
+    control interface is attached, so the state of each is read immediately before it is changed.
     """
     numbers = [_control_interface(device), streaming_formats(device)[0]]
     for number in numbers:
@@ -227,7 +227,7 @@ def _start_stream(backend: PacketBackend, device: Any, undo: ExitStack) -> tuple
 
 
 def _negotiate(device: Any, number: int, formats: list[MjpegFormat]) -> StreamControl:
-    """Set probe, read what the camera made of it, commit exactly that."""
+    """Set probe, read the camera's answer, commit exactly that."""
     mode = largest_mode(formats)
     format_index = next(one.format_index for one in formats if mode in one.modes)
     size = _block_size(device, number)
@@ -239,14 +239,14 @@ def _negotiate(device: Any, number: int, formats: list[MjpegFormat]) -> StreamCo
 
 
 def _block_size(device: Any, number: int) -> int:
-    """What the camera says; 26 bytes (UVC 1.0) when it does not say, as many cameras stall this request."""
+    """The camera's answer; 26 bytes (UVC 1.0) without one, because many cameras stall this request."""
     try:
-        told = int.from_bytes(
+        length = int.from_bytes(
             bytes(device.ctrl_transfer(REQUEST_GET, GET_LEN, PROBE << 8, number, 2)), "little"
         )
     except usb.core.USBError:
         return BLOCK_SIZES[0]
-    return max(told, BLOCK_SIZES[0])
+    return max(length, BLOCK_SIZES[0])
 
 
 def _alternate_for(device: Any, number: int, payload_bytes: int) -> tuple[int, int, int]:
@@ -261,7 +261,7 @@ def _alternate_for(device: Any, number: int, payload_bytes: int) -> tuple[int, i
         if room >= payload_bytes:
             return alternate, address, room
     raise DeviceLost(
-        f"{device.product} asks for {payload_bytes} bytes per micro-frame; no alternate setting has them"
+        f"{device.product} asks for {payload_bytes} bytes per micro-frame; no alternate setting has as many"
     )
 
 

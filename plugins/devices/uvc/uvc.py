@@ -55,22 +55,22 @@ BLOCK_SIZES = (26, 34)
 
 @dataclass(frozen=True)
 class StreamControl:
-    """The probe/commit block: what the host asks of the stream, and what the camera answers.
+    """The probe/commit block: the host's request for the stream, and the camera's answer.
 
-    frame_interval: 100 ns units. max_frame_bytes: no frame is longer. max_payload_bytes: bytes per micro-frame, which
+    frame_interval: 100 ns units. max_frame_bytes: the longest frame. max_payload_bytes: bytes per micro-frame, which
     chooses the alternate setting.
     """
 
     format_index: int
     frame_index: int
     frame_interval: int
-    hint: int = 1  # keep the frame interval, let the rest follow
+    hint: int = 1  # keep the frame interval, derive the others
     max_frame_bytes: int = 0
     max_payload_bytes: int = 0
     clock_frequency: int = 0
 
     def pack(self, size: int = 26) -> bytes:
-        """The block as it travels: 26 bytes for UVC 1.0, 34 from 1.1 on (what a camera asks by GET_LEN)."""
+        """The block on the bus: 26 bytes for UVC 1.0, 34 from 1.1 on (a camera's answer to GET_LEN)."""
         block = _BLOCK_10.pack(
             self.hint,
             self.format_index,
@@ -155,6 +155,6 @@ def _mode(descriptor: bytes) -> VideoMode:
     width, height = struct.unpack_from("<HH", descriptor, 5)
     max_frame, default = struct.unpack_from("<II", descriptor, 17)
     count = descriptor[25]
-    # A type of 0 is a continuous range (min, max, step); the default lies in it and is the one that we ask for.
+    # A type of 0 is a continuous range (min, max, step); it contains the default, which is requested.
     others = struct.unpack_from(f"<{count}I", descriptor, 26) if len(descriptor) >= 26 + 4 * count else ()
     return VideoMode(index, width, height, max_frame, (default, *(i for i in others if i != default)))

@@ -1,1 +1,1 @@
-"""The kernel's way to a camera: which video node belongs to the sensor, its controls, and its frames through OpenCV."""
+"""A camera through the kernel: the sensor's video node, its controls, and its frames through OpenCV."""

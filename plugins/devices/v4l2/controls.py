@@ -1,7 +1,7 @@
 """Camera controls through V4L2 ioctls, by the names that v4l2-ctl prints, old and new.
 
-Ref: include/uapi/linux/videodev2.h. With uvcvideo bound, a class request through libusb fails as busy, so while the
-kernel streams, this is the only way to the controls.
+Ref: include/uapi/linux/videodev2.h. With uvcvideo bound, a class request through libusb fails as busy. So while the
+kernel streams, controls are only reachable here.
 """
 
 import fcntl
@@ -47,7 +47,8 @@ def _enumerated(fd: int, ioctl: Ioctl) -> Iterator[tuple[str, int]]:
 
 
 def pin_v4l2_controls(node: Path, controls: Mapping[str, int], ioctl: Ioctl = fcntl.ioctl) -> dict[str, str]:
-    """Set and read back; the controls that are not as wished, each with the reason. Errors: OSError without a node."""
+    """Set and read back; returns the controls with another value, each with the reason. Errors: OSError without a
+    node."""
     if not controls:
         return {}
     fd = os.open(node, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -24,7 +24,7 @@ class VideoNode:
 
 
 def video_nodes(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[VideoNode]:
-    """Every V4L2 node that hangs on a USB device, in the order of its number."""
+    """Every V4L2 node of a USB device, in the order of its number."""
     nodes = sorted(
         (sysfs / "class/video4linux").glob("video*"), key=lambda node: int(node.name.removeprefix("video"))
     )
@@ -32,7 +32,7 @@ def video_nodes(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[Vi
 
 
 def capture_node(serial: str, sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> VideoNode:
-    """The capture node of the sensor with that serial. Errors: DeviceNotFound with what there is instead."""
+    """The capture node of the sensor with that serial. Errors: DeviceNotFound with the nodes that exist."""
     nodes = video_nodes(sysfs, dev)
     for node in nodes:
         if node.serial == serial and node.index == 0:
@@ -40,7 +40,7 @@ def capture_node(serial: str, sysfs: Path = Path("/sys"), dev: Path = Path("/dev
     seen = ", ".join(f"{node.path} ({node.product} {node.serial}, index {node.index})" for node in nodes)
     raise DeviceNotFound(
         f"the sensor {serial} is on the bus but has no capture node; seen: {seen or 'no video node'}; "
-        "is the kernel module uvcvideo loaded, and is no other program streaming over libusb?"
+        "check that the kernel module uvcvideo is loaded and that no other program streams over libusb"
     )
 
 

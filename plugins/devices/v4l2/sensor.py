@@ -1,8 +1,8 @@
-"""A sensor streamed by the kernel, its JPEG bytes taken through OpenCV without decoding.
+"""A sensor streamed by the kernel; OpenCV reads its JPEG bytes without decoding.
 
 Ref: OpenCV modules/videoio/src/cap_v4l.cpp. Seen with a virtual camera on Linux 6.1 and OpenCV 5.0: with the colour
 conversion off, `read` gives the JPEG as (1, n) uint8; after an unplug, `read` gives False at once and for ever while
-`isOpened` stays true. So the first False is the end of this opening.
+`isOpened` stays true. So the first False ends this stream.
 """
 
 import os
@@ -17,12 +17,12 @@ from edge.core.ports import Clock, DeviceIdentity
 
 __all__ = ["V4l2Sensor", "open_capture"]
 
-# OpenCV waits ten seconds for a frame unless told otherwise; a sensor that is silent for three is to be opened again.
+# OpenCV waits ten seconds for a frame by default; a sensor without a frame for three seconds is opened again.
 _SELECT_TIMEOUT = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "3")
 
 
 def open_capture(node: Path, mode: tuple[int, int]) -> Any:
-    """OpenCV's capture on a node: MJPG of (width, height), bytes as they come, one buffer.
+    """OpenCV's capture on a node: MJPG of (width, height), undecoded bytes, one buffer.
 
     Errors: DeviceBusy when it does not open.
     """
@@ -32,7 +32,7 @@ def open_capture(node: Path, mode: tuple[int, int]) -> Any:
     capture = cv2.VideoCapture(str(node), cv2.CAP_V4L2)
     if not capture.isOpened():
         raise DeviceBusy(
-            f"{node} cannot be opened; is another program streaming, or is the user not in group video?"
+            f"{node} cannot be opened; stop any other program that streams, and add the user to the group video"
         )
     capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
     capture.set(cv2.CAP_PROP_FRAME_WIDTH, mode[0])
@@ -45,9 +45,9 @@ def open_capture(node: Path, mode: tuple[int, int]) -> Any:
 class V4l2Sensor:
     """An open, streaming sensor (a `Device`).
 
-    capture: `read` gives (ok, uint8 array) and `release` ends it. is_present: asks the bus. on_close: gives back the
-    lock. A blocked `read` ends with OpenCV's own timeout, not with the deadline: the kernel's queue cannot be waited
-    on from here. unset_controls: camera controls that are not as the profile pins them, with the reasons.
+    capture: `read` gives (ok, uint8 array) and `release` ends it. is_present: asks the bus. on_close: releases the
+    lock. A blocked `read` ends with OpenCV's own timeout, not with the deadline: this class cannot wait on the kernel's
+    queue. unset_controls: camera controls that could not be pinned, with the reasons.
     """
 
     def __init__(
@@ -81,9 +81,7 @@ class V4l2Sensor:
                 self._sequence += 1
                 return frame
             if self._clock.monotonic_ns() >= deadline_ns:
-                raise DeviceStalled(
-                    f"{self.identity.product} sends the same frame again and again ({self.stale} times)"
-                )
+                raise DeviceStalled(f"{self.identity.product} repeats the same frame ({self.stale} times)")
 
     def _next_payload(self) -> bytes:
         if self._lost is not None:
@@ -102,7 +100,7 @@ class V4l2Sensor:
 
     def _fault(self, payload: bytes) -> str | None:
         if kind(payload) != "jpg":
-            return f"{len(payload)} bytes that are no JPEG; OpenCV may have converted them"
+            return f"{len(payload)} bytes that are not a JPEG; OpenCV may have converted them"
         size = picture_size(payload)
         if size != self.identity.mode:
             return f"a picture of {size}; the video mode is {self.identity.mode}"

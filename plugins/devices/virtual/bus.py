@@ -25,13 +25,13 @@ BUS_NUMBER = 1
 
 @dataclass(eq=False)
 class Handle:
-    """One opened device: dead for ever once its camera has left the bus, as its address is never given again."""
+    """One opened device: invalid after its camera has left the bus, because no address is used twice."""
 
     camera: VirtualCamera
     address: int
 
     def live_camera(self) -> VirtualCamera:
-        """Errors: USBError errno 19 when it is gone."""
+        """Errors: USBError errno 19 when the camera has left the bus."""
         if not self.camera.is_present or self.camera.address != self.address:
             raise usb_error(errno.ENODEV)
         return self.camera
@@ -47,13 +47,13 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         self._next_address = 2  # 1 is the root hub
 
     def plug_in(self, camera: VirtualCamera, *, port: int | None = None) -> None:
-        """Connect a camera, at a new address, and at another port when one is named."""
+        """Connect a camera, at a new address, and at another port if one is given."""
         if camera not in self._cameras:
             self._cameras.append(camera)
         camera.plug_in(address=self._next_address, port=port)
         self._next_address += 1
 
-    # What pyusb asks of the bus
+    # pyusb's calls to the bus
 
     def enumerate_devices(self) -> Iterator[VirtualCamera]:
         for camera in self._cameras:
@@ -81,7 +81,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
     ) -> SimpleNamespace:
         return descriptors.endpoint_descriptor(ep, intf, alt)
 
-    # What pyusb asks of an opened device
+    # pyusb's calls to an opened device
 
     def open_device(self, dev: VirtualCamera) -> Handle:
         if not dev.is_present:
@@ -89,7 +89,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         return Handle(dev, dev.address)
 
     def close_device(self, dev_handle: Handle) -> None:
-        """The kernel takes back what the handle claimed, and stops its stream."""
+        """The kernel takes the claimed interfaces back and stops the stream."""
         camera = dev_handle.camera
         if not camera.is_present or camera.address != dev_handle.address:
             return
@@ -145,7 +145,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         return dev_handle.live_camera().control(bmRequestType, bRequest, wValue, wIndex, data)
 
     def packet_stream(self, dev_handle: Handle, endpoint: int, packet_bytes: int) -> VirtualPacketStream:
-        """Isochronous reads that keep the packets apart (see `plugins.devices.uvc.stream.PacketBackend`)."""
+        """Isochronous reads with separate packets (see `plugins.devices.uvc.stream.PacketBackend`)."""
         camera = dev_handle.live_camera()
         if (
             camera.claims.get(STREAMING_INTERFACE) is not dev_handle
@@ -158,7 +158,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         dev_handle.live_camera()
 
     def reset_device(self, dev_handle: Handle) -> None:
-        """A reset ends a stall; the kernel binds its driver again where nobody holds the interface."""
+        """A reset ends a stall; the kernel binds its driver again where no handle holds the interface."""
         camera = dev_handle.live_camera()
         camera.select(0)
         for interface in camera.kernel_driver:

@@ -1,4 +1,4 @@
-"""One virtual UVC camera: what it holds, what it answers on its control pipe, and the packets that it sends.
+"""One virtual UVC camera: its state, the answers on its control pipe, and the packets that it sends.
 
 It plays frames from any sequence of JPEG bytes. Time is the injected clock's.
 """
@@ -52,7 +52,7 @@ _NO_CONTROL = StreamControl(1, 1, 0)
 
 
 def usb_error(number: int) -> usb.core.USBError:
-    """The error that libusb's backend raises for an errno, with its own code and words."""
+    """The error of libusb's backend for an errno, with the same code and text."""
     code, text = {
         errno.ENODEV: (-4, "No such device (it may have been disconnected)"),
         errno.ENOENT: (-5, "Entity not found"),
@@ -96,7 +96,7 @@ class VirtualCamera:
         self._forget_host()
 
     def _forget_host(self) -> None:
-        """As from the factory: uvcvideo bound to both interfaces, nothing claimed, negotiated or set."""
+        """The initial state: uvcvideo bound to both interfaces, nothing claimed, negotiated or set."""
         self.claims: dict[int, object] = {}
         self.kernel_driver = {CONTROL_INTERFACE: True, STREAMING_INTERFACE: True}
         self.alternate = 0
@@ -116,7 +116,7 @@ class VirtualCamera:
             self._is_present = True
 
     def unplug(self, seconds: float = 0.0) -> None:
-        """Disconnect, for a time or (0) until it is plugged in again."""
+        """Disconnect, for this many seconds or (0) until it is plugged in again."""
         with self._guard:
             self._is_present = False
             self._return_ns = self._clock.monotonic_ns() + round(seconds * 1e9) if seconds else None
@@ -131,7 +131,7 @@ class VirtualCamera:
         return self._return_ns is not None and self._clock.monotonic_ns() >= self._return_ns
 
     def inject(self, kind: FaultKind, seconds: float = 0.0) -> None:
-        """Let something go wrong with the next frame."""
+        """Make the next frame faulty."""
         with self._guard:
             self._script.add(Fault(kind, self._number, seconds))
 
@@ -175,7 +175,7 @@ class VirtualCamera:
         raise usb_error(errno.EPIPE)
 
     def _answer(self, wish: StreamControl) -> StreamControl:
-        """What the camera makes of a wish: an unknown format or mode is a stall, the interval is its own."""
+        """The camera's answer to a request: an unknown format or mode is a stall, the interval is the camera's."""
         if wish.format_index != 1 or not 1 <= wish.frame_index <= len(self.board.modes):
             raise usb_error(errno.EPIPE)
         width, height, fps = self.board.modes[wish.frame_index - 1]
@@ -256,7 +256,7 @@ class VirtualCamera:
         return []
 
     def _advance_due(self) -> None:
-        """Keep to the beat; when the host is more than a beat late, the beat starts anew."""
+        """Keep the frame rate; when the host is more than one period late, the period starts again."""
         if self._due_ns is not None and self._pace:
             now = self._clock.monotonic_ns()
             self._due_ns += self._period_ns
@@ -318,7 +318,7 @@ class VirtualPacketStream:
 
 
 def _fill(data: Any, content: bytes) -> int:
-    """Put as much of `content` as fits into pyusb's buffer."""
+    """Copy as much of `content` as fits into pyusb's buffer."""
     count = min(len(data), len(content))
     for position in range(count):
         data[position] = content[position]

@@ -9,7 +9,7 @@ from plugins.devices.virtual.descriptors import CAMERA_TERMINAL, PROCESSING_UNIT
 
 __all__ = ["RANGES", "ControlBank"]
 
-# name: minimum, maximum, default; automatics are on, as on every camera that nobody has set.
+# name: minimum, maximum, default; automatic controls are on, as on every new camera.
 RANGES: Mapping[str, tuple[int, int, int]] = {
     "brightness": (-64, 64, 0),
     "contrast": (0, 64, 32),
@@ -32,7 +32,7 @@ _ENTITY = {0x02: CAMERA_TERMINAL, 0x05: PROCESSING_UNIT}
 
 
 class ControlBank:
-    """Values by (entity id, selector). What is out of range, or ruled by an automatic that is on, is a stall."""
+    """Values by (entity id, selector). A value out of range, or under an automatic control that is on, is a stall."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[int, int], tuple[str, UvcControl]] = {}
@@ -43,7 +43,7 @@ class ControlBank:
         self.values = {name: default for name, (_, _, default) in RANGES.items()}
 
     def request(self, request: int, entity: int, selector: int, data: Any) -> bytes | None:
-        """The answer to a GET, empty for a SET that was taken, None for a stall."""
+        """The answer to a GET, empty for an accepted SET, None for a stall."""
         if (entity, selector) not in self._names:
             return None
         name, control = self._names[entity, selector]

@@ -1,8 +1,8 @@
 """The descriptors that a GelSight Mini and its webcam siblings show on the bus, built byte by byte.
 
-Ref: USB 2.0 chapter 9; UVC 1.0 chapter 3. What is known of the real sensor's descriptors, and what is assumed, stands
-in firmware_notes/gelsight_mini.md: ids, strings, speed, power, the two interfaces and the one video mode were read in
-public dumps; terminals, controls, endpoints and alternate settings are those usual for boards with this bridge.
+Ref: USB 2.0 chapter 9; UVC 1.0 chapter 3. firmware_notes/gelsight_mini.md says what is known of the real descriptors.
+Ids, strings, speed, power, the two interfaces and the one video mode were read in public dumps. Terminals, controls,
+endpoints and alternate settings are the usual ones of boards with this bridge.
 """
 
 import struct
@@ -51,7 +51,7 @@ class Board:
 
     @staticmethod
     def max_frame_bytes(width: int, height: int) -> int:
-        """Two bytes a pixel, the usual promise of these boards for MJPEG."""
+        """Two bytes per pixel, the usual limit of these boards for MJPEG."""
         return width * height * 2
 
 
@@ -64,7 +64,7 @@ WEBCAM = Board(
 
 
 def device_descriptor(*, bus: int, address: int, port: int) -> SimpleNamespace:
-    """The 14 fields of the device descriptor, and where the device sits."""
+    """The 14 fields of the device descriptor, and the device's place on the bus."""
     return SimpleNamespace(
         bLength=18,
         bDescriptorType=1,
@@ -89,7 +89,7 @@ def device_descriptor(*, bus: int, address: int, port: int) -> SimpleNamespace:
 
 
 def configuration_descriptor(board: Board, index: int) -> SimpleNamespace:
-    """The one configuration: 500 mA, two interfaces that belong together."""
+    """The one configuration: 500 mA, two associated interfaces."""
     if index != 0:
         raise IndexError(f"configuration {index}")
     association = bytes((8, 0x0B, CONTROL_INTERFACE, 2, CLASS_VIDEO, 3, 0, 2))

@@ -1,4 +1,4 @@
-"""What can go wrong with a virtual sensor, scripted by frame number or asked for while it runs."""
+"""The faults of a virtual sensor, scripted by frame number or injected while it runs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ FaultKind = Literal["drop", "stall", "error_bit", "lost_packet", "truncate", "st
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault at one frame. Frames are numbered from 0 as the camera comes to send them, over loops and re-plugs.
+    """One fault at one frame. Frames are numbered from 0 in the order of sending, over loops and re-plugs.
 
     drop: this frame is never sent. stall: nothing is sent for `seconds`, or until the stream is started again when 0.
     error_bit: one packet carries UVC's error bit. lost_packet: the host controller reports one packet as not arrived.
-    truncate: the second half of the JPEG is missing. stale: the frame before is sent once more instead.
-    unplug: the sensor leaves the bus for `seconds`, or until it is plugged in by hand when 0.
+    truncate: the second half of the JPEG is missing. stale: the previous frame is sent again instead. unplug: the
+    sensor leaves the bus for `seconds`, or until `plug_in` when 0.
     """
 
     kind: FaultKind
@@ -54,5 +54,5 @@ class FaultScript:
         self._by_frame[fault.frame] = fault
 
     def take(self, frame: int) -> Fault | None:
-        """The fault of this frame, which then is spent."""
+        """The fault of this frame; each fault occurs once."""
         return self._by_frame.pop(frame, None)

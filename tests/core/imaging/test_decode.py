@@ -22,7 +22,7 @@ def encoded(rgb: NDArray[np.uint8], extension: str = ".jpg", sequence: int = 7) 
 
 
 def gradient(width: int, height: int) -> NDArray[np.uint8]:
-    """Red rises to the right, green downwards, blue is 40: every pixel tells where it is."""
+    """Red rises to the right, green downwards, blue is 40: every pixel encodes its place."""
     x = np.broadcast_to(np.linspace(20, 220, width), (height, width))
     y = np.broadcast_to(np.linspace(20, 220, height)[:, None], (height, width))
     return np.stack([x, y, np.full((height, width), 40.0)], axis=-1).astype(np.uint8)
@@ -48,7 +48,7 @@ def test_a_png_without_crop_comes_back_bit_by_bit() -> None:
 
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
 def test_the_border_is_cut_in_camera_pixels(extension: str) -> None:
-    """One seventh of each side goes: the corner pixels show the gradient at 1/7 and 6/7 of the frame."""
+    """One seventh of each side is cut: the corner pixels show the gradient at 1/7 and 6/7 of the frame."""
     picture = decode(encoded(gradient(656, 496), extension), SMALL)
     assert picture.rgb.shape == (60, 80, 3)
     low, high = 20 + 200 / 7, 20 + 200 * 6 / 7
@@ -102,7 +102,7 @@ def test_a_wrong_native_size_is_refused_with_both_sizes() -> None:
     "payload", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9", b"hello" * 100, b"\x89PNG\r\n\x1a\n"]
 )
 def test_bytes_that_are_no_picture_are_refused(payload: bytes) -> None:
-    """Nothing but FrameCorrupt leaves the decoder."""
+    """The decoder raises only FrameCorrupt."""
     for read in (decode, decode_view):
         with pytest.raises(FrameCorrupt):
             read(CameraFrame(payload, 0, 0), PROFILES["cropped_lr"])
@@ -111,7 +111,7 @@ def test_bytes_that_are_no_picture_are_refused(payload: bytes) -> None:
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.999])
 def test_a_truncated_frame_is_refused(extension: str, share: float) -> None:
-    """A frame that ends early would decode to a grey lower half, which no part looks like."""
+    """A frame that ends early would decode to a grey lower half."""
     whole = encoded(gradient(656, 496), extension).payload
     with pytest.raises(FrameCorrupt, match="frame 3"):
         decode(CameraFrame(whole[: int(len(whole) * share)], 0, 3), SMALL)
@@ -119,7 +119,7 @@ def test_a_truncated_frame_is_refused(extension: str, share: float) -> None:
 
 @pytest.mark.parametrize("extension", [".jpg", ".png"])
 def test_a_missing_end_marker_alone_is_enough(extension: str) -> None:
-    """Every row may be there; what is cut in transit is not trusted."""
+    """A truncated file is refused even if every row decodes."""
     whole = encoded(gradient(656, 496), extension).payload
     with pytest.raises(FrameCorrupt, match="lost USB packets"):
         decode(CameraFrame(whole[:-2], 0, 3), SMALL)
@@ -134,14 +134,14 @@ def test_a_truncated_frame_that_got_an_end_marker_is_refused() -> None:
 
 
 def test_zero_padding_behind_the_end_marker_is_accepted() -> None:
-    """Some cameras fill their buffer up with zeros."""
+    """Zeros after the end marker are accepted: some cameras fill their buffer with them."""
     frame = encoded(gradient(656, 496))
     padded = CameraFrame(frame.payload + b"\0" * 500, 0, 0)
     assert np.array_equal(decode(padded, SMALL).rgb, decode(frame, SMALL).rgb)
 
 
 def test_damaged_png_data_is_refused() -> None:
-    """A PNG with both ends but a broken middle."""
+    """A PNG with both ends but a damaged middle is refused."""
     payload = bytearray(encoded(gradient(656, 496), ".png").payload)
     payload[40:-40] = bytes(len(payload) - 80)
     with pytest.raises(FrameCorrupt):
@@ -149,7 +149,7 @@ def test_damaged_png_data_is_refused() -> None:
 
 
 def test_profiles_know_their_scale_and_names() -> None:
-    """15.77 px/mm at 320 columns, four times that at 1280; an unknown name is answered with the nearest."""
+    """15.77 px/mm at 320 columns, four times that at 1280; an unknown name gets the nearest one as a suggestion."""
     assert profile("mini_lr").pixels_per_mm == pytest.approx(15.77, abs=0.01)
     assert profile("mini_hr").pixels_per_mm == pytest.approx(63.09, abs=0.01)
     assert profile("mini_lr").controls == MINI_CONTROLS

@@ -1,4 +1,4 @@
-"""JPEG and PNG looked at without decoding."""
+"""JPEG and PNG checked without decoding."""
 
 import pytest
 from hypothesis import given
@@ -18,8 +18,8 @@ def test_size_is_read_from_the_header(suffix: str, size: tuple[int, int]) -> Non
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_whole_and_cut(suffix: str) -> None:
-    """Whole has no damage; without its last byte, or its first, it has."""
+def test_complete_and_truncated(suffix: str) -> None:
+    """A complete file has no damage; without its last or first byte it has."""
     payload = jpeg(0, suffix=suffix)
     assert damage(payload) is None
     assert damage(payload[:-1]) is not None
@@ -28,7 +28,7 @@ def test_whole_and_cut(suffix: str) -> None:
 
 
 def test_padding_zeros_are_allowed_and_nothing_else() -> None:
-    """Some cameras fill the last packet with zeros."""
+    """Zeros after the end are accepted: some cameras fill the last packet with them."""
     assert damage(jpeg(0) + bytes(30)) is None
     assert damage(jpeg(0) + b"\0\x01") == "a JPEG with 2 bytes after its end marker"
 
@@ -45,7 +45,7 @@ def test_a_comment_is_read_back(text: str, suffix: str) -> None:
 
 @given(st.binary(max_size=60), st.sampled_from([b"", b"\xff\xd8", b"\xff\xd8\xff\xc0", b"\x89PNG\r\n\x1a\n"]))
 def test_any_bytes_are_answered(tail: bytes, start: bytes) -> None:
-    """Rubbish is rubbish, never an exception."""
+    """Random bytes are reported as damage, never an exception."""
     payload = start + tail
     assert (kind(payload) is None) <= (damage(payload) is not None)
     picture_size(payload)

@@ -24,7 +24,7 @@ def flat(value: int) -> Picture:
 
 
 def test_black_and_ordinary_frames() -> None:
-    """A dark sensor is told from a dim picture."""
+    """A dark sensor and a dim picture are distinguished."""
     black = check_light(flat(0))
     assert black is not None
     assert black.reason is Reason.BLACK
@@ -33,7 +33,7 @@ def test_black_and_ordinary_frames() -> None:
 
 
 def test_saturation_counts_beyond_the_free_gel() -> None:
-    """One channel at 255 is enough; what the free gel saturates already is not held against the press."""
+    """One channel at 255 is enough; pixels that are saturated on the free gel do not count."""
     rgb = np.full((240, 320, 3), 100, np.uint8)
     rgb[:48, :, 2] = 255
     assert saturated_fraction(rgb) == pytest.approx(0.2)
@@ -59,7 +59,7 @@ def test_stale_frames(age_ns: int, is_stale: bool) -> None:
 
 
 def test_no_contact_and_off_position() -> None:
-    """Each of column, row and area is held against the nominal range, and named."""
+    """Column, row and area are each compared with the nominal range, and named."""
     assert check_contact(Touch(0.07, 0.5, 0.5), NOMINAL, LR) is None
     for touch in (None, Touch(0.0)):
         found = check_contact(touch, NOMINAL, LR)
@@ -78,7 +78,7 @@ def test_no_contact_and_off_position() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    """Ranges run upwards, limits lie where levels do."""
+    """Ranges are ascending, and limits are valid levels."""
     with pytest.raises(ValueError, match="x_px"):
         NominalContact((2, 1), (0, 1), (0, 1))
     with pytest.raises(ValueError, match="black_level"):

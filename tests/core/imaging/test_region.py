@@ -46,7 +46,7 @@ def test_other_words_are_refused(text: str) -> None:
 
 
 def test_a_region_outside_the_picture_is_refused() -> None:
-    """By one pixel is enough; in the configuration, at a crop, and for a centre that does not fit."""
+    """One pixel outside is refused: in the configuration, at a crop, and for a centre that does not fit."""
     assert Region.parse("96,16,224x224", LR).is_within(LR)
     with pytest.raises(ConfigError, match=r"\(321, 240\).*320x240"):
         Region.parse("97,16,224x224", LR)

@@ -1,4 +1,4 @@
-"""Coarse colours: what moves the distance, what does not, and the sentence that refuses."""
+"""Coarse colours: what changes the distance, what does not, and the message of a rejection."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_cells_are_mean_colours() -> None:
 
 @pytest.mark.parametrize("gain", [0.2, 0.7, 1.0, 1.6])
 def test_a_common_gain_moves_nothing(gain: float) -> None:
-    """Lamps that are dimmer or brighter as one are the same sensor."""
+    """With all lamps dimmer or brighter by one factor it is the same sensor."""
     assert colour_distance(gain * CELLS, CELLS) == pytest.approx(0, abs=1e-12)
 
 
@@ -35,7 +35,7 @@ def test_the_largest_channel_counts_by_the_light() -> None:
 
 @pytest.mark.parametrize(("rows", "is_near"), [(3, True), (5, False)])
 def test_an_imprint_on_less_than_half_moves_nothing(rows: int, is_near: bool) -> None:
-    """The median over cells: three rows of eight may show anything, five may not."""
+    """The median over cells: three rows of eight may have any colour, five may not."""
     cells = CELLS.copy()
     cells[:rows] = cells[:rows, :, ::-1]
     assert (colour_distance(cells, CELLS) < 0.01) == is_near
@@ -47,7 +47,7 @@ def test_black_is_far_and_finite() -> None:
 
 
 def test_the_same_sensor_is_accepted_and_another_refused() -> None:
-    """What was found, what is accepted and what to do stand in one sentence."""
+    """The message says what was found, what is accepted and what to do."""
     assert check_sensor(picture(150, 100, 50), NOMINAL) is None
     assert check_sensor(picture(75, 50, 25), NOMINAL) is None
     assert check_sensor(picture(156, 96, 48), NOMINAL) is None
@@ -60,7 +60,7 @@ def test_the_same_sensor_is_accepted_and_another_refused() -> None:
 
 
 def test_the_limit_itself_is_accepted() -> None:
-    """A press that lies exactly at the limit is one of the same sensor."""
+    """A press exactly at the limit is accepted."""
     seen = picture(100, 100, 100)
     distance = colour_distance(colour_cells(seen, (8, 8)), CELLS)
     assert check_sensor(seen, NominalColours(CELLS, distance)) is None
@@ -78,6 +78,6 @@ def test_the_limit_itself_is_accepted() -> None:
     ],
 )
 def test_nonsense_is_refused(cells: np.ndarray, limit: float, what: str) -> None:
-    """Colours are levels, and a limit lets something through."""
+    """Colours are valid levels, and a limit is positive."""
     with pytest.raises(ValueError, match=what):
         NominalColours(cells, limit)

@@ -1,4 +1,4 @@
-"""Tiles: cut and put together again, a picture is what it was; windows leave no seam."""
+"""Tiles: a picture that is cut and joined is unchanged; windows leave no seam."""
 
 import numpy as np
 import pytest

@@ -23,13 +23,14 @@ from plugins.devices.uvc.faults import guarded
     ],
 )
 def test_by_errno(number: int | None, kind: type[DeviceError]) -> None:
-    """Busy, no permission and no bandwidth are Busy; gone or broken is Lost; late is Stalled. The sensor is named."""
+    """Busy, no permission and no bandwidth are Busy; unplugged or failed is Lost; late is Stalled. The sensor is
+    named."""
     with pytest.raises(kind, match="the sensor"), guarded("the sensor"):
         raise usb.core.USBError("text", -1, number)
 
 
 @pytest.mark.parametrize("code", sorted(libusb1._libusb_errno))
 def test_every_code_of_libusb_is_a_device_error(code: int) -> None:
-    """No code that pyusb's backend can raise comes through as a foreign exception."""
+    """Every code that pyusb's backend can raise becomes a DeviceError."""
     with pytest.raises(DeviceError), guarded("the sensor"):
         raise usb.core.USBError("text", code, libusb1._libusb_errno[code])

@@ -1,6 +1,6 @@
-"""The real backend against a stand-in for libusb: packet lengths, losses, the queue, and giving everything back.
+"""The real backend on a substitute for libusb: packet lengths, losses, the queue, and the release of everything.
 
-The private parts of pyusb that this leans on are checked by using them.
+The private parts of pyusb are checked by using them.
 """
 
 import ctypes
@@ -77,7 +77,8 @@ def stream_of(lib: FakeLibusb) -> LibusbPacketStream:
 
 
 def test_frames_come_back_through_the_queue() -> None:
-    """Three frames over hundreds of short packets with strides between them are read whole, as pyusb cannot."""
+    """Three frames over hundreds of short packets with strides between them are read completely, which pyusb itself
+    cannot do."""
     film = [b"\xff\xd8" + bytes([65 + number]) * 9000 + b"\xff\xd9" for number in range(3)]
     packets = [
         (packet.data, 0)

@@ -19,7 +19,7 @@ sys.stdin.read()
 """
 
 
-def test_second_holder_is_told_the_first(tmp_path: Path) -> None:
+def test_the_second_holder_gets_the_number_of_the_first(tmp_path: Path) -> None:
     """Busy, with the number of the process that has it; free again after close, and closing twice is harmless."""
     lock = SensorLock("2BNN4ZE7", tmp_path)
     with pytest.raises(DeviceBusy, match=f"process {os.getpid()}"):

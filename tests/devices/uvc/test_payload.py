@@ -1,4 +1,4 @@
-"""Frames cut into packets and put together again, whole or with their fault."""
+"""Frames cut into packets and joined again, complete or with their fault."""
 
 import pytest
 from hypothesis import given
@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from plugins.devices.uvc.payload import FrameAssembler, Packet, ReceivedFrame, split_frame
 
-# Bodies without FF cannot hold a marker, so every body makes a frame that is whole by its ends.
+# Bodies without FF cannot hold a marker, so every body makes a frame that is complete by its ends.
 bodies = st.binary(max_size=400).map(lambda body: b"\xff\xd8" + body.replace(b"\xff", b"\x00") + b"\xff\xd9")
 films = st.lists(bodies, min_size=1, max_size=6)
 packet_sizes = st.integers(7, 96)
@@ -34,7 +34,7 @@ def test_split_and_reassembled_is_the_same(film: list[bytes], packet_bytes: int)
 def test_an_error_bit_spoils_its_frame_alone(
     film: list[bytes], packet_bytes: int, data: st.DataObject
 ) -> None:
-    """The frame with the flagged packet has a fault; all others are whole."""
+    """The frame with the flagged packet has a fault; all others are complete."""
     packets = cut(film, packet_bytes)
     sick = data.draw(st.integers(0, len(film) - 1))
     where = data.draw(st.integers(0, len(packets[sick]) - 1))
@@ -59,7 +59,7 @@ def test_a_reported_loss_never_passes(film: list[bytes], packet_bytes: int, data
 def test_a_silent_loss_at_an_end_never_passes(
     film: list[bytes], packet_bytes: int, data: st.DataObject
 ) -> None:
-    """A first or last packet that vanishes without a word is seen by the missing JPEG marker or the toggled bit."""
+    """A first or last packet that is lost silently is detected by the missing JPEG marker or the toggled bit."""
     packets = cut(film, packet_bytes)
     sick = data.draw(st.integers(0, len(film) - 1))
     del packets[sick][data.draw(st.sampled_from([0, -1]))]
@@ -84,7 +84,7 @@ def test_worked_by_hand() -> None:
 
 
 def test_joining_in_the_middle_of_a_frame() -> None:
-    """The tail of a frame whose start was not seen is left out, and the next frame is whole."""
+    """The tail of a frame whose start was not seen is dropped, and the next frame is complete."""
     first, second = cut([b"\xff\xd8" + b"a" * 50 + b"\xff\xd9", b"\xff\xd8b\xff\xd9"], 16)
     frames = FrameAssembler().feed(first[2:] + second)
     assert [frame.payload for frame in frames] == [b"\xff\xd8b\xff\xd9"]
@@ -106,17 +106,17 @@ def test_longer_than_promised_is_corrupt() -> None:
     assert FrameAssembler(max_frame_bytes=54).feed(packets)[0].fault is None
 
 
-def test_two_frames_that_ran_together_are_corrupt() -> None:
-    """An end and two toggles lost: one frame's bytes hold two pictures, which a second start gives away."""
+def test_two_frames_without_a_boundary_are_corrupt() -> None:
+    """An end and two toggles lost: one frame's bytes hold two pictures, detected by the second start marker."""
     body = b"\xff\xd8\xff\xe0" + b"a" * 20 + b"\xff\xd9"
     first, _, third = cut([body, body, body], 16)
     (frame,) = FrameAssembler().feed(first[:-1] + third)
-    assert frame.fault == "two frames that ran together"
+    assert frame.fault == "two frames without a boundary"
 
 
 @pytest.mark.parametrize("data", [b"\x01", b"\x00\x80", b"\xff\x80abc"])
 def test_a_header_that_cannot_be_is_a_fault(data: bytes) -> None:
-    """A header shorter than two bytes or longer than its packet spoils the frame."""
+    """A header shorter than two bytes or longer than its packet invalidates the frame."""
     packets = flat(cut([b"\xff\xd8" + b"a" * 50 + b"\xff\xd9"], 16))
     (frame,) = FrameAssembler().feed([*packets[:2], Packet(data), *packets[2:]])
     assert "header" in (frame.fault or "")

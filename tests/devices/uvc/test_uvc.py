@@ -36,7 +36,7 @@ def test_block_by_hand() -> None:
 
 
 def test_short_block_is_refused() -> None:
-    """Less than 26 bytes is no answer."""
+    """Less than 26 bytes is refused."""
     with pytest.raises(ValueError, match="found 25"):
         StreamControl.unpack(bytes(25))
 
@@ -59,7 +59,7 @@ def test_descriptor_that_runs_past_the_end_is_refused(cut: int) -> None:
 
 @given(st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(extra: bytes) -> None:
-    """Garbage from a device is a ValueError at worst."""
+    """Random bytes from a device raise nothing but ValueError."""
     try:
         mjpeg_formats(extra)
     except ValueError:
