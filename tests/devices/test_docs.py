@@ -34,4 +34,4 @@ def test_every_fault_is_named() -> None:
 
 def test_numbers_are_the_programs() -> None:
     """The limits on the page are those in the code."""
-    assert f"after {acquisition._CORRUPT_IN_A_ROW} on end" in PAGE
+    assert f"after {acquisition._CORRUPT_IN_A_ROW} in a row" in PAGE
