@@ -28,7 +28,10 @@ def run_here(graph: bytes, inputs: Mapping[str, NDArray[Any]], folder: Path) -> 
 
 @pytest.mark.parametrize("run", [run_here, pytest.param(run_on_haswell, marks=needs_emulator)])
 def test_it_loses_what_onnxruntime_loses(
-    trunk: TrunkNetwork, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, run: Callable[..., list[NDArray[Any]]]
+    trunk: TrunkNetwork,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    run: Callable[..., list[NDArray[Any]]],
 ) -> None:
     """At each tap the rounded maps have 256 values at most and err by as much as the int8 graph does, within a
     twentieth, in the same direction more than by chance. They cannot be equal, because one takes its range from rounded
