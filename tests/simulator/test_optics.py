@@ -186,7 +186,7 @@ def test_the_native_frame_shows_the_rim_and_crops_to_the_low_resolution_frame() 
     assert difference.mean() < 1.0
 
 
-def test_a_random_look_is_a_plausible_sensor() -> None:
+def test_a_random_appearance_is_a_plausible_sensor() -> None:
     """Mean levels stay between dark and clipped for a hundred draws."""
     rng = np.random.default_rng(3)
     for _ in range(100):

@@ -12,7 +12,7 @@ from calibration.simulator.plan import PRESS_CYCLE_S
 from calibration.simulator.pose import Jitter, Pose, pose_jitter, sample
 from calibration.simulator.random_parts import RandomPart, random_part
 from calibration.simulator.renderer import Exposure, Renderer
-from calibration.simulator.sensor_appearance import LOOKS
+from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams, named_streams
 
@@ -68,4 +68,4 @@ class RandomPartPresses:
     @cached_property
     def _gel(self) -> Renderer:
         effects = next(scene for scene in paper_scenes() if scene.part == "PZ3").effects
-        return Renderer(LR, effects, LOOKS["unit_b"], Jitter(), self._streams, "gel1", "pos1")
+        return Renderer(LR, effects, SENSORS["unit_b"], Jitter(), self._streams, "gel1", "pos1")
