@@ -1,5 +1,6 @@
 """The recorded device: recorded intervals, and what it says of its folder."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,19 @@ def test_pace(tmp_path: Path, pace: float, expected_ns: float) -> None:
     for _ in range(4):
         device.read(clock.monotonic_ns() + 10**9)
     assert clock.monotonic_ns() - start == pytest.approx(expected_ns, abs=10)
+
+
+def test_on_demand_a_frame_has_its_recorded_time(tmp_path: Path) -> None:
+    """No time passes, and the frames still lie a period apart; so do the end and the next beginning of a loop."""
+    clock = FakeClock()
+    options = RecordedOptions(recording=write_recording(tmp_path / "r", 3), pace=0, loop=True)
+    device = plugin.open(options, clock)
+    frames = [device.read(clock.monotonic_ns() + 10**9) for _ in range(7)]
+    apart = [later.timestamp_ns - earlier.timestamp_ns for earlier, later in pairwise(frames)]
+
+    assert all(frame.is_on_demand for frame in frames)
+    assert [apart[k] for k in (0, 1, 3, 4)] == [PERIOD_NS] * 4
+    assert all(0 < apart[k] < 2 * PERIOD_NS for k in (2, 5))
 
 
 def test_loop(tmp_path: Path) -> None:
