@@ -405,6 +405,14 @@ class Resnet18:
         return build_trunk(random_state("resnet18"), "resnet18", taps)
 
 
+def test_a_backbone_may_know_what_its_weights_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it says of them goes into the manifest; one that says nothing can be fitted on, too."""
+    assert str(open_trunk("tactile_resnet18").facts["weights"]).startswith("trained on simulated presses")
+    monkeypatch.setattr(registry, "names", lambda group: ["mine"])
+    monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
+    assert open_trunk("mine").facts == {}
+
+
 def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """The usual trunk is kept where it has the taps, so that parts which read equally deep share one file."""
     monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
