@@ -39,7 +39,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("check --config gelgate.toml", 0, "ok"),
     ("run --config gelgate.toml", 0, "12 presses"),
     ("gel show --config gelgate.toml", 0, "12"),
-    ("watch --port 1 --timeout 1 --count 1", 1, ""),
+    ("watch --port 1 --timeout 1 --count 1", 4, "no broker answers"),
     ("export tiles pz0/trunk.onnx", 3, "gelgate[export]"),
     ("export merge pz0", 3, "gelgate[export]"),
     ("export backbone weights.pth", 3, "gelgate[train]"),
