@@ -59,7 +59,7 @@ class Station:
 
     root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
     will: left with the broker, published by it when this gateway vanishes. birth: what is published first on every
-    connection, asked anew each time. on_command: answers requests, None where commands are not served.
+    connection, asked again each time. on_command: answers requests, None where commands are not served.
     """
 
     root: str

@@ -62,13 +62,15 @@ class Preflight:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _try(self, part: str, attempt: Callable[[], str]) -> None:
+    def try_part(self, part: str, attempt: Callable[[], str]) -> None:
+        """Note what the attempt found, or the error that it raised."""
         try:
             self.findings.append(Finding(part, attempt()))
         except GelgateError as error:
             self.findings.append(Finding(part, str(error), error))
 
-    def _bundle(self, config: Config) -> str:
+    def open_bundle(self, config: Config) -> str:
+        """Load, hash and score the golden frames; gives what was found. Errors: BundleError."""
         self.scorer, worst = open_scorer(config)
         bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
         return (
@@ -77,7 +79,8 @@ class Preflight:
             f"(within {worst:.1e})"
         )
 
-    def _sensor(self, config: Config, clock: Clock) -> str:
+    def open_sensor(self, config: Config, clock: Clock) -> str:
+        """Open the sensor and compare its mode with the bundle's. Errors: DeviceError, BundleMismatch."""
         bundle = self.scorer.bundle if self.scorer else None
         self._device = _open_sensor(config, clock, bundle)
         sensor = self._device.identity
@@ -97,11 +100,11 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     A receiver that is away is no fault: results wait for it in the outbox; its finding says so.
     """
     found = Preflight()
-    found._try("bundle", lambda: found._bundle(config))
-    found._try("sensor", lambda: found._sensor(config, clock))
-    found._try("database", lambda: _database(config))
+    found.try_part("bundle", lambda: found.open_bundle(config))
+    found.try_part("sensor", lambda: found.open_sensor(config, clock))
+    found.try_part("database", lambda: _database(config))
     for index, sink in enumerate(config.sinks):
-        found._try(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
+        found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found
 
 

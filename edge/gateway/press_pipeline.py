@@ -42,7 +42,7 @@ class PressTaker:
 
     def feed(self, frame: CameraFrame) -> list[Inspection]:
         """One camera frame; gives an inspection for each press that it decides (at most one)."""
-        return self._told(self.detector.feed(frame))
+        return self._inspections_for(self.detector.feed(frame))
 
     def trigger(self) -> str | None:
         """A verdict is asked for now; gives why there will be none, or None."""
@@ -57,10 +57,10 @@ class PressTaker:
         return refusal
 
     def relearn(self) -> list[Inspection]:
-        """Learn the free gel anew."""
-        return self._told(self.tracker.relearn())
+        """Learn the free gel again."""
+        return self._inspections_for(self.tracker.relearn())
 
-    def _told(self, events: list[Event]) -> list[Inspection]:
+    def _inspections_for(self, events: list[Event]) -> list[Inspection]:
         inspections = []
         for event in events:
             self._on_event(event)
