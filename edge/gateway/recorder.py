@@ -131,7 +131,7 @@ class Recorder:
         x_mm, y_mm = self._bundle.profile.mm_per_pixel
         return {
             "defects": [_defect_place(defect, x_mm, y_mm) for defect in found[:MOST_DEFECTS]],
-            "defect_area_mm2": sum(defect.area_px for defect in found) * x_mm * y_mm,
+            "defect_area_mm2": round(sum(defect.area_px for defect in found) * x_mm * y_mm, 4),
         }
 
 
@@ -154,13 +154,14 @@ def _ratio(press: Press) -> float | None:
 
 
 def _defect_place(defect: Defect, x_mm: float, y_mm: float) -> DefectPlace:
+    """In micrometres' precision: finer than any pixel, and short in JSON."""
     left, top, width, height = defect.box_px
     x, y = defect.centroid_px
     return DefectPlace(
         box_px=defect.box_px,
-        box_mm=(left * x_mm, top * y_mm, width * x_mm, height * y_mm),
-        centroid_px=defect.centroid_px,
-        centroid_mm=(x * x_mm, y * y_mm),
-        area_mm2=defect.area_px * x_mm * y_mm,
+        box_mm=(round(left * x_mm, 3), round(top * y_mm, 3), round(width * x_mm, 3), round(height * y_mm, 3)),
+        centroid_px=(round(x, 1), round(y, 1)),
+        centroid_mm=(round(x * x_mm, 3), round(y * y_mm, 3)),
+        area_mm2=round(defect.area_px * x_mm * y_mm, 4),
         score=defect.score,
     )
