@@ -1,7 +1,7 @@
 """`--option name=value` on the command line, as a plugin's options."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -11,8 +11,10 @@ from edge.validation_messages import numbered, sentences
 
 __all__ = ["plugin_options"]
 
+OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
-def plugin_options(kind: str, name: str, model: type[BaseModel], given: Sequence[str]) -> Any:
+
+def plugin_options(kind: str, name: str, model: type[OptionsT], given: Sequence[str]) -> OptionsT:
     """The plugin's `Options` from texts such as `pace=0`.
 
     Errors: ConfigError with every fault.

@@ -1,4 +1,4 @@
-"""What an entry point names: one protocol for each group, and the abilities that a plugin may have besides.
+"""What an entry point names: one protocol for each group, and the abilities that a plugin may have in addition.
 
 An entry point is always `package.module:value`, and the value is an object that meets the group's protocol:
 

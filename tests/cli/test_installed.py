@@ -1,4 +1,4 @@
-"""What an installed program brings besides the verbs of inspection: versions, completion, manual, service files."""
+"""What comes with an installed program: versions, completion, manual, service files."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The package that docs/plugins.md shows, installed beside gelgate as somebody else's, does what the page says."""
+"""The package that docs/plugins.md shows, installed as somebody else's, does what the page says."""
 
 import json
 import os
@@ -85,7 +85,7 @@ def server(port: int = 0) -> Iterator[ThreadingHTTPServer]:
             thread.join()
 
 
-def test_the_page_shows_a_whole_package() -> None:
+def test_the_page_shows_a_complete_package() -> None:
     """Its entry points lead to the modules that are printed, and the first step of the page can be taken."""
     points = tomllib.loads(FILES["pyproject.toml"])["project"]["entry-points"]
     named = {
@@ -233,6 +233,8 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(site: Path, tmp_path: 
     line = press_recording(tmp_path / "line", 3, dented=[1], seed=2)
     fit = ("fit", nominal, "-o", "bolt", "--part", "bolt", "--method", "mean_distance", "--no-trunk")
     assert "mean_distance" in gelgate(site, *fit, at=tmp_path)
+
+    gelgate(tmp_path, "verify", "bolt", at=tmp_path)  # in a process that does not see the package
 
     with server() as webhook:
         url = f"http://127.0.0.1:{webhook.server_address[1]}"
