@@ -38,7 +38,7 @@ def evaluate_backbone(
     page: Annotated[Path | None, typer.Option(help="write this page of the manual")] = None,
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
-    """Compare backbones on presses that training never draws (docs/backbone.md)."""
+    """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
     import os
     import sys
     from json import dumps
@@ -111,7 +111,7 @@ def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
 
 
 def _named(words: list[str]) -> dict[str, str]:
-    """NAME=TRUNK pairs; a bare name stands for the installed backbone of that name. Errors: ConfigError."""
+    """NAME=TRUNK pairs; a name alone means the installed backbone of that name. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in words)]

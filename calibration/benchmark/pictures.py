@@ -31,7 +31,7 @@ BALLS = ("rpl-cmu__gelslam/6.310mm", "rpl-cmu__gelslam/9.500mm", "skleff1994__gs
 _HIGH_MM, _LOW_MM = (0.05, 0.12), (0.02, 0.06)
 # Balls with enough presses far from the picture's edge for a cut around the contact.
 REGISTERED_BALLS = (BALLS[0], BALLS[2])
-# Side of such a cut: 6.1 mm, which holds the whole contact of these balls.
+# Side of such a cut: 6.1 mm, larger than the contact of these balls.
 _SIDE_PX = 96
 _DAMAGED_PLACES = 3
 # Sum over the channels. Dirt on one of the two gels has 71, the grain of both at most 13 (measured).
@@ -74,11 +74,11 @@ def registered_ball_trial(data: Path, ball: str) -> Trial:
     """
     pictures, background = _ball(data, ball)
     whole = named_presses(pictures, PROFILE, Region(0, 0, *PROFILE.size), no_contact=[background])
-    abouts = [_about(touch) for touch in whole.touches]
+    squares = [_contact_square(touch) for touch in whole.touches]
     specks = _specks(background)
     kept = [
         (rgb, place)
-        for rgb, place in zip(pictures.values(), abouts, strict=True)
+        for rgb, place in zip(pictures.values(), squares, strict=True)
         if place is not None and not place.crop(specks).any()
     ]
     held, rng = kept[2::3], _rng(ball)
@@ -137,7 +137,7 @@ def _rng(ball: str) -> np.random.Generator:
     return np.random.default_rng([_SEED, int(Path(ball).name.replace(".", "").rstrip("m"))])
 
 
-def _about(touch: Touch) -> Region | None:
+def _contact_square(touch: Touch) -> Region | None:
     """The square around the centre of the touched area, None where it would leave the picture."""
     width, height = PROFILE.size
     x, y = round(touch.x * width) - _SIDE_PX // 2, round(touch.y * height) - _SIDE_PX // 2
@@ -164,14 +164,14 @@ def screw_trial(data: Path) -> Trial:
         masks.append(np.asarray(cv2.resize(mask, side, interpolation=cv2.INTER_AREA)) > 127)
     return Trial(
         "screws",
-        NominalPresses(_shrunk(learnt), tuple(path.name for path in learnt)),
-        _shrunk([*sound, *damaged]),
+        NominalPresses(_scaled(learnt), tuple(path.name for path in learnt)),
+        _scaled([*sound, *damaged]),
         np.stack(masks),
         np.zeros(len(masks), np.bool_),
     )
 
 
-def _shrunk(paths: Sequence[Path]) -> U8:
+def _scaled(paths: Sequence[Path]) -> U8:
     side = (REGION.width, REGION.height)
     return np.stack(
         [

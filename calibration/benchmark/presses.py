@@ -176,7 +176,7 @@ class _Rendered:
             imprint, mask = self._imprint(plan)
             before = self.condition.learnt_at if self._is_learnt(plan) else self.condition.scored_at
             presses = before + plan.gel_presses
-            previous = (self._elsewhere(plan), RELEASED_S) if self.condition.is_remembering else None
+            previous = (self._earlier_imprint(plan), RELEASED_S) if self.condition.is_remembering else None
             light = self.gel.light(self.gel.surface(imprint, presses, previous), presses)
             exposure = Exposure(0, plan.time_s, self._velocity(plan))
             yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
@@ -188,7 +188,7 @@ class _Rendered:
         angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
         return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
 
-    def _elsewhere(self, plan: PressPlan) -> F32:
+    def _earlier_imprint(self, plan: PressPlan) -> F32:
         """The imprint of a press at another place of the part; at the same place the next press would hide it."""
         rng = self.streams("elsewhere", *plan.key)
         across, down = rng.uniform(-ELSEWHERE_MM, ELSEWHERE_MM, 2).tolist()

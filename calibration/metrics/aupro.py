@@ -27,7 +27,7 @@ def aupro(maps: Maps, masks: Masks, limit: float = AUPRO_LIMIT) -> float | None:
     a limit outside (0, 1], a non-finite map, or a mask of another size.
     """
     if not 0 < limit <= 1:
-        raise ValueError(f"the integration limit lies in (0, 1], found {limit}")
+        raise ValueError(f"the integration limit is in (0, 1], found {limit}")
     check_pairs(maps, masks)
     sound = np.concatenate([m[~k] for m, k in zip(maps, masks, strict=True)]) if len(maps) else np.empty(0)
     scores, overlaps, regions = _region_pixels(maps, masks)

@@ -83,7 +83,7 @@ def pixel_measures(maps: Maps, masks: Masks, weights: Float, limit: float = AUPR
 
 @dataclass(frozen=True)
 class _Totals:
-    """Weighted counts of the whole set, each (weightings,); zero where a weighting has none."""
+    """Weighted counts of the set, each (weightings,); zero where a weighting has none."""
 
     sound: Float
     found: Float

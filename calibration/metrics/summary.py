@@ -37,7 +37,7 @@ class Measure:
 
 
 def limit_name(limit: float) -> str:
-    """`aupro_fpr01` for a limit of 0.01: the measure carries its limit in its name."""
+    """`aupro_fpr01` for a limit of 0.01: the name of the measure contains its limit."""
     digits = f"{limit:.6f}".rstrip("0").split(".")[1] if limit < 1 else "1"
     return f"aupro_fpr{digits}" if digits else "aupro_fpr1"
 

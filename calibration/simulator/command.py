@@ -66,7 +66,7 @@ def simulate(
         typer.Option("--list", callback=_list, is_eager=True, help="Print what can be simulated, and end."),
     ] = False,
 ) -> None:
-    """Simulate presses: a dataset with exact masks, or recordings of whole press motions.
+    """Simulate presses as a dataset or as recordings. A dataset has exact masks, a recording every frame of a press.
 
     The same command continues an interrupted one; complete files are kept.
     """

@@ -40,7 +40,7 @@ COAT_SIGMA_MM = 0.035
 COARSEST_MM = 0.28
 # The long membrane is smooth: it is solved down to this spacing only.
 LONG_FINEST_MM = 0.06
-# Sweeps from the coarsest level to the finest, the last one repeated: the coarse ones carry far, and cost nothing.
+# Sweeps from the coarsest level to the finest, the last one repeated: coarse sweeps reach far and are cheap.
 SWEEPS = (48, 20, 8, 3)
 
 # Where each light shines from, as a step in (x, y): red from the top of the picture, green from the right, blue from
@@ -61,7 +61,7 @@ GLOSS_TILT = 0.55
 # PNG frames of the maker's resize. Half of the variance grows with the light.
 NOISE_SD = (2.2, 1.5, 2.7)
 NOISE_LEVEL = 100.0
-# A flake's size, and the share of the paint's grain that the free gel shows: high-pass sd outside and inside contact
-# is B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
+# A flake's size, and the share of the paint's grain that the free gel shows. High-pass sd outside and inside contact is
+# B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
 GRAIN_SIGMA_MM = 0.035
 GRAIN_FREE = 0.35

@@ -33,7 +33,7 @@ class Defect:
         if self.kind not in DEFECTS:
             raise ValueError(f"a defect is one of {', '.join(DEFECTS)}, found '{self.kind}'")
         if not 0 <= self.severity <= 1:
-            raise ValueError(f"severity lies in [0, 1], found {self.severity}")
+            raise ValueError(f"severity is in [0, 1], found {self.severity}")
         if self.size <= 0:
             raise ValueError(f"the size of a defect is positive, found {self.size}")
 

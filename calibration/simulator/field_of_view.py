@@ -48,7 +48,7 @@ HR = Field((1280, 720), (CROP_MM[0] / 1280, CROP_MM[1] / 720))
 
 
 def native_field(reduction: int = 4) -> Field:
-    """The camera's whole frame, gel rim included, at 1/reduction of its resolution.
+    """The camera's complete frame, gel rim included, at 1/reduction of its resolution.
 
     A gateway decodes the frame at that reduction, so finer rendering would be lost.
     """

@@ -66,7 +66,7 @@ _LOOK = Field((224, 224), LR.mm_per_px)
 
 
 def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Streams) -> Defect | None:
-    """The defect of that piece at that position, None for a sound one; where it lies depends on the piece alone.
+    """The defect of that piece at that position, None for a sound one; its place depends only on the piece.
 
     Where the imprint does not show it, another spot is tried, at most 8 times. A defect of almost no severity shows
     nowhere and stays at the last spot.
@@ -155,7 +155,7 @@ def _pieces(scene: Scene, place: int, position: str) -> list[list[PressPlan]]:
 
 
 def _graded(scene: Scene, piece: int, pieces: int) -> float:
-    """Severities from least to most, spread so that every kind meets mild and severe."""
+    """Severities from least to most, spread so that every kind has mild and severe ones."""
     low, high = scene.defects.severity
     golden = (piece * 0.6180339887) % 1.0
     return round(low + (high - low) * (golden if pieces > 1 else 1.0), 4)

@@ -19,8 +19,8 @@ class HeightField(Protocol):
 
 @dataclass(frozen=True)
 class Pose:
-    """The part's place. shift in mm in the picture's axes, turn in radians (clockwise in the picture), tilt in
-    mm of height per mm along the picture's x and y, depth_factor on the commanded depth."""
+    """The part's place. shift: mm in the picture's axes. turn: radians, clockwise in the picture. tilt: mm of height
+    per mm along the picture's x and y. depth_factor: on the commanded depth."""
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
     turn_rad: float = 0.0

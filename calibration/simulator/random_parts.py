@@ -43,7 +43,7 @@ class RandomPart:
 def random_part(rng: np.random.Generator) -> RandomPart:
     """A part 4 to 20 mm across with one to four features, somewhere under the gel.
 
-    The features' heights lie between 0.05 and 0.6 mm: a press of about 0.4 mm shows them.
+    The features' heights are between 0.05 and 0.6 mm: a press of about 0.4 mm shows them.
     """
     half = (float(rng.uniform(2.0, 10.0)), float(rng.uniform(2.0, 8.0)))
     body = _BODIES[rng.integers(len(_BODIES))](half, rng)

@@ -148,7 +148,7 @@ class Renderer:
         presses: int = 0,
         exposure: Exposure | None = None,
     ) -> U8:
-        """One settled press as a picture, uint8 (h, w, 3) RGB: the whole chain in one call."""
+        """One settled press as a picture, uint8 (h, w, 3) RGB: all steps in one call."""
         placed = self.place(commanded or Pose(), key)
         imprint = self.imprint(pose.sample(part, placed, self.field), depth_mm * placed.depth_factor)
         return self._picture(imprint, key, presses, exposure)

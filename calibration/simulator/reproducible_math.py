@@ -1,8 +1,8 @@
 """Arithmetic with the same bits on every processor of one architecture, so a seed gives the same files anywhere.
 
-NumPy and OpenCV choose vector instructions by the processor they find, and these differ in a float32's last bit.
-Elementary functions are therefore evaluated in float64, whose last bit is lost in rounding to float32, and OpenCV's
-choice is switched off while files are made (measured: no slower at these sizes, since its baseline is vectorised too).
+NumPy and OpenCV choose vector instructions by the processor they find, and these differ in a float32's last bit. So
+elementary functions are evaluated in float64, whose last bit is lost in rounding to float32. OpenCV's choice is
+switched off while files are made (measured: no slower at these sizes, because its baseline is also vectorised).
 """
 
 from collections.abc import Iterator, Sequence

@@ -128,7 +128,7 @@ class SceneRun(_Table):
 
 
 class Scene(_Table):
-    """The whole file. A scene has either `runs` (recordings) or `nominal` (a dataset)."""
+    """The file. A scene has either `runs` (recordings) or `nominal` (a dataset)."""
 
     version: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=60)]

@@ -57,6 +57,6 @@ def plateau(distance: F32, top: float, below: ArrayLike, chamfer: float = 0.12) 
     """Height `top` inside a shape, `below` outside it, and a broken edge of the chamfer's width inside the outline."""
     edge = ramp(-distance / np.float32(chamfer))
     low = f32(below)
-    # The wall drops at once below the chamfer: a gel sees a chamfer, then nothing.
+    # The wall drops vertically below the chamfer: the gel touches only the chamfer.
     inside = np.float32(top) - np.float32(min(chamfer, 0.25)) * (1 - edge)
     return f32(np.where(distance < 0, np.maximum(inside, low), low))

@@ -30,7 +30,7 @@ def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int
     if workers == 1:
         yield from map(work, tasks)
         return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_quiet)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_set_up_worker)
     queue = iter(tasks)
     waiting: deque[Future[Result]] = deque(pool.submit(work, task) for task in islice(queue, 2 * workers))
     try:
@@ -42,7 +42,7 @@ def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _quiet() -> None:
+def _set_up_worker() -> None:
     """Set up a worker: one thread, Ctrl-C left to the parent, and an end when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)

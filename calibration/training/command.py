@@ -36,7 +36,7 @@ def train_backbone(
         Path | None, typer.Option(help="when done, write the ONNX trunks and their facts here")
     ] = None,
 ) -> None:
-    """Train the tactile backbone on simulated presses; can be resumed."""
+    """Train the tactile backbone on simulated presses. An interrupted run can be resumed."""
     from edge.extras import needs
 
     needs("train", "train-backbone")

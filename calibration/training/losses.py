@@ -79,8 +79,8 @@ def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Dist
     """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
 
     kind: `euclidean` compares features as they are, in units of their root mean square length over the batch, which is
-    what detectors do; `cosine` compares unit vectors, 0 to 2. reach: rows and columns to either side of its own place
-    where the nearest may lie, as a detector looks for it; outside the map there is nothing.
+    what detectors do; `cosine` compares unit vectors, 0 to 2. reach: the search window in rows and columns to either
+    side of the cell, as in a detector; cells outside the map do not count.
     """
     features = features.float()
     if kind == "cosine":

@@ -1,9 +1,9 @@
 """The trunk as its int8 variant computes it, with gradients: quantisation-aware training.
 
-Where `package.quantised` puts a pair of quantise and dequantise nodes, values are rounded here: weights per output
-channel to -127 to 127, activations per tensor to 0 to 255 over the range of the batch, batch norms folded in with their
-present statistics. Rounding passes gradients unchanged. Ref: Jacob et al., "Quantization and Training of Neural
-Networks for Efficient Integer-Arithmetic-Only Inference", CVPR 2018, section 3.
+Values are rounded where `package.quantised` puts a pair of quantise and dequantise nodes. Weights are rounded per
+output channel to -127 to 127, activations per tensor to 0 to 255 over the range of the batch. Batch norms are folded in
+with their present statistics. Rounding passes gradients unchanged. Ref: Jacob et al., "Quantization and Training of
+Neural Networks for Efficient Integer-Arithmetic-Only Inference", CVPR 2018, section 3.
 """
 
 import torch

@@ -26,7 +26,7 @@ def damaged(
 ) -> Tensor:
     """Heights (n, h, w) with up to three defects each; nine of ten samples have at least one.
 
-    depth_mm: (n,) of the press, so that the defects lie where it touches. x, y: pixel coordinates in mm, (h, w).
+    depth_mm: (n,) of the press, so that the defects are in the contact. x, y: pixel coordinates in mm, (h, w).
     """
     touched = (height > -(1 - _TOUCH_SHARE) * depth_mm[:, None, None]).flatten(1).float() + 1e-6
     filled = blur(height.clamp(min=-1.2), (0.5 * scale / spacing[0], 0.5 * scale / spacing[1]))

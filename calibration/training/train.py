@@ -1,6 +1,6 @@
 """The training loop behind `gelgate train-backbone`.
 
-A step depends only on the recipe and its number, so a resumed run equals an uninterrupted one: bit for bit on a CPU,
+A step depends only on the recipe and its number. So a resumed run equals an uninterrupted one, bit for bit on a CPU,
 within the runtime's own differences on a GPU.
 """
 
@@ -158,7 +158,7 @@ class _Learner:
         )
 
     def begin_with(self, saved: Checkpoint) -> None:
-        """The weights alone of another run. Errors: ConfigError for weights of another network."""
+        """Only the weights of another run. Errors: ConfigError for weights of another network."""
         try:
             self.model.load_state_dict(saved.weights)
         except RuntimeError as error:

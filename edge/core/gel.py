@@ -35,7 +35,7 @@ class GelLife:
         if self.presses < 0 or self.limit < 1:
             raise ValueError(f"presses >= 0 and limit >= 1 are needed, found {self.presses} and {self.limit}")
         if not 0 < self.warn_fraction <= 1:
-            raise ValueError(f"the warning fraction lies in (0, 1], found {self.warn_fraction}")
+            raise ValueError(f"the warning fraction is in (0, 1], found {self.warn_fraction}")
 
     @property
     def state(self) -> GelState:

@@ -1,7 +1,7 @@
 """The stored form of bank arrays: packed once at fit, unpacked to float32 once at load.
 
-Dequantising inside the graph on every frame costs more than the head itself (PaDiM, 28x28, rank 16: 1.9 ms against 0.3
-ms on two cores), so the compact form is only on disk, and the runtime gets float32.
+Dequantising inside the graph on every frame takes longer than the head itself (PaDiM, 28x28, rank 16: 1.9 ms against
+0.3 ms on two cores). So the compact form is only on disk, and the runtime gets float32.
 """
 
 import math

@@ -46,7 +46,7 @@ class RecordingHeader:
         if min(self.mode) < 1:
             raise ValueError(f"a video mode is (width, height), both positive, found {self.mode}")
         if not 0 < self.nominal_fps < 1000:
-            raise ValueError(f"nominal_fps lies between 0 and 1000, found {self.nominal_fps}")
+            raise ValueError(f"nominal_fps is between 0 and 1000, found {self.nominal_fps}")
 
     @property
     def identity(self) -> DeviceIdentity:
@@ -113,7 +113,7 @@ class Recording:
         return [entry.label for entry in self._entries]
 
     def presses(self) -> int | None:
-        """How many presses its labels tell of; None where they tell of none."""
+        """The number of presses in its labels; None without such labels."""
         numbers = {label.get("press") for label in self.labels() if label is not None}
         return len([number for number in numbers if isinstance(number, int)]) or None
 

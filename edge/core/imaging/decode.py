@@ -15,7 +15,7 @@ from edge.core.imaging.sensor_profile import SensorProfile
 __all__ = ["VIEW_SIZE", "decode", "decode_view"]
 
 # (width, height) of the contact view. A part touches thousands of the 76,800 pixels of a 320x240 picture, so a quarter
-# of them is enough, and the work outside the JPEG decoder takes less than a millisecond.
+# of them is enough. The work outside the JPEG decoder takes less than a millisecond.
 VIEW_SIZE = (160, 120)
 
 _FLAGS = {
@@ -40,7 +40,7 @@ def decode_view(frame: CameraFrame, profile: SensorProfile) -> NDArray[np.float3
     """A small view for the contact detector: float32 (120, 160, 3), RGB, 0 to 255, of the same crop.
 
     Decoded at the coarsest JPEG scale that still has a pixel for each of the view's. At 1/8 of 3280x2464 the crop's
-    edge may lie half a reduced pixel (4 camera pixels) off the picture's. Errors as `decode`.
+    edge may be half a reduced pixel (4 camera pixels) off the picture's. Errors as `decode`.
     """
     bgr = _resized(_cropped(frame, profile, _view_scale(profile)), VIEW_SIZE)
     return _to_rgb(bgr).astype(np.float32)

@@ -28,12 +28,12 @@ class CameraFrame:
 
     @cached_property
     def damage(self) -> str | None:
-        """Why the payload is not one complete JPEG or PNG, or None; looked at once, whoever asks."""
+        """Why the payload is not one complete JPEG or PNG, or None; checked once."""
         return damage(self.payload)
 
     @cached_property
     def size(self) -> tuple[int, int] | None:
-        """(width, height) by the payload's header, or None when there is none to be read; looked at once."""
+        """(width, height) by the payload's header, or None when it cannot be read; checked once."""
         return picture_size(self.payload)
 
     def numbered(self, sequence: int) -> Self:

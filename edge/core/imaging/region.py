@@ -43,7 +43,7 @@ class Region:
 
     @classmethod
     def full(cls, size: tuple[int, int]) -> Self:
-        """The whole picture of size (width, height)."""
+        """The complete picture of size (width, height)."""
         return cls(0, 0, *size)
 
     @classmethod

@@ -52,7 +52,7 @@ def colour_distance(cells: F64, nominal: F64) -> float:
     """The distance of two sets of coarse colours, as a fraction of the nominal light.
 
     One common gain is taken out, the median over cells of the ratio of light, so dim or warm lamps do not count. Of the
-    residue the largest of the three channels counts in each cell, and of the cells the median, so an imprint on less
+    residue the largest of the three channels counts in each cell, and of the cells the median. So an imprint on less
     than half of the region changes little.
     """
     light = nominal.mean(axis=2)

@@ -1,7 +1,7 @@
 """Sensor profiles: how a camera frame becomes the picture that a bundle was built on, and how the camera is set.
 
-Three public crops of the same sensor differ (1/7 border, 0.15, none), and the camera has one video mode, so crop,
-scale, kernel and colour order are pinned here and travel in the bundle.
+Three public crops of the same sensor differ (1/7 border, 0.15, none), and the camera has one video mode. So crop,
+scale, kernel and colour order are fixed here and stored in the bundle.
 """
 
 from collections.abc import Mapping
@@ -39,6 +39,6 @@ class SensorProfile:
         if self.decode_scale not in (1, 2, 4, 8):
             raise ValueError(f"decode_scale is 1, 2, 4 or 8, found {self.decode_scale}")
         if not all(0 <= b < 0.5 for b in self.border):
-            raise ValueError(f"border fractions lie in [0, 0.5), found {self.border}")
+            raise ValueError(f"border fractions are in [0, 0.5), found {self.border}")
         if min(*self.native, *self.size) < 1:
             raise ValueError(f"sizes are positive, found native {self.native} and size {self.size}")

@@ -103,7 +103,7 @@ def tiling(frame: tuple[int, int], size: int = 224, overlap: int = 56) -> Tiles:
             f"a tile of {size} does not fit into a frame of {frame} (h, w); inspect it without tiles"
         )
     if not 0 <= overlap < size:
-        raise ValueError(f"an overlap lies in 0..{size - 1} for tiles of {size}, found {overlap}")
+        raise ValueError(f"an overlap is in 0..{size - 1} for tiles of {size}, found {overlap}")
     rows, columns = (_starts(pixels, size, size - overlap) for pixels in frame)
     return Tiles(frame, size, rows, columns)
 

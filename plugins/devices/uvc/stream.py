@@ -195,7 +195,7 @@ def _take_interfaces(device: Any, undo: ExitStack) -> None:
     """Detach uvcvideo from both interfaces and claim them.
 
     The kernel releases the streaming interface together with the control interface, and binds both again when the
-    control interface is attached, so the state of each is read immediately before it is changed.
+    control interface is attached. So the state of each is read immediately before it is changed.
     """
     numbers = [_control_interface(device), streaming_formats(device)[0]]
     for number in numbers:
