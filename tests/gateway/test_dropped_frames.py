@@ -59,8 +59,7 @@ def test_frames_that_a_halted_store_costs_are_no_overload(
     """A full disk has its own alarm; that the queue ran over meanwhile says nothing of the machine's speed."""
     with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         with station.refusing("presses"):
-            while not station.loop.is_halted:
-                station.play(1)
+            station.play_until(lambda: station.loop.is_halted)
             station.read(38)
         station.loop.step(None)
         station.look()

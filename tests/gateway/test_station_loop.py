@@ -43,8 +43,7 @@ def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(
     """Halted with a reason while it lasts; commands are still answered; then the same press is recorded, once."""
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
         with station.refusing("presses"):
-            while not station.loop.is_halted:
-                station.play(1)
+            station.play_until(lambda: station.loop.is_halted)
             station.loop.step(None)
             assert station.loop.is_halted
             assert station.reports == []
@@ -76,8 +75,7 @@ def test_a_run_that_ends_with_a_press_it_cannot_record_says_so(
 def test_a_new_gel_starts_from_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """Its count is 0, its picture is learnt again, and the sequence of presses goes on."""
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        while not station.reports:
-            station.play(1)
+        station.play_until(lambda: bool(station.reports))
         replace = VERBS["replace_gel"]
         answer = replace.do(station.loop, replace.arguments.of({"gel_id": "next", "limit_presses": 7}))
         state = json.loads({m.topic: m.payload for m in station.parts.retained_state.all()}["state"])

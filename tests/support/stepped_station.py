@@ -1,7 +1,7 @@
 """A station without threads and without time of its own: a test says when the sensor is read and the loop looks."""
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -49,6 +49,12 @@ class SteppedStation:
             self.read(1)
             self.look()
             steps = None if steps is None else steps - 1
+
+    def play_until(self, is_so: Callable[[], bool]) -> None:
+        """Read and look in turn until that is so; a recording that ends before is a failure."""
+        while not is_so():
+            assert not self.has_ended, "the recording is over, and it did not come to that"
+            self.play(1)
 
     @contextmanager
     def refusing(self, table: str) -> Iterator[None]:
