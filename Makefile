@@ -5,10 +5,16 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo test test-train test-plain lint docs heads measure bench test-hardware kernel-lab clean
+.PHONY: demo readme-picture test test-train test-plain lint docs heads measure bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
+
+# The picture of README.md: the first damaged press of the demo.
+readme-picture: demo
+	mkdir -p docs/images
+	$(BIN)/python -c 'import cv2, glob; cv2.imwrite("docs/images/damaged_press.png", \
+	  cv2.imread(min(glob.glob("demo/heatmaps/*-fail.png"))), [cv2.IMWRITE_PNG_COMPRESSION, 9])'
 
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest

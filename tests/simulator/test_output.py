@@ -125,7 +125,7 @@ def test_recordings_repeat_and_are_never_overwritten(tmp_path: Path) -> None:
         simulate_recording(scene, tmp_path / "a", 2)
 
 
-def test_presses_can_be_asked_for_and_runs_by_name(tmp_path: Path) -> None:
+def test_presses_and_runs_can_be_chosen(tmp_path: Path) -> None:
     """Fewer presses keep the share of damage; an unknown run is refused with the list of known ones."""
     scene = scene_of(tmp_path, RUNS)
     recording = Recording.open(simulate_recording(scene, tmp_path / "one", 1, run="line", presses=1))
@@ -168,7 +168,7 @@ def test_low_resolution_masks_are_pooled_blocks_of_the_high_resolution_ones(tmp_
     assert np.abs(mean - made["rgb_320x240"]).max() <= 0.51
 
 
-def test_a_dataset_goes_on_where_it_was_cut_with_the_same_bytes(tmp_path: Path) -> None:
+def test_an_interrupted_dataset_continues_with_the_same_bytes(tmp_path: Path) -> None:
     """Removed files are made again with the same bytes, the others are not touched; another seed is refused."""
     scene = load_scene("small")
     scene = scene.model_copy(
@@ -187,18 +187,18 @@ def test_a_dataset_goes_on_where_it_was_cut_with_the_same_bytes(tmp_path: Path) 
         simulate_dataset(scene, tmp_path / "a", 2, presses=1)
 
 
-def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
+def test_a_foreign_folder_is_not_changed(tmp_path: Path) -> None:
     """A folder with something else in it is neither written to nor read."""
     (tmp_path / "photos.txt").write_text("mine")
     with pytest.raises(DatasetError, match="choose another folder"):
         simulate_dataset(load_scene("small"), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["photos.txt"]
     for make, error in ((simulate_dataset, DatasetError), (simulate_recording, RecordingError)):
-        with pytest.raises(error, match="is a file, where a folder is expected"):
+        with pytest.raises(error, match="is a file, a folder is expected"):
             make(load_scene("small" if make is simulate_dataset else "demo"), tmp_path / "photos.txt")  # type: ignore[operator]
 
 
-def test_half_a_dataset_and_one_of_another_version_are_not_read(tmp_path: Path) -> None:
+def test_an_incomplete_dataset_and_another_version_are_not_read(tmp_path: Path) -> None:
     """An incomplete dataset is refused: its measures would be taken for those of the complete one."""
     root = simulate_dataset(scene_of(tmp_path, SET), tmp_path / "set", 4)
     summary = json.loads((root / "dataset.json").read_text())
@@ -223,7 +223,7 @@ def test_numbers_beyond_a_scenes_limits_are_refused_from_the_command_too(tmp_pat
     assert not (tmp_path / "a").exists()
 
 
-def test_a_run_asked_of_a_dataset_is_refused(tmp_path: Path) -> None:
+def test_a_run_of_a_dataset_is_refused(tmp_path: Path) -> None:
     """`--run` names a run, of which a dataset has none; nothing is made."""
     with pytest.raises(ConfigError, match="leave --run out"):
         simulate("small", tmp_path / "out", run="night")

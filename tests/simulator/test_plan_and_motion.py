@@ -39,7 +39,7 @@ def test_a_gel_is_changed_after_1340_presses() -> None:
     assert max(p.gel_presses for p in plans) == 1339
 
 
-def test_a_recordings_first_press_is_sound_and_the_asked_number_is_damaged() -> None:
+def test_a_recordings_first_press_is_sound_and_the_given_number_is_damaged() -> None:
     """The demo's second run: 12 presses, 5 damaged, both kinds, mild to severe, other pieces than the first run."""
     scene = load_scene("demo")
     nominal, test = (recording_plan(scene, run, 3, 0.8) for run in scene.runs)

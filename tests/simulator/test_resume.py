@@ -78,7 +78,7 @@ def changed(folder: Path) -> dict[str, int]:
 @pytest.mark.parametrize(
     ("how", "workers", "then"), [(signal.SIGKILL, 1, 2), (signal.SIGKILL, 2, 1), (signal.SIGINT, 2, 2)]
 )
-def test_a_killed_recording_goes_on(
+def test_a_killed_recording_continues(
     how: signal.Signals, workers: int, then: int, path: Path, unbroken: dict[str, str], tmp_path: Path
 ) -> None:
     """Killed and started again with another number of workers: equal bytes, and complete presses are not made again."""

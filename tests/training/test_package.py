@@ -101,7 +101,7 @@ def test_the_card_has_the_facts_and_the_evaluation() -> None:
     assert "Not measured: no folder was given." in text
     assert "0.1235" in text
     assert "abababababababab" in text
-    assert "What was tried" not in text
+    assert "Training trials" not in text
 
 
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
@@ -141,9 +141,9 @@ def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
     text = card(facts, None, tried)
     assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
     assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
-    assert "What was tried" not in card(facts, None, {**tried, "rows": []})
+    assert "Training trials" not in card(facts, None, {**tried, "rows": []})
     for runs, notes, sentence in (
-        ({"longer": tmp_path}, {"oter": "x"}, "no run and trunk is named oter; evaluated were longer, other"),
+        ({"longer": tmp_path}, {"oter": "x"}, "no run and trunk is named oter; the evaluation has longer, other"),
         ({"shorter": tmp_path}, {}, "no run and trunk is named shorter"),
         ({"other": tmp_path / "none"}, {}, "no checkpoint in"),
     ):

@@ -38,5 +38,5 @@ def test_a_dead_drawing_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> 
         assert drawer.pid is not None
         os.kill(drawer.pid, signal.SIGKILL)
         drawer.join()
-        with pytest.raises(GelgateError, match="ended with -9 before step 0"):
+        with pytest.raises(GelgateError, match="ended with exit code -9 before step 0"):
             take(0)

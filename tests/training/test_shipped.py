@@ -64,7 +64,7 @@ def test_the_page_has_their_evaluation_and_trials() -> None:
     """docs/backbone.md, which another test compares with the program, is complete."""
     text = page(HOME)
     assert "Not evaluated yet" not in text
-    assert "## What was tried" in text
+    assert "## Training trials" in text
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:

@@ -89,7 +89,7 @@ def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None
     assert torch.allclose(found.weights[name], weights(whole)[name], atol=1e-6)
     with pytest.raises(ConfigError, match="the recipe starts from"):
         train(recipe, TrainingRun(tmp_path / "third", threads=1, device="cpu", start=tmp_path / "second"))
-    with pytest.raises(ConfigError, match="needs their run"):
+    with pytest.raises(ConfigError, match="such a recipe needs it"):
         train(recipe, TrainingRun(tmp_path / "fourth", threads=1, device="cpu"))
 
 
@@ -151,7 +151,7 @@ def test_a_full_disk_keeps_the_last_checkpoint(
 
     monkeypatch.setattr(checkpoints, "_write_bytes", full)
     later = checkpoints.Checkpoint(saved.recipe, 7, saved.weights, saved.first_moment, saved.second_moment)
-    with pytest.raises(GelgateError, match=r"step 7 cannot be written: No space.*step_0000006' is whole"):
+    with pytest.raises(GelgateError, match=r"step 7 cannot be written: No space.*step_0000006' is complete"):
         checkpoints.save(tmp_path, later)
     assert checkpoints.load(tmp_path).step == 6
     assert [p.name for p in tmp_path.iterdir()] == ["step_0000006"]

@@ -100,7 +100,7 @@ def test_frames_are_whole_grey_levels_with_contact_and_damage() -> None:
     assert torch.isfinite(batch.frames).all()
 
 
-def test_fine_spacings_are_drawn_when_asked() -> None:
+def test_fine_spacings_are_drawn_when_requested() -> None:
     """A high-resolution batch has 0.0145 to 0.045 mm per pixel, square or squeezed 16:9."""
     for step in range(4):
         x, y = pairs(step, pairs=1, high_resolution=1.0).spacing
