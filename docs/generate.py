@@ -5,6 +5,7 @@ tree, mqtt.md from the payload models, backbone.md from the files about the weig
 """
 
 import inspect
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -210,7 +211,8 @@ def _value(field: Mapping[str, Any]) -> str:
     if field.get("format") == "path":
         return "path"
     if field.get("type") == "array":
-        return f"list of {'texts' if field['items'].get('$ref', '').endswith('/Fault') else 'tables'}"
+        inner = "string" if field["items"].get("$ref", "").endswith("/Fault") else field["items"].get("type")
+        return "list of " + {"string": "texts", "integer": "whole numbers"}.get(inner, "tables")
     names = {
         "integer": "whole number",
         "number": "number",
@@ -244,6 +246,53 @@ def _written(value: object) -> str:
         return ""
     text = {True: "true", False: "false"}[value] if isinstance(value, bool) else value
     return f'`"{text}"`' if isinstance(value, str) else f"`{text}`"
+
+
+# The detectors' parameters
+
+
+_ABOUT_PARAMETERS: Final = """\
+# Parameters of the detectors
+
+`gelgate fit --method METHOD --set NAME=VALUE` sets one; a value is written as JSON (`--set rank=8`, `--set dims=[31]`,
+`--set window_mm=null`). The two columns in the middle are the defaults of `--mode corrected` and `--mode paper`. Where
+the first is empty the switch re-creates a published defect: it is off unless named. [detectors.md](detectors.md)
+explains the methods, and what their settings were measured at.
+"""
+
+
+def parameters_page() -> str:
+    """Every parameter of every detector, with the defaults of both modes."""
+    return "\n".join([NOTICE, _ABOUT_PARAMETERS, *_detectors()])
+
+
+def _detectors() -> Iterator[str]:
+    for name in registry.names("detectors"):
+        corrected, paper = (registry.detector(name).parameters(mode) for mode in ("corrected", "paper"))
+        schema = paper.model_json_schema()
+        yield f"## {name}\n\n| name | value | corrected | paper | what it is |\n| --- | --- | --- | --- | --- |"
+        for field, about in schema["properties"].items():
+            if field == "mode":
+                continue
+            ours = f"`{_json(getattr(corrected, field))}`" if field in type(corrected).model_fields else ""
+            null = " or `null`" if {"type": "null"} in about.get("anyOf", ()) else ""
+            yield _row(
+                f"`{field}`",
+                _value(about) + null,
+                ours,
+                f"`{_json(getattr(paper, field))}`",
+                about["description"],
+            )
+        yield ""
+
+
+def _json(value: object) -> str:
+    """A value as `--set` takes it; a text needs no quotes."""
+    return (
+        value
+        if isinstance(value, str)
+        else json.dumps(round(value, 4) if isinstance(value, float) else value)
+    )
 
 
 # The backbone
@@ -308,6 +357,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "cli.md": cli_page,
     "config.md": config_page,
     "errors.md": errors_page,
+    "parameters.md": parameters_page,
     "mqtt.md": partial(reference, COMMANDS),
     "backbone.md": backbone_page,
 }

@@ -35,6 +35,8 @@ def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> s
         return f"'{key}' is missing"
     if fault["type"] in ("model_type", "dict_type"):
         message = "expected a table"
+    if fault["type"] in ("tuple_type", "list_type"):
+        message = "expected a list, such as [1, 2]"
     if isinstance(fault["input"], Mapping | BaseModel):
         return f"'{key}': {message}" if key else message
     return f"'{key}' is {fault['input']!r}: {message}"

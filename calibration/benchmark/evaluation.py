@@ -1,6 +1,5 @@
 """Compares backbones: the same detectors, presses and measures on trunks with different weights."""
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -149,7 +148,7 @@ def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
 
 def used_settings(method: str) -> dict[str, Any]:
     """Every parameter of the method."""
-    return dict(dataclasses.asdict(registry.detector(method).parameters()))
+    return dict(vars(registry.detector(method).parameters()))
 
 
 def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:

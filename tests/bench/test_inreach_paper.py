@@ -17,7 +17,7 @@ from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.detectors.inreach import inreach
-from plugins.detectors.inreach.parameters import PAPER_TAPS
+from plugins.detectors.inreach.paper import PAPER_TAPS
 
 pytestmark = pytest.mark.bench
 

@@ -10,7 +10,7 @@ from edge.core.detector import Grid
 from edge.core.errors import FitError, NotScorable
 from plugins.detectors.inreach import inreach
 from plugins.detectors.inreach.channels import Channels, associate, prune
-from plugins.detectors.inreach.parameters import PAPER_TAPS
+from plugins.detectors.inreach.paper import PAPER_TAPS
 
 MODES = ("paper", "corrected")
 # The published descriptor on a trunk that lacks its taps.

@@ -16,7 +16,7 @@ from edge.core.detector import Features, Grid, Nominal
 from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
-from plugins.detectors.inreach.parameters import PAPER_TAPS
+from plugins.detectors.inreach.paper import PAPER_TAPS
 
 METHODS = ("fapm", "inreach", "padim", "patchcore", "spade", "subspace")
 TAPS = ("layer1", "layer2", "layer3", "avgpool")

@@ -95,7 +95,7 @@ def test_the_span_never_fills_the_space() -> None:
         ({"variance": 0.0}, "variance"),
         ({"most_rank": 0}, "most_rank"),
         ({"sigma": -1.0}, "sigma"),
-        ({"rank": 3}, "no parameter"),
+        ({"rank": 3}, "did you mean 'most_rank'"),
     ],
 )
 def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str) -> None:

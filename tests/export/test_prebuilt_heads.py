@@ -81,7 +81,7 @@ def test_another_frame_setting_trunk_or_plugin_has_no_shipped_head() -> None:
     grid = shipped_grid(PREBUILT_FRAMES[0], padim.taps(p))
     bank = bank_of("padim", invented(grid, 4, Situation(0.25, True)), grid)
     assert shipped_head(padim, grid, bank, p) is not None
-    assert shipped_head(padim, grid, bank, replace(p, ridge=2 * p.ridge)) is None
+    assert shipped_head(padim, grid, bank, p.model_copy(update={"ridge": 2 * p.ridge})) is None
     assert shipped_head(padim, replace(grid, pixels_per_mm=63.0), bank, p) is None
     assert shipped_head(padim, replace(grid, tiles=tiling((224, 224), 112, 0)), bank, p) is None
     assert shipped_head(padim, replace(grid, taps={**grid.taps, "more": (1, 1, 1)}), bank, p) is None

@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "edge": ("edge",),
     "plugins": (),
     "plugins.conformance": ("edge.core", "edge.model.onnx_validation", "edge.model.session"),
-    "plugins.detectors": ("edge.core", "plugins.onnx_builder"),
+    "plugins.detectors": ("edge.core", "edge.validation_messages", "plugins.onnx_builder"),
     "plugins.backbones": ("edge.core", "plugins.onnx_builder"),
     "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),
     "plugins.sinks": ("edge.core", "edge.messaging.mqtt_connection"),

@@ -8,16 +8,16 @@ press's score is its largest patch distance (the paper's re-weighting is not in 
 A baseline: the peer to beat in both accuracy and time.
 """
 
-import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.descriptor import Descriptor, Kind
+from plugins.detectors.common.parameters import Parameters, Unit, choose, repaired
 from plugins.detectors.common.patchbank import PatchBank, drawn
 from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
@@ -27,7 +27,7 @@ from plugins.detectors.common.smoothing import (
     blur_px,
     emit_scores,
 )
-from plugins.detectors.common.validation import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
@@ -38,58 +38,59 @@ PROJECTION_DIMS = 128
 STARTING_POINTS = 10
 
 
-@dataclass(frozen=True)
-class PatchcoreParameters:
-    """What PatchCore can be told; every repair is a switch of its own.
+class PatchcoreParameters(Parameters):
+    """The parameters of PatchCore. docs/detectors.md has what each was measured at."""
 
-    layers, grid_tap, descriptor: see common/descriptor.py; layer1 on its own grid, not in the publication, is what
-    touch wants. On six random simulated parts, shipped and random ResNet-18 weights, AU-PRO up to 1 % false positives:
-    0.746 and 0.633; binned over layer1 to layer3 on layer2's grid 0.535 (shipped); windows of 3x3 cells of layer1 blur
-    what is small (0.71 and 0.56, their means 0.73 and 0.53). dims:
-    leading directions kept, plus the length of the rest; None keeps all.
-    is_balanced: each tap is divided by its nominal deviation, so that none rules by its scale.
-    coreset_fraction: patches kept; at most most_rows of them, chosen from at most most_patches drawn ones (None: no
-    limit). is_touched_only: those are of cells that a nominal press touches; to them come a few of free gel.
-    is_coreset_exact: k-centre over the descriptors themselves from one start, instead of over a random projection with
-    ten random points as the first bounds. is_squared: squared distances, as published (layer means, blur and tile
-    means then differ).
-    image_score: `map` is the maximum of the score map, `patches` the largest distance before upsampling and blur.
-    sigma: the blur, in `sigma_unit`. is_sampled: a cell stands where its convolution looks, its top left pixel.
-    """
+    layers: tuple[str, ...] = Field(
+        default=("layer1",), description="the taps that make a descriptor, in this order"
+    )
+    grid_tap: str = Field(default="layer1", description="the tap on whose grid descriptors live")
+    descriptor: Kind = Field(
+        default="cells",
+        description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means",
+    )
+    dims: int | None = Field(
+        default=64, ge=1, description="leading directions kept, besides the length of the rest; null: all"
+    )
+    is_balanced: bool = Field(
+        default=True,
+        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
+    )
+    is_touched_only: bool = Field(
+        default=True,
+        description="rows are chosen from cells that a nominal press touches and from some free gel",
+    )
+    coreset_fraction: float = Field(
+        default=0.1, gt=0, le=1, description="part of the nominal patches that is kept"
+    )
+    most_patches: int | None = Field(
+        default=16384, ge=1, description="patches that the coreset is chosen from at most, drawn; null: all"
+    )
+    most_rows: int | None = Field(default=1024, ge=1, description="rows of the bank at most; null: no limit")
+    is_coreset_exact: bool = Field(
+        default=True,
+        description="k-centre over the descriptors from one start; false: over a random projection with ten random "
+        "points as the first bounds, as published",
+    )
+    is_squared: bool = Field(default=False, description="squared distances, as published")
+    image_score: Literal["map", "patches"] = Field(
+        default="map",
+        description="the maximum of the score map, or the largest distance before upsampling and blur",
+    )
+    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
+    sigma_unit: Unit = Field(
+        default="mm", description="whether the blur is the same on the part or in the picture"
+    )
+    is_sampled: bool = Field(
+        default=True,
+        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
+    )
+    packing: Packing = Field(default="float16", description="how the bank is stored")
 
-    mode: Mode = "corrected"
-    layers: tuple[str, ...] = ("layer1",)
-    grid_tap: str = "layer1"
-    descriptor: Kind = "cells"
-    dims: int | None = 64
-    is_balanced: bool = True
-    is_touched_only: bool = True
-    coreset_fraction: float = 0.1
-    most_patches: int | None = 16384
-    most_rows: int | None = 1024
-    is_coreset_exact: bool = True
-    is_squared: bool = False
-    image_score: Literal["map", "patches"] = "map"
-    sigma: float = PAPER_SIGMA_MM
-    sigma_unit: Literal["mm", "px"] = "mm"
-    is_sampled: bool = True
-    packing: Packing = "float16"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.coreset_fraction <= 1 or (self.most_rows is not None and self.most_rows < 1):
-            raise ValueError(
-                f"coreset_fraction lies in (0, 1] and most_rows is at least 1, found {self.coreset_fraction} and "
-                f"{self.most_rows}"
-            )
-        for name in ("dims", "most_patches"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} is at least 1, or None for all, found {value}")
-        if not (math.isfinite(self.sigma) and self.sigma >= 0) or self.sigma_unit not in ("mm", "px"):
-            raise ValueError(f"sigma is at least 0 in mm or px, found {self.sigma} {self.sigma_unit}")
-        if self.image_score not in ("map", "patches") or self.packing not in ("none", "float16", "int8"):
-            raise ValueError(f"unknown image_score '{self.image_score}' or packing '{self.packing}'")
+    @model_validator(mode="after")
+    def _makes_rows(self) -> Self:
         _ = self.rows
+        return self
 
     @property
     def rows(self) -> PatchBank:
@@ -138,7 +139,7 @@ class Patchcore:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PatchcoreParameters:
         """The mode's parameters with overrides. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else PatchcoreParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else PatchcoreParameters(), PAPER, overrides)
 
     def taps(self, parameters: PatchcoreParameters) -> tuple[str, ...]:
         return parameters.layers

@@ -9,11 +9,11 @@ Ref: PCA residuals on deep features (SubspaceAD, 2026, on transformer features; 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from plugins.detectors.common.embedding import (
@@ -25,42 +25,50 @@ from plugins.detectors.common.embedding import (
     learn_embedding,
 )
 from plugins.detectors.common.lowrank import RELATIVE_CUT
+from plugins.detectors.common.parameters import Parameters, Unit, choose
 from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
-from plugins.detectors.common.validation import choose, require_fittable, require_scorable
+from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
 
 
-@dataclass(frozen=True)
-class SubspaceParameters:
-    """Every choice; the defaults are the corrected mode's. See PadimParameters for the names they share.
+class SubspaceParameters(Parameters):
+    """The parameters of the PCA subspace. docs/detectors.md has what they were measured at."""
 
-    variance: part of the pooled nominal variance that the span explains. most_rank: directions at most, which bounds
-    the cost.
-    """
+    taps: tuple[str, ...] = Field(
+        default=("layer1", "layer2"), description="the taps that make a descriptor, in this order"
+    )
+    grid_tap: str = Field(default="layer2", description="the tap on whose grid descriptors live")
+    projection: Projection = Field(
+        default="semi_orthogonal",
+        description="how channels become fewer: all stay, a random choice of some, or a random orthonormal frame",
+    )
+    channels: int | None = Field(default=256, ge=1, description="channels that remain; null: all")
+    is_balanced: bool = Field(
+        default=True,
+        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
+    )
+    is_sampled: bool = Field(
+        default=True,
+        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
+    )
+    variance: float = Field(
+        default=0.99, gt=0, le=1, description="part of the pooled nominal variance that the span explains"
+    )
+    most_rank: int = Field(
+        default=192, ge=1, description="directions of the span at most, which bounds the cost"
+    )
+    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
+    sigma_unit: Unit = Field(
+        default="mm", description="whether the blur is the same on the part or in the picture"
+    )
 
-    mode: Mode = "corrected"
-    taps: tuple[str, ...] = ("layer1", "layer2")
-    grid_tap: str = "layer2"
-    projection: Projection = "semi_orthogonal"
-    channels: int | None = 256
-    is_balanced: bool = True
-    is_sampled: bool = True
-    variance: float = 0.99
-    most_rank: int = 192
-    sigma: float = PAPER_SIGMA_MM
-    sigma_unit: Literal["mm", "px"] = "mm"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.variance <= 1:
-            raise ValueError(f"variance lies in (0, 1], found {self.variance}")
-        if self.most_rank < 1:
-            raise ValueError(f"most_rank is at least 1, found {self.most_rank}")
-        if not self.sigma >= 0 or self.sigma_unit not in ("mm", "px"):
-            raise ValueError(f"sigma is at least 0, in mm or px, found {self.sigma} {self.sigma_unit}")
+    @model_validator(mode="after")
+    def _makes_an_embedding(self) -> Self:
         _ = self.embedding
+        return self
 
     @property
     def embedding(self) -> EmbeddingChoice:
@@ -102,7 +110,7 @@ class Subspace:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SubspaceParameters:
         """See SubspaceParameters. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else SubspaceParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else SubspaceParameters(), PAPER, overrides)
 
     def taps(self, parameters: SubspaceParameters) -> tuple[str, ...]:
         return parameters.taps

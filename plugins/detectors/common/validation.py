@@ -1,37 +1,12 @@
-"""What every detector checks alike: parameters given by name, and features that are fit to learn from."""
-
-import dataclasses
-from collections.abc import Mapping
-from typing import Any, TypeVar
+"""What every detector checks alike: features that are fit to learn from, and the size that a bank may have."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
-from edge.core.suggest import suggestion
 
-__all__ = ["bank_bytes", "choose", "repaired", "require_fittable", "require_scorable"]
-
-P = TypeVar("P")
-
-
-def choose(detector: str, defaults: P, overrides: Mapping[str, Any]) -> P:
-    """A copy of a frozen dataclass with named fields replaced.
-
-    Lists become tuples (parameters come from JSON and TOML). Errors: FitError for an unknown name, with the nearest
-    known one, or for a value that the dataclass refuses with ValueError.
-    """
-    known = [field.name for field in dataclasses.fields(defaults)]  # type: ignore[arg-type]
-    for name in overrides:
-        if name not in known:
-            raise FitError(f"{detector} has no parameter '{name}'; {suggestion(name, known)}")
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in overrides.items()}
-    try:
-        return dataclasses.replace(defaults, **values)  # type: ignore[type-var]
-    except (TypeError, ValueError) as error:
-        raise FitError(f"{detector}: {error}") from error
-
+__all__ = ["bank_bytes", "require_fittable", "require_scorable"]
 
 # The area of the region for which a bank's size is stated, and how many times more a larger frame may have: 16 MB at
 # 224x224 are 64 MB at 1280x720.
@@ -42,12 +17,6 @@ def bank_bytes(bank_mb: float, grid: Grid) -> int:
     """Bytes that a bank may have as stored: `bank_mb` megabytes at 224x224, up to four times that for larger frames."""
     times = grid.frame[0] * grid.frame[1] / STATED_AREA
     return int(1e6 * bank_mb * min(max(times, 1.0), MOST_TIMES))
-
-
-def repaired(parameters: Any, paper: Any, switches: tuple[str, ...]) -> list[str]:
-    """The named switches whose value is not the published one, as `name=value`: what a manifest lists as repairs."""
-    values = {name: (getattr(parameters, name), getattr(paper, name)) for name in switches}
-    return [f"{name}={ours}" for name, (ours, published) in values.items() if ours != published]
 
 
 def require_fittable(

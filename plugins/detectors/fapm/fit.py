@@ -22,16 +22,12 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
+from plugins.detectors.common.parameters import choose, repaired
 from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import emit_join, emit_split, join, layout, split, tile_grid
-from plugins.detectors.common.validation import (
-    bank_bytes,
-    choose,
-    repaired,
-    require_fittable,
-    require_scorable,
-)
-from plugins.detectors.fapm.parameters import PAPER, REPAIRS, FapmParameters
+from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
+from plugins.detectors.fapm.paper import PAPER, REPAIRS, steps_of
+from plugins.detectors.fapm.parameters import FapmParameters
 from plugins.detectors.fapm.prototypes import (
     Layout,
     cell_layout,
@@ -40,14 +36,13 @@ from plugins.detectors.fapm.prototypes import (
     emit_prototype_distances,
     prototype_distances,
 )
-from plugins.detectors.fapm.weighting import emit_first, emit_weighted, softmax_weight
+from plugins.detectors.fapm.steps import COARSE_SIDE, FINE_SIDE
+from plugins.detectors.fapm.weighting import emit_first, emit_softmax_weight, softmax_weight
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
 
-# Sub-patches along one side of a cell, fine and coarse: FAPM_official test.py.
-FINE_SIDE, COARSE_SIDE = 4, 2
 # Where distances are calibrated: cells whose scale is below this quantile of all cells' are taken to have that scale,
 # so that calibration only lowers the restless ones. With a low quantile, gel that most presses leave alone turned into
 # the highest scores: on two simulated parts AU-PRO@0.01 was 0.15 and 0.00 at 0.05, 0.11 and 0.19 at 0.75, 0.05 and
@@ -69,7 +64,7 @@ class Fapm:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> FapmParameters:
         """The mode's parameters with overrides. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else FapmParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else FapmParameters(), PAPER, overrides)
 
     def taps(self, parameters: FapmParameters) -> tuple[str, ...]:
         return parameters.layers
@@ -141,7 +136,9 @@ class Fapm:
             return maps
         top = fused[:, :, 0].argmax(axis=1)
         neighbours = fused[np.arange(len(fused)), top]
-        weight = softmax_weight(neighbours, p.weighting, p.is_softmax_stable, self._is_bare(bank, p))
+        if self._is_unweighted(bank, p):
+            return ScoreMaps(maps.score_map, neighbours[:, 0])
+        weight = softmax_weight(steps_of(p).shift(neighbours), p.weighting)
         return ScoreMaps(maps.score_map, neighbours[:, 0] * weight)
 
     def head(self, grid: Grid, bank: Bank, parameters: FapmParameters) -> bytes:
@@ -159,17 +156,19 @@ class Fapm:
         if p.weighting != "none":
             top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
             neighbours = graph.op("GatherND", fused, top, batch_dims=1)
-            is_bare = self._is_bare(bank, p)
-            score = emit_weighted(graph, neighbours, p.weighting, p.is_softmax_stable, is_bare)
+            score = emit_first(graph, neighbours, 1)
+            if not self._is_unweighted(bank, p):
+                shifted = steps_of(p).emit_shift(graph, neighbours)
+                score = graph.op("Mul", score, emit_softmax_weight(graph, shifted, p.weighting))
         cells = tile_grid(grid).taps[p.layers[0]][1:]
         emit_scores(
             graph, emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid), smoothing, score
         )
         return graph.serialise()
 
-    def _is_bare(self, bank: Bank, p: FapmParameters) -> bool:
-        """Whether the score goes without a weight for want of a second neighbour."""
-        return p.is_single_unweighted and min(p.neighbours, _fewest(bank.arrays, p)) < 2
+    def _is_unweighted(self, bank: Bank, p: FapmParameters) -> bool:
+        """Whether the score has no weight for want of a second neighbour."""
+        return min(p.neighbours, _fewest(bank.arrays, p)) < steps_of(p).least_weighted
 
 
 fapm = Fapm()
@@ -200,14 +199,7 @@ def _layout(grid: Grid, tap: str, p: FapmParameters) -> Layout:
 def _coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
     """Which coarse sub-patch each fine one gets: int64 (fine h * w,)."""
     (fine_h, fine_w), (coarse_h, coarse_w) = (_shape(grid, tap) for tap in p.layers)
-    y, x = np.indices((fine_h, fine_w)).reshape(2, -1)
-    if p.fusion == "quadrants":
-        row, column = y // 2, x // 2
-    else:
-        # The release repeats each of a cell's four coarse values four times in a row: quadrant c falls on fine row c.
-        quadrant = y % FINE_SIDE
-        row = y // FINE_SIDE * COARSE_SIDE + quadrant // COARSE_SIDE
-        column = x // FINE_SIDE * COARSE_SIDE + quadrant % COARSE_SIDE
+    row, column = steps_of(p).above(*np.indices((fine_h, fine_w)).reshape(2, -1))
     flat: NDArray[np.int64] = np.minimum(row, coarse_h - 1) * coarse_w + np.minimum(column, coarse_w - 1)
     return flat
 

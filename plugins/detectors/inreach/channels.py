@@ -7,17 +7,15 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Progress
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
+from plugins.detectors.inreach.paper import steps_of
 from plugins.detectors.inreach.parameters import InreachParameters
+from plugins.detectors.inreach.steps import Joined, Match, Nearest, Steps, squared_distances
 
 __all__ = ["Channels", "associate", "prune"]
 
 # Distances to a channel's mean beyond this quantile of all members' are strays, whatever their channel's own spread.
 # The rarest nominal patches are what the bank needs most: at 0.95 AU-PRO was lower by 0.045 (six random parts).
 STRAY_QUANTILE = 0.99
-# Two distances that differ by less than this part are equal: rounding of float32.
-EQUAL = 1e-5
-# A squared distance below this part of the two squared lengths is rounding of the product, in float32.
-ROUNDING = 1e-6
 
 
 class Channels(NamedTuple):
@@ -36,7 +34,7 @@ def associate(
 
     Only the best realisation so far is remembered for each patch. Among equally near realisations the first wins.
     """
-    n, cells = rows.shape[:2]
+    steps, (n, cells) = steps_of(p), rows.shape[:2]
     keys, presses, patches = [], [], []
     # Two more columns each, so that a product is the squared distance: (-2a, |a|^2, 1) with (b, 1, |b|^2).
     ones = np.ones((n, cells, 1), np.float32)
@@ -50,33 +48,18 @@ def associate(
         seeds = min(press, p.realisations)
         nearest = _nearest(asking[press], asked_of[:seeds])
         for seed in range(seeds):
-            found = _match(
-                rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), p.is_tie_local
-            )
-            is_better = found.squared < best
-            if p.is_mutual_sought:
-                is_better &= found.is_mutual
+            found = _match(rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), steps)
+            is_better = steps.is_taken(found, best)
             best[is_better] = found.squared[is_better]
             opener[is_better] = seed * cells + found.patch[is_better]
             is_joined[is_better] = found.is_mutual[is_better]
-        patch = np.flatnonzero(is_joined)
-        key = opener[patch]
-        if not p.is_index_right:
-            key, patch = key // cells * cells + patch, key % cells
+        joined = np.flatnonzero(is_joined)
+        key, patch = steps.member(opener[joined], joined, cells)
         keys.append(key)
         presses.append(np.full(len(key), press))
         patches.append(patch)
         progress(press / max(1, n - 1))
     return _with_openers(keys, presses, patches, cells)
-
-
-class Match(NamedTuple):
-    """For each patch of a press, its nearest patch of a realisation. squared: float32 (cells,). patch: int64 (cells,).
-    is_mutual: whether that patch's nearest is this one."""
-
-    squared: NDArray[np.float32]
-    patch: NDArray[np.int64]
-    is_mutual: NDArray[np.bool_]
 
 
 def _with_openers(
@@ -92,16 +75,6 @@ def _with_openers(
     patch = np.concatenate([opened % cells, *patches]).astype(np.int64)
     order = np.argsort(key, kind="stable")
     return Channels(key[order], press[order], patch[order])
-
-
-class Nearest(NamedTuple):
-    """Both ways between a press and each of k realisations, by the product. there: int64 (k, cells), for each patch of
-    the press the nearest of the realisation. away: float32 (k, cells), how far, squared. back: float32 (k, cells), how
-    far the nearest patch of the press is from each of the realisation's."""
-
-    there: NDArray[np.int64]
-    away: NDArray[np.float32]
-    back: NDArray[np.float32]
 
 
 def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Nearest:
@@ -120,36 +93,19 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
     return Nearest(there, away, back)
 
 
-def _match(
-    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, is_tie_local: bool
-) -> Match:
-    """The matches of a press's patches (cells, width) with a realisation's, measured exactly.
-
-    Among equally near patches the lowest wins, or the one at the same place.
-    """
+def _match(asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, steps: Steps) -> Match:
+    """The matches of a press's patches (cells, width) with a realisation's, measured exactly."""
     every, there = np.arange(len(asked)), nearest.there
-    exact, back = _squared(asked, seed[there]), np.full(len(asked), -1)
+    exact, back = squared_distances(asked, seed[there]), np.full(len(asked), -1)
     both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
     back[there[both]] = both
-    if is_tie_local:
-        here = _squared(asked, seed)
-        lengths = sum(np.einsum("pc,pc->p", each, each) for each in (asked, seed))
-        is_there = here <= exact * (1 + EQUAL)
-        is_back = here <= np.maximum(nearest.back, 0) * (1 + EQUAL) + ROUNDING * lengths
-        there, back = np.where(is_there, every, there), np.where(is_back, every, back)
-        exact = np.where(is_there, here, exact)
-    return Match(exact, there, back[there] == every)
-
-
-def _squared(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
-    difference = a - b
-    squares: NDArray[np.float32] = np.einsum("pc,pc->p", difference, difference)
-    return squares
+    found = steps.prefer(asked, seed, nearest, Joined(exact, there, back))
+    return Match(found.squared, found.there, found.back[found.there] == every)
 
 
 def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -> Channels:
     """The members of channels that are long and tight enough."""
-    shortest = p.shortest(len(rows))
+    steps, shortest = steps_of(p), p.shortest(len(rows))
     channels = _longer(channels, shortest)
     if not len(channels.key):
         return channels
@@ -163,10 +119,8 @@ def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -
     mean_away = np.add.reduceat(away, first) / length
     deviation = np.sqrt(np.add.reduceat((away - mean_away[number]) ** 2, first) / length)
     stray = float(np.quantile(away, STRAY_QUANTILE))
-    limit = p.max_dispersion * deviation[number]
-    is_kept = away <= np.maximum(limit, stray) if p.is_floored else away < limit
-    if p.is_spread_limited:
-        is_kept &= np.sqrt(mean_square)[number] <= stray * (1 + EQUAL)
+    is_kept = steps.is_near(away, p.max_dispersion * deviation[number], stray)
+    is_kept &= steps.is_tight(np.sqrt(mean_square)[number], stray)
     return _longer(Channels(*(field[is_kept] for field in channels)), shortest)
 
 

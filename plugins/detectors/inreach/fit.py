@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.coreset import k_centre
+from plugins.detectors.common.parameters import choose, repaired
 from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import layout
-from plugins.detectors.common.validation import choose, repaired, require_fittable, require_scorable
+from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.inreach.channels import Channels, associate, prune
-from plugins.detectors.inreach.parameters import PAPER, REPAIRS, InreachParameters
+from plugins.detectors.inreach.paper import PAPER, REPAIRS, steps_of
+from plugins.detectors.inreach.parameters import InreachParameters
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
@@ -41,7 +43,7 @@ class Inreach:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> InreachParameters:
         """The mode's parameters with overrides. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else InreachParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else InreachParameters(), PAPER, overrides)
 
     def taps(self, parameters: InreachParameters) -> tuple[str, ...]:
         return parameters.taps
@@ -97,7 +99,7 @@ class Inreach:
         self, rows: NDArray[np.float32], facts: dict[str, Any], p: InreachParameters
     ) -> NDArray[np.float32]:
         """Every patch of every press, and a warning. Errors: FitError where that is not wanted."""
-        if not p.is_fallback:
+        if not steps_of(p).has_fallback:
             raise FitError(
                 f"inreach: none of {facts['channels_found']} channels of {len(rows)} presses has "
                 f"{p.shortest(len(rows))} elements within the dispersion; press more good parts"

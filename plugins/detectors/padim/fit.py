@@ -14,7 +14,6 @@ covariance's diagonal. Measured by us in float64: fit by the Gram matrix and exp
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,16 +29,12 @@ from plugins.detectors.common.embedding import (
     touched_cells,
 )
 from plugins.detectors.common.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
+from plugins.detectors.common.parameters import choose, repaired
 from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import cell_blocks, layout, neighbourhood
-from plugins.detectors.common.validation import (
-    bank_bytes,
-    choose,
-    repaired,
-    require_fittable,
-    require_scorable,
-)
-from plugins.detectors.padim.parameters import PAPER, REPAIRS, PadimParameters
+from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
+from plugins.detectors.padim.paper import PAPER, REPAIRS
+from plugins.detectors.padim.parameters import PadimParameters
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph, Value
 
@@ -56,7 +51,7 @@ class Padim:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PadimParameters:
         """See PadimParameters. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else PadimParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else PadimParameters(), PAPER, overrides)
 
     def taps(self, parameters: PadimParameters) -> tuple[str, ...]:
         return parameters.taps
@@ -86,7 +81,7 @@ class Padim:
         elsewhere = np.setdiff1d(np.arange(embedding.count), locations)
         descriptors = embedding.numpy(nominal.features, np.float32)
         affordable = _affordable(embedding, len(squares), grid, parameters)
-        local = _fit_local(descriptors, squares, replace(parameters, rank=affordable), progress)
+        local = _fit_local(descriptors, squares, parameters.model_copy(update={"rank": affordable}), progress)
         shared = _fit_shared(embedding, descriptors, nominal, elsewhere, parameters)
         mean = np.empty((embedding.count, embedding.width), np.float32)
         mean[locations], mean[elsewhere] = local.pop("mean"), shared.pop("mean")

@@ -5,7 +5,6 @@ arrays with the sizes that the graph fixes (a number) or leaves open (a name; eq
 taken only where all of it fits; `make heads` writes them again.
 """
 
-import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from importlib import resources
 from typing import Any
 
 from edge.core.detector import Bank, Detector, Grid
+from plugins.detectors.common.parameters import Parameters
 
 __all__ = [
     "INDEX",
@@ -69,7 +69,7 @@ class ShippedHead:
 
 def shipped_head(detector: Detector, grid: Grid, bank: Bank, parameters: object) -> bytes | None:
     """The graph that `detector.head` would write, where it ships; None otherwise."""
-    if grid.tiles is not None or not dataclasses.is_dataclass(parameters):
+    if grid.tiles is not None or not isinstance(parameters, Parameters):
         return None
     asked = (identity(detector), written_parameters(parameters), written_grid(grid))
     for head in load_index():
@@ -81,7 +81,7 @@ def shipped_head(detector: Detector, grid: Grid, bank: Bank, parameters: object)
 def must_be_written(detector: Detector, grid: Grid, parameters: object) -> bool:
     """Whether heads ship for this detector, but none for this grid and these parameters, whatever the bank."""
     known = [head for head in load_index() if head.detector == identity(detector)]
-    if grid.tiles is not None or not dataclasses.is_dataclass(parameters):
+    if grid.tiles is not None or not isinstance(parameters, Parameters):
         return bool(known)
     asked = (written_parameters(parameters), written_grid(grid))
     return bool(known) and all((head.parameters, head.grid) != asked for head in known)
@@ -92,10 +92,9 @@ def identity(detector: Detector) -> str:
     return f"{type(detector).__module__}.{type(detector).__qualname__}"
 
 
-def written_parameters(parameters: Any) -> dict[str, Any]:
+def written_parameters(parameters: Parameters) -> dict[str, Any]:
     """Parameters as the index has them."""
-    written: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(parameters)))
-    return written
+    return parameters.model_dump(mode="json")
 
 
 def written_grid(grid: Grid) -> dict[str, Any]:

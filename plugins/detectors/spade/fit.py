@@ -27,24 +27,18 @@ from plugins.detectors.common.free_gel import (
     gel_weight,
     touched_places,
 )
+from plugins.detectors.common.parameters import choose, repaired
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.tile_layout import join, layout, split, stacked
-from plugins.detectors.common.validation import (
-    bank_bytes,
-    choose,
-    repaired,
-    require_fittable,
-    require_scorable,
-)
+from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.detectors.spade.head import spade_head
-from plugins.detectors.spade.parameters import PAPER, REPAIRS, SpadeParameters
+from plugins.detectors.spade.paper import PAPER, REPAIRS, steps_of
+from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, window_nearest
 
 __all__ = ["SpadeParameters", "spade"]
 
-# The seed scripts divide a descriptor by its length plus this.
-LENGTH_FLOOR = 1e-6
 # Cells that a layer's leading directions are learnt from at most.
 SAMPLES = 4096
 EVERY = slice(None)
@@ -63,7 +57,7 @@ class Spade:
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SpadeParameters:
         """The mode's parameters with overrides. Errors: FitError."""
-        return choose(self.name, PAPER if mode == "paper" else SpadeParameters(), overrides)
+        return choose(self.name, PAPER if mode == "paper" else SpadeParameters(), PAPER, overrides)
 
     def taps(self, parameters: SpadeParameters) -> tuple[str, ...]:
         """The layers, and `avgpool` where it is asked for by name."""
@@ -253,9 +247,9 @@ def _fit_layer(
     """The arrays of one layer from its nominal features (n, c, h, w). cells: flat, those that keep rows."""
     arrays: dict[str, NDArray[Any]] = {}
     if p.is_normalised:
-        length = _mean_length(layer) if p.is_floor_relative else 1.0
         # All-zero features have no length; any positive number then leaves them at zero.
-        arrays[f"{tap}_floor"] = np.array([max(LENGTH_FLOOR * length, np.finfo(np.float32).tiny)], np.float32)
+        floor_length = max(steps_of(p).length_floor(layer), np.finfo(np.float32).tiny)
+        arrays[f"{tap}_floor"] = np.array([floor_length], np.float32)
     floor = arrays.get(f"{tap}_floor")
     drawn = np.arange(len(layer) * len(cells))
     if len(drawn) > SAMPLES:
@@ -288,11 +282,6 @@ def _fit_gel(
         frames.append(np.stack([rows[gel] for rows in _rows(free, tap, arrays)]))
     arrays[f"{tap}_gel"], scatter = gel_mean(frames[0], frames[1] if len(frames) > 1 else None)
     return scatter
-
-
-def _mean_length(layer: NDArray[np.floating]) -> float:
-    """The mean Euclidean length of a cell's descriptor, of features (n, c, h, w)."""
-    return float(np.mean([np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]))
 
 
 def _unit(
@@ -352,9 +341,8 @@ def _search(
         return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
     found = []
     for t, tile in enumerate(tiles):
-        one = gallery[:, t] if p.is_gallery_whole else gallery[:, t].swapaxes(1, 2)
-        flat = one.reshape(-1, rows.shape[1])
-        found.append(nearest(tile.reshape(h * w, -1), flat[: p.searched(len(flat))]).distances.reshape(h, w))
+        searched = steps_of(p).gallery(gallery[:, t])
+        found.append(nearest(tile.reshape(h * w, -1), searched).distances.reshape(h, w))
     return np.stack(found)
 
 

@@ -11,7 +11,8 @@ from plugins.detectors.common.free_gel import emit_gel_distances
 from plugins.detectors.common.pca import emit_rotation
 from plugins.detectors.common.tile_layout import emit_join, emit_split, layout
 from plugins.detectors.spade.multi_scale import emit_layered_scores
-from plugins.detectors.spade.parameters import CHUNK, SpadeParameters
+from plugins.detectors.spade.paper import steps_of
+from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, emit_window_nearest
 from plugins.onnx_builder import Graph, Value
 
@@ -145,9 +146,7 @@ def _emit_whole_search(
     shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
     bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
     rows = graph.reshape(rows, -1, cells, width)
-    if not p.is_gallery_whole:
-        bank = _emit_whole_chunks(graph, bank, (h, w, width))
-    bank = emit_ranked(graph, bank)
+    bank = emit_ranked(graph, steps_of(p).emit_gallery(graph, bank, (h, w, width)))
     step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
     parts = [
         emit_group_nearest(
@@ -159,14 +158,3 @@ def _emit_whole_search(
         for first in range(0, cells, step)
     ]
     return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
-
-
-def _emit_whole_chunks(graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
-    """The gallery (m, presses * cells, width) column by column, what the last whole chunk leaves over cut off."""
-    h, w, width = size
-    total = graph.op("Shape", bank, start=1, end=2)
-    turned = graph.transpose(graph.reshape(bank, 0, -1, h, w, width), 0, 1, 3, 2, 4)
-    columns = graph.op("Reshape", turned, graph.op("Concat", graph.ints(0), total, graph.ints(width), axis=0))
-    whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
-    small = graph.op("Less", total, graph.ints(CHUNK))
-    return graph.op("Slice", columns, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))

@@ -1,0 +1,141 @@
+"""InReaCh as published: the settings of the paper's code, and its defects.
+
+From the paper and an account of DeclanMcIntosh/InReaCh @a0d54ba, which has no licence and was not copied.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from plugins.detectors.inreach.parameters import InreachParameters
+from plugins.detectors.inreach.steps import CORRECTED, Joined, Match, Nearest, Steps
+
+__all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "PublishedInreach", "steps_of"]
+
+# The taps of the published descriptor on Wide-ResNet-50-2; layer3.0 is skipped there.
+PAPER_TAPS = (
+    "layer1.0", "layer1.1", "layer1.2",
+    "layer2.0", "layer2.1", "layer2.2", "layer2.3",
+    "layer3.1", "layer3.2", "layer3.3", "layer3.4", "layer3.5",
+    "layer4.0",
+)  # fmt: skip
+# InReaCh.py: the blur of the score map, in pixels of a 224 crop.
+PUBLISHED_SIGMA_PX = 13.0
+
+
+class PublishedInreach(InreachParameters):
+    """The parameters with a switch for each published defect; off unless named."""
+
+    is_index_right: bool = Field(
+        default=True,
+        description="a member is the patch that matched; false: the two patch numbers of a match are swapped",
+    )
+    is_mutual_sought: bool = Field(
+        default=True,
+        description="a patch joins the closest mutual realisation; false: it is lost where the closest is not mutual",
+    )
+    is_tie_local: bool = Field(
+        default=True,
+        description="among equally near patches the one at the same place wins; false: the first",
+    )
+    is_minimum_exceeded: bool = Field(
+        default=False, description="a channel needs one element more than the minimum"
+    )
+    is_floored: bool = Field(
+        default=True,
+        description="a member may also lie as far as 99 % of all members do, so that channels without spread remain",
+    )
+    is_spread_limited: bool = Field(
+        default=True, description="drop channels that are wider than that distance"
+    )
+    is_fallback: bool = Field(
+        default=True, description="every patch is the bank where no channel remains; false: there is no bank"
+    )
+
+    def shortest(self, presses: int) -> int:
+        return super().shortest(presses) + (self.is_minimum_exceeded and self.length_fraction == 0)
+
+
+PAPER = PublishedInreach(
+    mode="paper",
+    taps=PAPER_TAPS,
+    grid_tap="layer1.0",
+    descriptor="binned",
+    dims=None,
+    is_balanced=False,
+    is_index_right=False,
+    is_mutual_sought=False,
+    is_tie_local=False,
+    is_minimum_exceeded=True,
+    length_fraction=0.0,
+    is_floored=False,
+    is_spread_limited=False,
+    is_touched_only=False,
+    most_patches=None,
+    is_fallback=False,
+    most_rows=None,
+    is_squared=True,
+    upsampling="nearest",
+    sigma=PUBLISHED_SIGMA_PX,
+    sigma_unit="px",
+    packing="none",
+)
+
+REPAIRS = (
+    "is_balanced",
+    "is_index_right",
+    "is_mutual_sought",
+    "is_tie_local",
+    "is_minimum_exceeded",
+    "length_fraction",
+    "is_floored",
+    "is_spread_limited",
+    "is_touched_only",
+    "is_fallback",
+    "is_squared",
+    "upsampling",
+)
+"""The switches that set the corrected mode apart; the others are operating points."""
+
+
+def steps_of(p: InreachParameters) -> Steps:
+    """The steps with the published defects that the parameters name."""
+    if not isinstance(p, PublishedInreach):
+        return CORRECTED
+    return Steps(
+        prefer=CORRECTED.prefer if p.is_tie_local else keep_first,
+        is_taken=CORRECTED.is_taken if p.is_mutual_sought else is_nearer,
+        member=CORRECTED.member if p.is_index_right else swapped,
+        is_near=CORRECTED.is_near if p.is_floored else is_within,
+        is_tight=CORRECTED.is_tight if p.is_spread_limited else every_channel,
+        has_fallback=p.is_fallback,
+    )
+
+
+def keep_first(
+    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, found: Joined
+) -> Joined:
+    """Among equally near patches the first wins, and constant gel leaves one pair."""
+    return found
+
+
+def is_nearer(found: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether a realisation is the closest so far, mutual or not."""
+    return found.squared < best
+
+
+def swapped(
+    opener: NDArray[np.int64], patch: NDArray[np.int64], cells: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The two patch numbers of a match in the wrong order."""
+    return opener // cells * cells + patch, opener % cells
+
+
+def is_within(away: NDArray[np.float64], limit: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+    """Strictly closer than the limit, which is 0 for a channel without spread."""
+    return away < limit
+
+
+def every_channel(spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+    """However wide."""
+    return np.ones(len(spread), np.bool_)

@@ -1,0 +1,43 @@
+"""The steps of SPADE in which a publication differs by a defect; `paper.py` has the published ones."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.onnx_builder import Graph, Value
+
+__all__ = ["CORRECTED", "LENGTH_FLOOR", "Steps", "keep_gallery", "relative_floor"]
+
+# The seed scripts divide a descriptor by its length plus this.
+LENGTH_FLOOR = 1e-6
+
+
+@dataclass(frozen=True)
+class Steps:
+    """length_floor: layer (n, c, h, w) to what is added to a length before dividing by it. gallery: (presses, h, w, c)
+    to the rows (m, c) that are searched where there is no window. emit_gallery: the same in a graph, of
+    (m, presses * h * w, c) with (h, w, c)."""
+
+    length_floor: Callable[[NDArray[np.floating]], float]
+    gallery: Callable[[NDArray[np.floating]], NDArray[np.floating]]
+    emit_gallery: Callable[[Graph, Value, tuple[int, int, int]], Value]
+
+
+def relative_floor(layer: NDArray[np.floating]) -> float:
+    """A part of the mean nominal length, so that scaled features give the same map."""
+    return LENGTH_FLOOR * _mean_length(layer)
+
+
+def keep_gallery(gallery: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Every cell."""
+    return gallery.reshape(-1, gallery.shape[3])
+
+
+def _mean_length(layer: NDArray[np.floating]) -> float:
+    """The mean Euclidean length of a cell's descriptor, of features (n, c, h, w)."""
+    return float(np.mean([np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]))
+
+
+CORRECTED = Steps(relative_floor, keep_gallery, lambda graph, bank, size: bank)
