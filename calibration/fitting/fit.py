@@ -5,7 +5,7 @@ A detector's mathematics is its own; the procedure (which presses, which folds, 
 
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,12 +24,13 @@ from calibration.fitting.bundle_measurements import (
     warnings,
 )
 from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
+from calibration.fitting.covering import covering_bank, covers
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.heads import check_head
 from calibration.fitting.held_out import Learner, held_out_scores
 from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.self_check import apart_warnings, black_warnings, is_covered
+from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.trunks import Trunk
 from calibration.progress import Report
@@ -53,11 +54,6 @@ from edge.model.session import TrunkSessions, open_session
 from edge.model.tile_runner import most_typical, untouched_tiles
 
 T = TypeVar("T")
-
-# How much more than its usual room a bank gets, in turn, until it covers its nominal presses.
-ROOMS = (1.0, 1.5, 2.0, 4.0)
-# Scores that differ by less than this part of the largest are one: the tolerance is measured later.
-SAME_SCORE = 1e-3
 
 __all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
 
@@ -164,44 +160,24 @@ class _Fit:
         self.learner = Learner(
             self.detector, self.grid, self.parameters, self.recipe.seed, self.recipe.threads
         )
-        bank, scores = self._covering(nominal)
+        bank, scores, room = covering_bank(
+            self.detector.name,
+            nominal,
+            self._learnt,
+            lambda bank, held_out: covers(
+                self.learner, bank, nominal, held_out, self.recipe.alpha, self.specimens
+            ),
+        )
+        self.warnings += room_warnings(room)
         self.warnings += bank.facts.get("warnings", ())
         self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=self.learner.head(bank))
         self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
         self.warnings += self.apart
         return self._measured(bank, scores)
 
-    def _covering(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
-        """The bank and the out-of-fold scores, with more room where a smaller bank lacks what the presses have.
-
-        Errors: FitError where more room does not help.
-        """
-        size = 0
-        for room in ROOMS:
-            bank, scores = self._learnt(replace(nominal, room=room))
-            if scores is None or self._is_covered(bank, nominal, scores):
-                if room > 1:
-                    self.warnings.append(
-                        f"the bank has {room:g} times its usual room: with less it lacks what nominal presses show"
-                    )
-                return bank, scores
-            if (grown := sum(array.nbytes for array in bank.arrays.values())) <= size:
-                break
-            size = grown
-        raise FitError(
-            f"the bank of {self.detector.name} lacks what its own nominal presses show: they score higher by it than "
-            "by banks that do not know them, and good parts would fail; fit another method, or look whether the "
-            "presses are of one part at one position"
-        )
-
     def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
         bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
         return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
-
-    def _is_covered(self, bank: Bank, nominal: Nominal, scores: NDArray[np.float64]) -> bool:
-        known = self.learner.scores(bank, nominal.features, range(nominal.presses))
-        limit = conformal_threshold(scores, self.recipe.alpha, specimens=self.specimens)
-        return is_covered(known, scores, limit, SAME_SCORE * float(np.abs(scores).max()))
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""What a fit checks of its own work: presses that stand apart, places that the bank lacks, and a black frame."""
+"""What a fit checks of its own work: presses that stand apart, and a black frame. See `covering` for the bank."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from edge.core.errors import FitError
 from edge.model.manifest import ThresholdEntry
 
-__all__ = ["apart_warnings", "black_warnings", "is_covered", "standing_apart"]
+__all__ = ["apart_warnings", "black_warnings", "room_warnings", "standing_apart"]
 
 APART_FACTOR, APART_PRESSES = 7.0, 8
 """With n presses one stands apart that lies APART_FACTOR (1 + APART_PRESSES / n) times as far above the median as the
@@ -17,9 +17,6 @@ upper half does on average. Sound presses have long tails, longer where few are 
 
 APART_SHARE = 0.1
 """More presses than this share do not stand apart: they are another way in which sound presses look."""
-
-COVERED_RATIO = 1.1
-"""How far nominal presses may score above their out-of-fold scores against the bank that knows them, in the median."""
 
 
 def standing_apart(scores: NDArray[np.float64]) -> list[int]:
@@ -51,18 +48,11 @@ def apart_warnings(scores: NDArray[np.float64], names: Sequence[str]) -> list[st
     ]
 
 
-def is_covered(
-    known: NDArray[np.float64], held_out: NDArray[np.float64], limit: ThresholdEntry, tolerance: float = 0.0
-) -> bool:
-    """Whether the bank knows what its own nominal presses look like.
-
-    known, held_out: their scores by the final bank and by banks that did not know them, (n,) each. The bank covers
-    them when no more of them fail than the threshold promises, and they do not as a rule score higher than unknown.
-    """
-    promised = max(limit.alpha, limit.alpha_floor)
-    fails = np.mean(known > limit.value + tolerance)
-    is_higher = np.median(known - COVERED_RATIO * held_out) > tolerance
-    return bool(fails <= promised and not is_higher)
+def room_warnings(room: float) -> list[str]:
+    """Whether the bank is larger than the detector's parameters say."""
+    if room == 1:
+        return []
+    return [f"the bank has {room:g} times its usual room: with less it lacks what nominal presses show"]
 
 
 def black_warnings(

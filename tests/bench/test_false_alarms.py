@@ -18,6 +18,7 @@ import pytest
 from numpy.typing import NDArray
 from random_part_presses import RandomPartPresses
 
+from calibration.fitting.covering import covering_bank, covers
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner, held_out_scores
@@ -84,7 +85,7 @@ class Part:
 def measured(part: Part, design: str, method: str) -> dict[str, Any]:
     """One bundle: its nominal presses' out-of-fold scores, which pieces they are of, and the fresh scores."""
     presses, features = part.nominal[design]
-    detector = registry.load("detectors", method)
+    detector = registry.detector(method)
     parameters = detector.parameters()
     taps = detector.taps(parameters)
     grid = Grid(part.grid.frame, {tap: part.grid.taps[tap] for tap in taps}, part.grid.pixels_per_mm)
@@ -94,10 +95,16 @@ def measured(part: Part, design: str, method: str) -> dict[str, Any]:
     nominal = Nominal({tap: features[tap] for tap in taps}, presses.touched, {tap: free[tap] for tap in taps})
     folds, said = held_out_folds(presses.specimens, FOLDS, np.random.default_rng(0))
     assert not said
-    bank = learner.bank(nominal)
+    bank, held_out, room = covering_bank(
+        method,
+        nominal,
+        lambda roomy: (learner.bank(roomy), held_out_scores(learner, roomy, folds)),
+        lambda bank, held_out: covers(learner, bank, nominal, held_out, ALPHAS[0], presses.specimens),
+    )
+    assert held_out is not None
     return {
-        "held_out": held_out_scores(learner, nominal, folds).tolist(),
-        "known": learner.scores(bank, nominal.features, range(NOMINAL)).tolist(),
+        "held_out": held_out.tolist(),
+        "room": room,
         "specimens": presses.specimens,
         "fresh": learner.scores(bank, part.fresh, range(FRESH)).tolist(),
     }

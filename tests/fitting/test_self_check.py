@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calibration.fitting.self_check import apart_warnings, is_covered, standing_apart
+from calibration.fitting.covering import is_covered
+from calibration.fitting.self_check import apart_warnings, standing_apart
 from calibration.fitting.threshold import conformal_threshold
 
 

@@ -23,7 +23,7 @@ from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.common.tile_layout import emit_join, join, layout, split
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["PatchBank", "drawn"]
+__all__ = ["PatchBank", "drawn", "of_every_place"]
 
 # Presses and cells that the mean and the leading directions are learnt from at most.
 SAMPLE_PRESSES = 16
@@ -32,7 +32,8 @@ SAMPLE_CELLS = 4096
 DEVIATION_FLOOR = 1e-2
 # Around what the nominal presses touch, this much counts as touched: the gel is bent there.
 MARGIN_MM = 1.0
-# Rows of untouched gel that the bank is chosen from at most: it looks alike everywhere and needs few of them.
+# Rows of untouched gel that the bank is chosen from, twice, or one of each place if that is more: it looks alike nearly
+# everywhere and needs few of them.
 FREE_GEL_ROWS = 4096
 
 
@@ -90,14 +91,14 @@ class PatchBank:
         rows: NDArray[np.float32],
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
-        """Rows (m, width) of gel that nothing touches, at most FREE_GEL_ROWS: from the presses' untouched cells and the
-        frames without contact. The bank needs some, or gel that lies free would be foreign to it."""
-        untouched = rows[:, ~self.touched(nominal, grid)].reshape(-1, rows.shape[2])
-        found = [drawn(untouched, FREE_GEL_ROWS, rng)]
+        """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and the frames without contact.
+        The bank needs some, or gel that lies free would be foreign to it; every place, since a corner of the picture
+        looks like no other place and each press has it."""
+        found = [of_every_place(rows[:, ~self.touched(nominal, grid)], FREE_GEL_ROWS, rng)]
         if nominal.no_contact is not None:
             free = self.rows(nominal.no_contact, grid, arrays, np.float32)
-            found.append(drawn(free.reshape(-1, rows.shape[2]), FREE_GEL_ROWS, rng))
-        return drawn(np.concatenate(found), FREE_GEL_ROWS, rng)
+            found.append(of_every_place(free, FREE_GEL_ROWS, rng))
+        return np.concatenate(found).astype(np.float32)
 
     def rows(
         self,
@@ -199,6 +200,14 @@ class PatchBank:
 
 def _press(features: Features, taps: tuple[str, ...], press: int) -> Features:
     return {tap: features[tap][press : press + 1] for tap in taps}
+
+
+def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Rows of presses (n, places, width) as (m, width): as often from each place, at most so many or one each."""
+    n, places, width = rows.shape
+    count = min(n, max(1, most // max(1, places)))
+    presses = rng.permuted(np.tile(np.arange(n), (places, 1)), axis=1)[:, :count]
+    return rows[presses, np.arange(places)[:, None]].reshape(-1, width)
 
 
 def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
