@@ -91,9 +91,11 @@ class PatchBank:
         rows: NDArray[np.float32],
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
-        """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and the frames without contact.
-        The bank needs some, or gel that lies free would be foreign to it; every place, since a corner of the picture
-        looks like no other place and each press has it."""
+        """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and frames without contact.
+
+        The bank needs some, or gel that lies free would be foreign to it. Every place is there, since a corner of the
+        picture looks like no other place and each press has it.
+        """
         found = [of_every_place(rows[:, ~self.touched(nominal, grid)], FREE_GEL_ROWS, rng)]
         if nominal.no_contact is not None:
             free = self.rows(nominal.no_contact, grid, arrays, np.float32)
