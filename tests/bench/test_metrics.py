@@ -1,4 +1,4 @@
-"""How much faster exact AU-PRO is than sorting every pixel, on a paper-sized set."""
+"""Exact AU-PRO against sorting every pixel, on a set of the paper's size."""
 
 import time
 
@@ -24,7 +24,7 @@ def paper_sized() -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def full_sort(maps: list[np.ndarray], masks: list[np.ndarray], limit: float) -> float:
-    """The plain way: label, stack, argsort all pixels, cumulate, integrate."""
+    """The simple way: label, stack, argsort all pixels, cumulate, integrate."""
     fp, pro, regions = [], [], 0
     for mask in masks:
         labels, count = ndimage.label(mask, structure=np.ones((3, 3), int))
@@ -57,7 +57,7 @@ def best_of(n: int, call: object) -> float:
 
 
 def test_partition_against_full_sort() -> None:
-    """Both give one value; the printed ratio is the gain."""
+    """Both give the same value; the printed ratio is the gain."""
     maps, masks = paper_sized()
     assert abs((aupro(maps, masks, 0.01) or 0) - full_sort(maps, masks, 0.01)) < 1e-9
     plain = best_of(3, lambda: full_sort(maps, masks, 0.01))

@@ -1,4 +1,4 @@
-"""What each effect costs and what it changes, and frames a second for each effect set.
+"""The cost and the change of each effect, and frames per second for each set of effects.
 
 The cost of an effect is the processor time of a press with all effects less that without it; what it changes is the
 mean absolute difference of the two pictures in grey levels. One thread, least of several rounds in turn.
@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 
 def best_ms(*works: Callable[[int], object], rounds: int = 10) -> list[float]:
-    """The least processor time of each, taken in turn so that all see the same machine."""
+    """The smallest processor time of each, measured in turn under equal conditions."""
     best = [float("inf")] * len(works)
     for k in range(rounds + 1):
         for which, work in enumerate(works):
@@ -53,7 +53,7 @@ def best_ms(*works: Callable[[int], object], rounds: int = 10) -> list[float]:
 
 
 def press(renderer: Renderer, k: int) -> np.ndarray:
-    """One press on a worn gel, with something left of the press before, warm lamps and a slide."""
+    """One press on a worn gel, with a residual imprint, warm lamps and a slide."""
     key = ("bench", k)
     placed = renderer.place(Pose(), key)
     imprint = renderer.imprint(sample(PART, placed, renderer.field), 0.4 * placed.depth_factor)
@@ -63,7 +63,7 @@ def press(renderer: Renderer, k: int) -> np.ndarray:
 
 @pytest.mark.bench
 def test_frames_a_second_for_each_effect_set() -> None:
-    """Budget on two cores: 20 LR and 3 HR frames a second with the default effects; printed, not judged."""
+    """Budget on two cores: 20 LR and 3 HR frames a second with the default effects; printed, not asserted."""
     with one_thread():
         print("\nframes per second of one processor (every frame another press)")
         print(f"{'effects':<18}" + "".join(f"{name:>14}" for name in ("320x240", "1280x720", "native/4")))
@@ -79,7 +79,7 @@ def test_frames_a_second_for_each_effect_set() -> None:
 @pytest.mark.bench
 @pytest.mark.parametrize("field", [LR, HR], ids=["320x240", "1280x720"])
 def test_what_each_effect_costs_and_changes(field: Field) -> None:
-    """Time of each effect alone against how far it moves the picture."""
+    """The time of each effect and its change of the picture."""
     with one_thread():
         names = tuple(EFFECTS)
         renderers = [Renderer(field, names)]
@@ -95,7 +95,7 @@ def test_what_each_effect_costs_and_changes(field: Field) -> None:
 
 @pytest.mark.bench
 def test_a_recordings_frames_a_second() -> None:
-    """The demo's native frames with whole press motions, camera bytes included, one thread."""
+    """The demo's native frames with complete press motions, camera bytes included, one thread."""
     scene = load_scene("demo")
     plans = recording_plan(scene, scene.runs[1], 0, 0.8)
     with one_thread():

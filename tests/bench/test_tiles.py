@@ -56,7 +56,7 @@ def pictures(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scorer(detector: Any, trunk: bytes, region: Region, is_skipping: bool = True) -> Scorer:
-    """A detector fitted on the region, or on its tiles where the trunk has a layout."""
+    """A detector fitted on the region, or on its tiles for a tiled trunk."""
     frames, gel = pictures(PRESSES, 1)
     touched = np.zeros((H, W), bool)
     TOUCHED.crop(touched)[...] = True
@@ -95,7 +95,7 @@ def bare(trunk: bytes, frame: np.ndarray) -> Callable[[], object]:
 
 @pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
 def test_a_large_frame_against_the_bare_trunk(detector: Any) -> None:
-    """Prints one row per way of looking at the frame."""
+    """Prints one row per trunk and frame size."""
     trunk = build_trunk(random_state("resnet18"), "resnet18", ("layer1", "layer2"))
     tiled, frame = tile_trunk(trunk, tiling((H, W))), pictures(1, 2)[0][0]
     whole = Region.full((W, H))
@@ -169,7 +169,7 @@ print(peak_mb() - before)
 
 
 def test_memory_of_tiles() -> None:
-    """One tile at a time and 32 in one batch: what the process grows by beyond the open session, in MB."""
+    """One tile at a time and 32 in one batch: the growth of the process after opening the session, in MB."""
     grown = {
         way: float(
             subprocess.run(

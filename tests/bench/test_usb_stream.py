@@ -1,4 +1,4 @@
-"""What a frame costs on its way from packets to the consumer; prints, never judges."""
+"""The cost of a frame from packets to the consumer; printed, not asserted."""
 
 import time
 from pathlib import Path
@@ -18,7 +18,7 @@ SIZE = (3280, 2464)
 
 
 def full_size_jpeg(seed: int) -> bytes:
-    """A smooth picture with a little grain, of about the bytes that the sensor sends."""
+    """A smooth picture with a little grain, about as large as the sensor's."""
     rng = np.random.default_rng(seed)
     small = rng.normal(120, 40, (20, 26, 3)).clip(0, 255).astype(np.uint8)
     picture = cv2.resize(small, SIZE, interpolation=cv2.INTER_CUBIC).astype(np.float32)
@@ -29,7 +29,7 @@ def full_size_jpeg(seed: int) -> bytes:
 
 
 def test_reassembly(capsys: pytest.CaptureFixture[str]) -> None:
-    """Milliseconds per full-size frame to put 3072-byte packets together, and checking included."""
+    """Milliseconds per full-size frame to join 3072-byte packets, without and with checking."""
     payload = full_size_jpeg(0)
     packets = list(split_frame(payload, fid=0, pts=0, packet_bytes=3072))
     assembler = FrameAssembler()

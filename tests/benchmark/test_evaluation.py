@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -289,3 +290,16 @@ def test_refusals_are_sentences(tmp_path: Path) -> None:
                 build(), ["evaluate-backbone", str(tmp_path / "out"), *words], catch_exceptions=False
             )
     assert not (tmp_path / "out").exists()
+
+
+def test_the_shipped_evaluation_describes_its_sets_as_the_program_does() -> None:
+    """Title and text of every set are those of sets.toml, in the evaluation and in the trials."""
+    folder = files("plugins.backbones")
+    evaluation, trials = (
+        json.loads(folder.joinpath(f"tactile_resnet18_{kind}.json").read_text())
+        for kind in ("evaluation", "trials")
+    )
+    known = {name: (one.title, one.text) for name, one in evaluation_sets(None, None).items()}
+
+    assert {name: (one["title"], one["text"]) for name, one in evaluation["sets"].items()} == known
+    assert trials["sets"] == {name: known[name][0] for name in trials["sets"]}

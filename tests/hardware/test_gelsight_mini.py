@@ -1,6 +1,6 @@
-"""A real GelSight Mini on this machine's bus. Skipped, and said so, where there is none.
+"""A real GelSight Mini on this machine's bus. Skipped with a message where there is none.
 
-What these find out belongs into firmware_notes/gelsight_mini.md, marked as seen.
+Write the results to firmware_notes/gelsight_mini.md, marked as seen.
 """
 
 import re
@@ -42,14 +42,14 @@ def device(options: GelsightMiniOptions) -> Iterator[Device]:
 
 
 def test_identity(identity: DeviceIdentity) -> None:
-    """Product, serial and the one mode are as the notes say."""
+    """Product, serial and the one mode agree with the notes."""
     assert re.fullmatch(r"GelSight Mini R0B [A-Z0-9]{4}-[A-Z0-9]{4}", identity.product)
     assert identity.serial == identity.product[-9:].replace("-", "")
     assert (identity.mode, identity.nominal_fps) == ((3280, 2464), 25.0)
 
 
 def test_frames_are_new_whole_and_full_size(device: Device) -> None:
-    """Sixty frames on end, every one another one, at the rate that the notes say."""
+    """Sixty consecutive frames, all different, at the rate in the notes."""
     clock = SystemClock()
     frames = [device.read(clock.monotonic_ns() + 5 * SECOND) for _ in range(60)]
     assert len({frame.payload for frame in frames}) == 60
@@ -70,7 +70,7 @@ def test_one_process_at_a_time(device: Device, options: GelsightMiniOptions) -> 
 
 
 def test_recorded_for_replay(device: Device, tmp_path: Path) -> None:
-    """What the sensor sends is a recording that plays everywhere."""
+    """The sensor's frames make a recording that can be played."""
     clock = SystemClock()
     who = device.identity
     with RecordingWriter(

@@ -143,7 +143,11 @@ def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
     assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
     assert "Training trials" not in card(facts, None, {**tried, "rows": []})
     for runs, notes, sentence in (
-        ({"longer": tmp_path}, {"oter": "x"}, "no run and trunk is named oter; the evaluation has longer, other"),
+        (
+            {"longer": tmp_path},
+            {"oter": "x"},
+            "no run and trunk is named oter; the evaluation has longer, other",
+        ),
         ({"shorter": tmp_path}, {}, "no run and trunk is named shorter"),
         ({"other": tmp_path / "none"}, {}, "no checkpoint in"),
     ):

@@ -45,7 +45,7 @@ def has_nodes() -> bool:
 
 
 def read(device: Device) -> bytes:
-    """The next whole frame. The first may be cut: the stream is joined where it is."""
+    """The next complete frame. The first may be cut, because the stream is joined in the middle."""
     while True:
         try:
             return device.read(CLOCK.monotonic_ns() + 10_000_000_000).payload
@@ -54,13 +54,13 @@ def read(device: Device) -> bytes:
 
 
 def plug_in() -> None:
-    """uvcvideo takes the sensor and makes its two nodes."""
+    """uvcvideo binds to the sensor and makes its two nodes."""
     PORT.attach()
     wait_for(has_nodes)
 
 
 def sensors() -> list[DeviceIdentity]:
-    """Those that could be opened."""
+    """The sensors that could be opened."""
     return [one.identity for one in plugin.survey(GelsightMiniOptions()) if one.identity]
 
 
@@ -86,7 +86,7 @@ def stream(path: str) -> None:
 
 
 def unplug(path: str) -> None:
-    """Pulled while streaming: DeviceLost, no longer found, and as before when it is plugged in again."""
+    """Unplugged while streaming: DeviceLost, no longer found, and usable when it is plugged in again."""
     device = plugin.open(options(path), CLOCK)
     read(device)
     PORT.detach()

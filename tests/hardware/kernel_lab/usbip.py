@@ -1,7 +1,7 @@
 """A virtual camera served to the kernel's vhci-hcd over USB/IP.
 
-Ref: Linux Documentation/usb/usbip_protocol.rst. Only the phase after the import is spoken: the connected socket is
-handed to vhci directly. All numbers on the wire are big-endian.
+Ref: Linux Documentation/usb/usbip_protocol.rst. Only the phase after the import is implemented: vhci gets the connected
+socket directly. All numbers on the wire are big-endian.
 """
 
 import errno
@@ -25,9 +25,9 @@ VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 CMD_SUBMIT, CMD_UNLINK, RET_SUBMIT, RET_UNLINK = 1, 2, 3, 4
 DEVICE_ID, HIGH_SPEED = 0x00010002, 3
 MICROFRAME_S = 125e-6
-# Emulation falls behind; what is later than this is not made up for.
+# Emulation falls behind; a delay longer than this is not caught up.
 LONGEST_LAG_S = 0.02
-# Standard requests (USB 2.0 table 9-4) that are simply acknowledged: set configuration, clear and set feature.
+# Standard requests (USB 2.0 table 9-4) that are only acknowledged: set configuration, clear and set feature.
 ACKNOWLEDGED = frozenset({(0x00, 9), (0x00, 1), (0x00, 3), (0x02, 1)})
 
 
@@ -65,7 +65,7 @@ class UsbIpPort:
             (VHCI / "attach").write_text(f"0 {kernel_end.fileno()} {DEVICE_ID} {HIGH_SPEED}")
 
     def detach(self) -> None:
-        """Pull it out."""
+        """Unplug it."""
         self.camera.unplug()
         (VHCI / "detach").write_text("0")
         with self._changed:
@@ -105,7 +105,7 @@ class UsbIpPort:
             with self._changed:
                 self._waiting.append(IsoRequest(sequence, start_frame, asked))
                 self._changed.notify_all()
-        # The status endpoint has nothing to say: its transfers wait until they are unlinked.
+        # The status endpoint sends nothing: its transfers wait until they are unlinked.
 
     def _unlink(self, sequence: int, victim: int) -> None:
         with self._changed:
@@ -147,7 +147,7 @@ class UsbIpPort:
     # What the camera sends
 
     def _complete_transfers(self) -> None:
-        """At the pace of a bus. A transfer is taken and answered in one step, so that none is unlinked in between."""
+        """At the rate of a bus. A transfer is taken and answered in one step, so none is unlinked in between."""
         due = time.monotonic()
         while self._is_attached:
             with self._changed:
@@ -161,7 +161,7 @@ class UsbIpPort:
                     self._complete(self._waiting.pop(0))
 
     def _complete(self, request: IsoRequest) -> None:
-        """The data travels without gaps; the descriptors say where each packet belongs."""
+        """The data has no gaps; the descriptors give the place of each packet."""
         data = [self._next_packet(length) for _, length in request.packets]
         described = b"".join(
             struct.pack(">4I", offset, length, len(one), 0)
@@ -191,13 +191,13 @@ class UsbIpPort:
         self._send(struct.pack(">5Iiiiii8x", RET_SUBMIT, sequence, 0, 0, 0, status, actual, 0, 0, 0) + data)
 
     def _send(self, message: bytes) -> None:
-        """Errors: OSError when the kernel has let go, which ends the thread that sends."""
+        """Errors: OSError when the kernel has closed the socket, which ends the sending thread."""
         with self._writing:
             self._socket.sendall(message)
 
 
 def device_bytes(fields: SimpleNamespace) -> bytes:
-    """The device descriptor as it travels (USB 2.0 table 9-8)."""
+    """The device descriptor on the bus (USB 2.0 table 9-8)."""
     return struct.pack(
         "<BBHBBBBHHHBBBB",
         *(fields.bLength, fields.bDescriptorType, fields.bcdUSB),
@@ -208,7 +208,7 @@ def device_bytes(fields: SimpleNamespace) -> bytes:
 
 
 def configuration_bytes(board: Board) -> bytes:
-    """The whole configuration: every interface with its class-specific descriptors and endpoints."""
+    """The complete configuration: every interface with its class-specific descriptors and endpoints."""
     fields = descriptors.configuration_descriptor(board, 0)
     head = struct.pack(
         "<BBHBBBBB",
