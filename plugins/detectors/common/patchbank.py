@@ -209,7 +209,8 @@ def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generat
     n, places, width = rows.shape
     count = min(n, max(1, most // max(1, places)))
     presses = rng.permuted(np.tile(np.arange(n), (places, 1)), axis=1)[:, :count]
-    return rows[presses, np.arange(places)[:, None]].reshape(-1, width)
+    found: NDArray[np.floating] = rows[presses, np.arange(places)[:, None]].reshape(-1, width)
+    return found
 
 
 def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
