@@ -125,7 +125,7 @@ def test_a_press_publishes_result_picture_last_and_gel() -> None:
         ("last", True),
         ("gel", True),
     ]
-    assert messages[0].payload == messages[3].payload
+    assert messages[0].payload is messages[3].payload  # encoded once
     assert messages[1].payload == messages[2].payload
     assert json.loads(messages[4].payload)["state"] == "due"
 
