@@ -76,3 +76,12 @@ def test_help_loads_nothing_heavy() -> None:
         == set()
     )
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
+
+
+@pytest.mark.parametrize("verb", ["simulate", "evaluate-backbone", "train-backbone", "watch", "docs"])
+def test_the_list_of_verbs_shows_the_complete_line(verb: str) -> None:
+    """In a terminal of 80 columns the first sentence of a verb fits behind the longest name."""
+    line = next(line for line in gelgate("--help").out.splitlines() if line.split()[:1] == [verb])
+
+    assert line.endswith(".")
+    assert not line.endswith("...")

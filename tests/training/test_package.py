@@ -178,7 +178,7 @@ def test_the_card_needs_its_facts(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="package the run again"):
         page(tmp_path)
     file.write_text(json.dumps(FACTS))
-    assert "# The backbone made for touch" in page(tmp_path)
+    assert "# The tactile backbone" in page(tmp_path)
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
