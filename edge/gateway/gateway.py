@@ -48,7 +48,7 @@ class Gateway:
             return cls(parts, closing.pop_all(), on_press)
 
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
-        """Inspect until `stop` is set, a recording ends, or so many presses were recorded."""
+        """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
         self._parts.acquisition.start()
         self.loop.run(stop, presses)

@@ -90,7 +90,7 @@ class StationLoop:
         return self._session
 
     def run(self, stop: threading.Event, presses: int | None = None) -> None:
-        """Step until `stop` is set, a recording ends, or so many presses were recorded.
+        """Step until `stop` is set, a recording ends, or that number of presses was recorded.
 
         Errors: StoreError when the store refuses a press to the end; BundleMismatch for a sensor of another mode.
         """

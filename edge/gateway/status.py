@@ -188,7 +188,7 @@ class StationStatus:
             self.clear("refused")
 
     def _dropped(self, dropped: Mapping[str, int]) -> None:
-        """Drops since this process started are an alarm; older ones were told before."""
+        """Drops since this process started are an alarm; older ones were published before."""
         if self._drops_before is None:
             self._drops_before = dict(dropped)
         new = {kind: n - self._drops_before.get(kind, 0) for kind, n in dropped.items()}

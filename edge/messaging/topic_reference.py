@@ -74,7 +74,7 @@ What a subscriber can rely on:
   of the press. A refused message is set aside and comes later.
 - **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
 - **`last/heatmap` comes just before its `last`** and is empty for a press without a picture, so the two always belong
-  together. The press id stands in the picture as well.
+  together. The press id is in the picture's text chunks as well.
 - **A press without a score is never a pass**: its `verdict` is null and `error` says why.
 - **No press is missing while `sequence` rises by one.** It is counted in the station's database, in the transaction
   that records the press. `gel_presses` starts again with every gel.

@@ -1,4 +1,4 @@
-"""The picture of one press for people: as the sensor saw it, beside its scores in colour.
+"""The picture of one press for people: as the sensor saw it, and its scores in colour.
 
 The picture itself is never painted over: left is the press with the threshold's contour around a defect, right the
 score map with a legend. Verdict, score, scale in mm and the press's names are written around them, and the same facts
@@ -29,7 +29,7 @@ TEXT_KEYWORDS: Final = (
 )
 """Of the PNG's text chunks. mm_per_pixel is `x y` of the inspected region, not of the enlarged panel."""
 
-# The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
+# The longest side of one panel in pixels. Small regions are enlarged by an integer factor, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
 _LARGEST_PANEL: Final = 800
 
@@ -114,7 +114,7 @@ def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float]) -> tuple[int,
 
 
 def _press_panel(rgb: U8, width: int, height: int) -> U8:
-    """The press at that size; enlarged by whole pixels where it can be: the file is a third smaller, and honest."""
+    """The press at that size; enlarged by repeating pixels where it can be: nothing is interpolated, and the file is a third smaller."""
     if width % rgb.shape[1] == 0 and height % rgb.shape[0] == 0:
         return rgb.repeat(height // rgb.shape[0], axis=0).repeat(width // rgb.shape[1], axis=1)
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=_how(rgb, width)), np.uint8)

@@ -1,8 +1,8 @@
 """What is tried before the start: every part once, and what was opened is what the start goes on with."""
 
-import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,8 @@ from station import station_config
 from edge.clock import SystemClock
 from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost
-from edge.gateway.gateway import Gateway
+from edge.gateway.acquisition import AcquisitionState
+from edge.gateway.build import build
 from edge.gateway.preflight import _reachable, preflight
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
@@ -47,9 +48,11 @@ def test_a_start_after_the_check_opens_everything_once(
     """The bundle is loaded and hashed once, its golden frames are scored once, the sensor is opened once."""
     counted = Counted(monkeypatch)
     config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
-    with preflight(config, clock) as checked, Gateway.open(config, clock, checked=checked) as gateway:
+    with preflight(config, clock) as checked, ExitStack() as closing:
         assert [finding.error for finding in checked.findings] == [None] * 4
-        gateway.run(threading.Event(), presses=1)
+        acquisition = build(config, clock, closing, checked).acquisition
+        acquisition.step()
+        assert acquisition.status.state is AcquisitionState.STREAMING
 
     assert counted.calls == {"Bundle.load": 1, "Scorer.check_golden": 1, "UsbMock.open": 1}
 
