@@ -114,7 +114,7 @@ def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float]) -> tuple[int,
 
 
 def _press_panel(rgb: U8, width: int, height: int) -> U8:
-    """The press at that size; enlarged by repeating pixels where it can be: nothing is interpolated, and the file is a third smaller."""
+    """The press at that size; by repeating pixels where it can be: true to the sensor, and the file a third smaller."""
     if width % rgb.shape[1] == 0 and height % rgb.shape[0] == 0:
         return rgb.repeat(height // rgb.shape[0], axis=0).repeat(width // rgb.shape[1], axis=1)
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=_how(rgb, width)), np.uint8)
