@@ -23,7 +23,7 @@ from edge.model.session import open_session
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.detectors.prebuilt_heads import FORMAT, INDEX, identity, written_grid, written_parameters
 
-__all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "shipped_grid"]
+__all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "prebuilt_grid"]
 
 HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "prebuilt_heads"
 # Enough that no number of presses limits anything that a graph could fix.
@@ -39,7 +39,7 @@ def prebuilt() -> dict[str, tuple[tuple[int, int], ...]]:
     return {name: one.prebuilt_frames for name, one in detectors.items() if isinstance(one, HasPrebuiltHeads)}
 
 
-def shipped_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
+def prebuilt_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
     """The grid of the shipped trunk for a frame at low resolution, by running it once."""
     session = open_session(tactile_resnet18.trunk(), 1, "tactile_resnet18")
     maps = session.run(list(taps), {"frames": np.zeros((1, *frame, 3), np.uint8)})
@@ -82,7 +82,7 @@ def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
     """The different heads of one method's default settings on one frame."""
     detector = registry.detector(method)
     parameters = detector.parameters()
-    grid = shipped_grid(frame, detector.taps(parameters))
+    grid = prebuilt_grid(frame, detector.taps(parameters))
     seen: list[Authored] = []
     for situation in SITUATIONS:
         nominal = invented(grid, _PRESSES, situation)

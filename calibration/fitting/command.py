@@ -55,7 +55,12 @@ def fit(
     resize: Resize = False,
     holdout: Holdout = 0.0,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the detector.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A parameter of the detector; `gelgate docs parameters` lists them.",
+        ),
     ] = None,
     seed: Seed = 0,
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
@@ -112,6 +117,8 @@ def _detection(method: str, mode: str, settings: list[str], backbone: str) -> di
     chosen: Mode = "paper" if mode == "paper" else "corrected"
     detector = registry.detector(method)
     overrides = named_values("--set", settings)
+    if "mode" in overrides:
+        raise ConfigError("'--set mode' is not a parameter; write --mode corrected or --mode paper")
     trunk = open_trunk(backbone, detector.taps(detector.parameters(chosen, **overrides)))
     return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
 

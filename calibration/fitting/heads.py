@@ -5,7 +5,7 @@ from typing import Any
 from edge.core.detector import Bank, Detector, Grid
 from edge.core.errors import FitError
 from edge.extras import is_installed
-from plugins.detectors.prebuilt_heads import must_be_written, shipped_head
+from plugins.detectors.prebuilt_heads import must_be_written, prebuilt_head
 
 __all__ = ["check_head", "head_of"]
 
@@ -18,9 +18,9 @@ def check_head(detector: Detector, grid: Grid, parameters: Any) -> None:
 
 def head_of(detector: Detector, grid: Grid, bank: Bank, parameters: Any) -> bytes:
     """The serialised graph for this grid, bank and parameters. Errors: FitError where it must be written and cannot."""
-    shipped = shipped_head(detector, grid, bank, parameters)
-    if shipped is not None:
-        return shipped
+    found = prebuilt_head(detector, grid, bank, parameters)
+    if found is not None:
+        return found
     try:
         return detector.head(grid, bank, parameters)
     except ImportError as error:

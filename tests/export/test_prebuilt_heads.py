@@ -14,9 +14,9 @@ from edge import registry
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
-from export.prebuilt_heads import Situation, authored, invented, prebuilt, shipped_grid
+from export.prebuilt_heads import Situation, authored, invented, prebuilt, prebuilt_grid
 from plugins.detectors import prebuilt_heads
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES, load_index, shipped_head
+from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES, load_index, prebuilt_head
 
 
 def described(graph: bytes) -> tuple[list[str], list[np.ndarray]]:
@@ -67,34 +67,34 @@ def test_a_head_that_fits_is_the_head_of_that_bank(
 ) -> None:
     """Whatever the presses a shipped head is found, and the detector would have written the same for this bank."""
     detector = registry.detector(method)
-    grid = shipped_grid(PREBUILT_FRAMES[0], detector.taps(detector.parameters()))
+    grid = prebuilt_grid(PREBUILT_FRAMES[0], detector.taps(detector.parameters()))
     bank = bank_of(method, invented(grid, presses, Situation(touched, has_free_gel)), grid)
-    found = shipped_head(detector, grid, bank, detector.parameters())
+    found = prebuilt_head(detector, grid, bank, detector.parameters())
     assert found is not None
     assert_same_head(found, detector.head(grid, bank, detector.parameters()))
 
 
-def test_another_frame_setting_trunk_or_plugin_has_no_shipped_head() -> None:
+def test_another_frame_setting_trunk_or_plugin_has_no_prebuilt_head() -> None:
     """Everything that a graph depends on is compared: parameters, grid, the bank's arrays and the class itself."""
     padim = registry.detector("padim")
     p = padim.parameters()
-    grid = shipped_grid(PREBUILT_FRAMES[0], padim.taps(p))
+    grid = prebuilt_grid(PREBUILT_FRAMES[0], padim.taps(p))
     bank = bank_of("padim", invented(grid, 4, Situation(0.25, True)), grid)
-    assert shipped_head(padim, grid, bank, p) is not None
-    assert shipped_head(padim, grid, bank, p.model_copy(update={"ridge": 2 * p.ridge})) is None
-    assert shipped_head(padim, replace(grid, pixels_per_mm=63.0), bank, p) is None
-    assert shipped_head(padim, replace(grid, tiles=tiling((224, 224), 112, 0)), bank, p) is None
-    assert shipped_head(padim, replace(grid, taps={**grid.taps, "more": (1, 1, 1)}), bank, p) is None
-    assert shipped_head(padim, grid, replace(bank, arrays={**bank.arrays, "more": np.ones(1)}), p) is None
+    assert prebuilt_head(padim, grid, bank, p) is not None
+    assert prebuilt_head(padim, grid, bank, p.model_copy(update={"ridge": 2 * p.ridge})) is None
+    assert prebuilt_head(padim, replace(grid, pixels_per_mm=63.0), bank, p) is None
+    assert prebuilt_head(padim, replace(grid, tiles=tiling((224, 224), 112, 0)), bank, p) is None
+    assert prebuilt_head(padim, replace(grid, taps={**grid.taps, "more": (1, 1, 1)}), bank, p) is None
+    assert prebuilt_head(padim, grid, replace(bank, arrays={**bank.arrays, "more": np.ones(1)}), p) is None
     narrower = {**bank.arrays, "mean": bank.arrays["mean"][:, :-1]}
-    assert shipped_head(padim, grid, replace(bank, arrays=narrower), p) is None
+    assert prebuilt_head(padim, grid, replace(bank, arrays=narrower), p) is None
     uneven = {**bank.arrays, "weights": bank.arrays["weights"][:-1]}
-    assert shipped_head(padim, grid, replace(bank, arrays=uneven), p) is None
+    assert prebuilt_head(padim, grid, replace(bank, arrays=uneven), p) is None
 
     class Other(type(padim)):  # type: ignore[misc]
         pass
 
-    assert shipped_head(Other(), grid, bank, p) is None
+    assert prebuilt_head(Other(), grid, bank, p) is None
 
 
 def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +104,7 @@ def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch)
     try:
         subspace = registry.detector("subspace")
         p = subspace.parameters()
-        grid = shipped_grid((64, 64), subspace.taps(p))
+        grid = prebuilt_grid((64, 64), subspace.taps(p))
         bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
         assert load_index() == ()
         assert head_of(subspace, grid, bank, p) == subspace.head(grid, bank, p)
@@ -171,7 +171,7 @@ def test_a_missing_package_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     """The extra to install, and what needs none."""
     subspace = registry.detector("subspace")
     p = subspace.parameters(sigma=1.0)
-    grid = shipped_grid((64, 64), subspace.taps(p))
+    grid = prebuilt_grid((64, 64), subspace.taps(p))
     bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(FitError, match=r"the package onnx is missing; pip install 'gelgate\[export\]'"):

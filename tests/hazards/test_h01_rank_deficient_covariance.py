@@ -1,8 +1,8 @@
 """H1: fewer presses than channels leave a covariance without full rank.
 
 Guard: the low-rank form with its ridge in the bank, the residual off the span formed explicitly. Checked by removal:
-with |delta|^2 - |along|^2 in place of the squared residual in `padim._sum`, the last test finds NaN (a negative under
-the root); with the ridge left out of `weights` in `_fit_local`, the comparison with dense inversion fails.
+with |delta|^2 - |along|^2 in place of the squared residual in `padim.head._sum`, the last test finds NaN (a negative
+under the root); with the ridge left out of `weights` in `_fit_local`, the comparison with dense inversion fails.
 """
 
 import numpy as np

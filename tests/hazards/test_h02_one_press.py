@@ -1,8 +1,9 @@
 """H2: a single nominal press has no covariance, and NaN slips silently through a maximum.
 
 Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and nothing is divided by N-1 = 0), features
-must be finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the
-first test fails; without isfinite in `choices._check` the second; with NaN replaced by 0 before the root the third.
+must be finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first
+test fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the
+third.
 """
 
 import numpy as np

@@ -1,10 +1,10 @@
 """H4, searched in groups: the product form makes the shortlist and never the score.
 
-Guards: `shortlist.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search measure their winners again
-as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the distance
-read back from the product the first test fails for each of the first three (the last for InReaCh and PatchCore) and the
-second for the window; with the mean left in `rotation.emit_rotation` the last fails for SPADE, InReaCh and PatchCore,
-and for FAPM with a thousandth of its groups' means left in.
+Guards: `batched_nearest.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search measure their winners
+again as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the
+distance read back from the product the first test fails for each of the first three (the last for InReaCh and
+PatchCore) and the second for the window; with the mean left in `pca.emit_rotation` the last fails for SPADE, InReaCh
+and PatchCore, and for FAPM with a thousandth of its groups' means left in.
 """
 
 from collections.abc import Callable

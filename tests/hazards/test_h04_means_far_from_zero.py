@@ -1,7 +1,7 @@
 """H4, stored: where features are large and differ little, half precision of their mean is larger than what is scored.
 
 Guard: PaDiM stores means and projections as float32 where halves would move a press by 5 % of what nominal presses
-differ by (`padim._loses_in_halves`), and says so where a tap differs by less than the floor of its deviation
+differ by (`padim.fit._loses_in_halves`), and says so where a tap differs by less than the floor of its deviation
 (`embedding.learn_embedding`). Checked by removal: with halves always the first test finds 17 to 47 % of the peak; with
 the warnings left out the third fails.
 """

@@ -1,7 +1,7 @@
 """H5, at the fit: squares below float32's smallest number are 0, squares above its largest infinite; and one press far
 stronger than the others decides the directions, prototypes and int8 steps of all.
 
-Guard: `choices._check_strength` refuses values below 1e-15 or above 1e12, and a press 100 times as strong as usual.
+Guard: `validation._check_strength` refuses values below 1e-15 or above 1e12, and a press 100 times as strong as usual.
 Checked by removal: without the first limit a defect scores 0 at 1e-30 (SPADE, FAPM, all of `paper`) and PaDiM ends in
 LinAlgError at 1e-40; without the last, a stored bank is wrong by 6 to 79 times the peak (SPADE, FAPM, InReaCh,
 PatchCore).

@@ -2,7 +2,7 @@
 
 Guard: `is_single_unweighted` in `plugins/detectors/fapm`: fewer than two neighbours or prototypes, no weight.
 Checked by removal:
-with `Fapm._is_bare` always false both tests fail (scores of 0, weights of 3/4).
+with `fapm.head.is_unweighted` always false both tests fail (scores of 0, weights of 3/4).
 """
 
 import numpy as np

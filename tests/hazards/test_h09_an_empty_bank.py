@@ -1,6 +1,6 @@
 """H9: few presses make short channels, short channels are dropped, and an empty bank fails or calls all anomalous.
 
-Guards in `inreach_parameters.py` and `inreach.py`: the minimum length follows the presses, and where still nothing
+Guards in `inreach/parameters.py` and `inreach/fit.py`: the minimum length follows the presses, and where still nothing
 remains the bank is every patch, with a warning in the bundle. Checked by removal: without `_fallback` the first two
 tests find a bank of no rows.
 """

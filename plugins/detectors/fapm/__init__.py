@@ -1,3 +1,5 @@
+"""FAPM: what can be set (parameters.py), the bank (fit.py), the graph (head.py), the published variant (paper.py)."""
+
 from plugins.detectors.fapm.fit import fapm
 from plugins.detectors.fapm.parameters import FapmParameters
 

@@ -23,9 +23,9 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Pro
 from edge.core.errors import FitError
 from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
 from plugins.detectors.common.parameters import choose, repaired
-from plugins.detectors.common.smoothing import emit_scores
-from plugins.detectors.common.tile_layout import emit_join, emit_split, join, layout, split, tile_grid
+from plugins.detectors.common.tile_layout import join, split, tile_grid
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
+from plugins.detectors.fapm.head import coarse_of_fine, fapm_head, fewest, is_unweighted, shape_of
 from plugins.detectors.fapm.paper import PAPER, REPAIRS, steps_of
 from plugins.detectors.fapm.parameters import FapmParameters
 from plugins.detectors.fapm.prototypes import (
@@ -33,13 +33,11 @@ from plugins.detectors.fapm.prototypes import (
     cell_layout,
     cell_scales,
     choose_prototypes,
-    emit_prototype_distances,
     prototype_distances,
 )
 from plugins.detectors.fapm.steps import COARSE_SIDE, FINE_SIDE
-from plugins.detectors.fapm.weighting import emit_first, emit_softmax_weight, softmax_weight
+from plugins.detectors.fapm.weighting import softmax_weight
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
-from plugins.onnx_builder import Graph, Value
 
 __all__ = ["FapmParameters", "fapm"]
 
@@ -103,7 +101,7 @@ class Fapm:
             arrays |= {f"{tap}_{name}": array for name, array in layer.items()}
             facts |= {f"{tap}_{name}": value for name, value in learnt.items()}
             progress((number + 1) / len(p.layers))
-        if p.weighting != "none" and _fewest(arrays, p) < 2:
+        if p.weighting != "none" and fewest(arrays, p) < 2:
             facts["warnings"].append(
                 "one prototype per group: there is no second neighbour to weight a score by"
             )
@@ -128,7 +126,7 @@ class Fapm:
             _layer_distances(_pooled(features[tap].astype(np.float64), grid, p.pooling), tap, bank.arrays, p)
             for tap in p.layers
         ]
-        fused = each[0] if len(each) == 1 else each[0] + each[1][:, _coarse_of_fine(grid, p)]
+        fused = each[0] if len(each) == 1 else each[0] + each[1][:, coarse_of_fine(grid, p)]
         smoothing = p.smoothing(grid)
         cells = tile_grid(grid).taps[p.layers[0]][1:]
         maps = smoothing.score_maps(join(fused[:, :, 0].reshape(-1, *cells), grid))
@@ -136,48 +134,17 @@ class Fapm:
             return maps
         top = fused[:, :, 0].argmax(axis=1)
         neighbours = fused[np.arange(len(fused)), top]
-        if self._is_unweighted(bank, p):
+        if is_unweighted(bank.arrays, p):
             return ScoreMaps(maps.score_map, neighbours[:, 0])
         weight = softmax_weight(steps_of(p).shift(neighbours), p.weighting)
         return ScoreMaps(maps.score_map, neighbours[:, 0] * weight)
 
     def head(self, grid: Grid, bank: Bank, parameters: FapmParameters) -> bytes:
         """The graph; the number of prototypes is free."""
-        p = parameters
-        graph = Graph(self.name)
-        fused = _emit_layer(graph, p.layers[0], grid, bank, p)
-        if len(p.layers) == 2:
-            coarse = _emit_layer(graph, p.layers[1], grid, bank, p)
-            above = graph.op("Gather", coarse, graph.constant(_coarse_of_fine(grid, p)), axis=1)
-            fused = graph.op("Add", fused, above)
-        nearest_of = emit_first(graph, fused, 2)
-        smoothing = p.smoothing(grid)
-        score = None
-        if p.weighting != "none":
-            top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
-            neighbours = graph.op("GatherND", fused, top, batch_dims=1)
-            score = emit_first(graph, neighbours, 1)
-            if not self._is_unweighted(bank, p):
-                shifted = steps_of(p).emit_shift(graph, neighbours)
-                score = graph.op("Mul", score, emit_softmax_weight(graph, shifted, p.weighting))
-        cells = tile_grid(grid).taps[p.layers[0]][1:]
-        emit_scores(
-            graph, emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid), smoothing, score
-        )
-        return graph.serialise()
-
-    def _is_unweighted(self, bank: Bank, p: FapmParameters) -> bool:
-        """Whether the score has no weight for want of a second neighbour."""
-        return min(p.neighbours, _fewest(bank.arrays, p)) < steps_of(p).least_weighted
+        return fapm_head(self.name, grid, bank, parameters)
 
 
 fapm = Fapm()
-
-
-def _shape(grid: Grid, tap: str) -> tuple[int, int]:
-    """Rows and columns of a tap's sub-patches, tiles one under the other."""
-    _, h, w = tile_grid(grid).taps[tap]
-    return math.prod(layout(grid)) * h, w
 
 
 def _require_halved(grid: Grid, p: FapmParameters) -> None:
@@ -193,15 +160,7 @@ def _require_halved(grid: Grid, p: FapmParameters) -> None:
 
 def _layout(grid: Grid, tap: str, p: FapmParameters) -> Layout:
     side = FINE_SIDE if tap == p.layers[0] else COARSE_SIDE
-    return cell_layout(_shape(grid, tap), side, p.banks == "cell")
-
-
-def _coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
-    """Which coarse sub-patch each fine one gets: int64 (fine h * w,)."""
-    (fine_h, fine_w), (coarse_h, coarse_w) = (_shape(grid, tap) for tap in p.layers)
-    row, column = steps_of(p).above(*np.indices((fine_h, fine_w)).reshape(2, -1))
-    flat: NDArray[np.int64] = np.minimum(row, coarse_h - 1) * coarse_w + np.minimum(column, coarse_w - 1)
-    return flat
+    return cell_layout(shape_of(grid, tap), side, p.banks == "cell")
 
 
 def _pooled(layer: NDArray[np.floating], grid: Grid, side: int) -> NDArray[np.floating]:
@@ -302,12 +261,6 @@ def _packing(arrays: Mapping[str, NDArray[Any]], grid: Grid, p: FapmParameters) 
     return {**means, **dict.fromkeys(names, packing)}
 
 
-def _fewest(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> int:
-    """Prototypes in the smallest group."""
-    kinds = [f"{tap}_{kind}" for tap in p.layers for kind in ("near", "far")]
-    return min(int(arrays[name].shape[1]) for name in kinds if name in arrays)
-
-
 def _layer_distances(
     rows: NDArray[np.floating], tap: str, arrays: Mapping[str, NDArray[Any]], p: FapmParameters
 ) -> NDArray[np.float64]:
@@ -315,26 +268,4 @@ def _layer_distances(
     distances = prototype_distances(rows, tap, arrays, p.looked_at)
     if p.is_calibrated:
         distances *= arrays[f"{tap}_weight"].astype(np.float64)[:, None]
-    return distances
-
-
-def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameters) -> Value:
-    """The same in a graph."""
-    c, h, w = tile_grid(grid).taps[tap]
-    tiles = math.prod(layout(grid))
-    maps = emit_split(graph, graph.input(tap, ("n", *grid.taps[tap])), grid.taps[tap], grid)
-    if p.pooling > 1:
-        maps = graph.op(
-            "AveragePool",
-            maps,
-            kernel_shape=[p.pooling] * 2,
-            pads=[p.pooling // 2] * 4,
-            count_include_pad=1,
-        )
-    rows = graph.transpose(graph.reshape(maps, -1, c, h * w), 0, 2, 1)
-    rows = graph.reshape(rows, -1, tiles * h * w, c)
-    distances = emit_prototype_distances(graph, rows, tap, bank.arrays, p.looked_at)
-    if p.is_calibrated:
-        weight = graph.op("Unsqueeze", graph.input(f"{tap}_weight", (tiles * h * w,)), graph.ints(1))
-        distances = graph.op("Mul", distances, weight)
     return distances

@@ -1,3 +1,5 @@
+"""InReaCh: what can be set (parameters.py), the bank (fit.py), the graph (head.py), the published variant (paper.py)."""
+
 from plugins.detectors.inreach.fit import inreach
 from plugins.detectors.inreach.parameters import InreachParameters
 

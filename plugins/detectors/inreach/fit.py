@@ -21,14 +21,13 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, Sc
 from edge.core.errors import FitError
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.parameters import choose, repaired
-from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import layout
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.inreach.channels import Channels, associate, prune
+from plugins.detectors.inreach.head import inreach_head
 from plugins.detectors.inreach.paper import PAPER, REPAIRS, steps_of
 from plugins.detectors.inreach.parameters import InreachParameters
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
-from plugins.onnx_builder import Graph
 
 __all__ = ["InreachParameters", "inreach"]
 
@@ -119,10 +118,7 @@ class Inreach:
 
     def head(self, grid: Grid, bank: Bank, parameters: InreachParameters) -> bytes:
         """The graph; the number of rows in the bank is free."""
-        p = parameters
-        graph = Graph(self.name)
-        emit_scores(graph, p.rows.emit(graph, grid, bank, p.is_squared), p.smoothing(grid))
-        return graph.serialise()
+        return inreach_head(self.name, grid, bank, parameters)
 
 
 inreach = Inreach()

@@ -1,3 +1,5 @@
+"""PaDiM: what can be set (parameters.py), the bank (fit.py), the graph (head.py), the published variant (paper.py)."""
+
 from plugins.detectors.padim.fit import padim
 from plugins.detectors.padim.parameters import PadimParameters
 

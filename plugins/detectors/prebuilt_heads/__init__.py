@@ -18,11 +18,11 @@ from plugins.detectors.common.parameters import Parameters
 __all__ = [
     "INDEX",
     "PREBUILT_FRAMES",
-    "ShippedHead",
+    "PrebuiltHead",
     "identity",
     "load_index",
     "must_be_written",
-    "shipped_head",
+    "prebuilt_head",
     "written_grid",
     "written_parameters",
 ]
@@ -39,7 +39,7 @@ Shape = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
-class ShippedHead:
+class PrebuiltHead:
     """One graph and what it fits. detector: see `identity`. arrays: name to dtype and shape, of every bank array."""
 
     file: str
@@ -67,7 +67,7 @@ class ShippedHead:
         return _HEADS.joinpath(self.file).read_bytes()
 
 
-def shipped_head(detector: Detector, grid: Grid, bank: Bank, parameters: object) -> bytes | None:
+def prebuilt_head(detector: Detector, grid: Grid, bank: Bank, parameters: object) -> bytes | None:
     """The graph that `detector.head` would write, where it ships; None otherwise."""
     if grid.tiles is not None or not isinstance(parameters, Parameters):
         return None
@@ -107,7 +107,7 @@ def written_grid(grid: Grid) -> dict[str, Any]:
 
 
 @cache
-def load_index() -> tuple[ShippedHead, ...]:
+def load_index() -> tuple[PrebuiltHead, ...]:
     """Every head that ships; none where the index is missing or of another format."""
     try:
         written = json.loads(_HEADS.joinpath(INDEX).read_text())
@@ -116,7 +116,7 @@ def load_index() -> tuple[ShippedHead, ...]:
     if written.get("format") != FORMAT:
         return ()
     return tuple(
-        ShippedHead(
+        PrebuiltHead(
             entry["file"],
             entry["detector"],
             entry["parameters"],

@@ -1,3 +1,5 @@
+"""SPADE: what can be set (parameters.py), the bank (fit.py), the graph (head.py), the published variant (paper.py)."""
+
 from plugins.detectors.spade.fit import spade
 from plugins.detectors.spade.parameters import SpadeParameters
 
