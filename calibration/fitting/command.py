@@ -19,6 +19,7 @@ from calibration.fitting.options import (
     RegionText,
     Resize,
     Seed,
+    Settings,
     Threads,
     Threshold,
 )
@@ -54,14 +55,7 @@ def fit(
     no_contact: NoContact = None,
     resize: Resize = False,
     holdout: Holdout = 0.0,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="A parameter of the detector; `gelgate docs parameters` lists them.",
-        ),
-    ] = None,
+    settings: Settings = None,
     seed: Seed = 0,
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
     threads: Threads = 2,

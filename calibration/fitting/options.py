@@ -17,6 +17,7 @@ __all__ = [
     "RegionText",
     "Resize",
     "Seed",
+    "Settings",
     "Threads",
     "Threshold",
 ]
@@ -45,6 +46,14 @@ Resize = Annotated[bool, typer.Option(help="Scale pictures of any size to the pr
 Holdout = Annotated[
     float,
     typer.Option(help="Share of a dataset's specimens that is kept for `gelgate evaluate`.", min=0, max=0.9),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="A parameter of the detector; `gelgate docs parameters` lists them.",
+    ),
 ]
 Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]

@@ -121,7 +121,7 @@ class ScoreMaps:
 class Detector(Protocol):
     """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `HasPrebuiltHeads`.
 
-    Parameters are a frozen value, a dataclass or a pydantic model, whose fields are plain; the same ones go to `fit` and
+    Parameters are a frozen value, a dataclass or a pydantic model, whose fields are plain; the same go to `fit` and
     `head`, and into the manifest.
     """
 
