@@ -1,4 +1,4 @@
-"""What a threshold promises, in words: on average over bundles, and of the one at hand."""
+"""The guarantee of a threshold in words: on average over bundles, and for this bundle."""
 
 from edge.model.manifest import ThresholdEntry
 

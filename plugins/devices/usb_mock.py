@@ -50,8 +50,8 @@ class UsbMockOptions(BaseModel):
         default=1.0,
         ge=0,
         description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
-        "frames are read, each with its time at pace 1, so contact is detected as at pace 1 and no frame is dropped; "
-        "contact is timed in seconds, so at 2 and more a recording may be too short to learn the free gel",
+        "frames are read; at 0 frames keep their times of pace 1, so contact is detected as at pace 1 and no frame is "
+        "dropped; at 2 and more a recording may be too short to learn the free gel",
     )
     loop: bool = Field(default=False, description="start over at the end")
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(
