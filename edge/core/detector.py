@@ -121,8 +121,8 @@ class ScoreMaps:
 class Detector(Protocol):
     """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `HasPrebuiltHeads`.
 
-    Parameters are a frozen value, a dataclass or a pydantic model, whose fields are plain; the same go to `fit` and
-    `head`, and into the manifest.
+    Parameters are one frozen value, a dataclass or a pydantic model, whose `vars` JSON can hold; the same ones go to
+    `fit` and `head`, and into the manifest.
     """
 
     @property
