@@ -10,9 +10,11 @@ from edge.model.manifest import ThresholdEntry
 
 __all__ = ["apart_warnings", "black_warnings", "room_warnings", "standing_apart"]
 
-APART_FACTOR, APART_PRESSES = 7.0, 8
-"""With n presses one stands apart that lies APART_FACTOR (1 + APART_PRESSES / n) times as far above the median as the
-upper half does on average. Sound presses have long tails, longer where few are seen, so this is no test of normality.
+FARTHER_THAN_ANY, FARTHER_THAN_USUAL = (1.6, 16.0), (5.0, 22.0)
+"""A press stands apart that lies so many times as far above the median as every other one, and as the upper half does
+on average: (a, b) is a + b / n with n presses. Sound presses have long tails, longer where few are seen. On eight
+random simulated parts and six methods 5 to 8 of 100 fits to 8 to 24 sound presses warn without a reason, 11 with 40,
+14 with 5. Of damaged presses that raise the threshold to twice its height above the median 8 to 10 of 10 are named.
 """
 
 APART_SHARE = 0.1
@@ -26,13 +28,13 @@ def standing_apart(scores: NDArray[np.float64]) -> list[int]:
     compared with the presses that do not, since two would hide each other.
     """
     n = len(scores)
+    any_other, usual = (a + b / n for a, b in (FARTHER_THAN_ANY, FARTHER_THAN_USUAL))
     order = np.argsort(scores, kind="stable")[::-1]
-    for count in range(max(1, int(APART_SHARE * n)), 0, -1):
+    for count in range(max(1, round(APART_SHARE * n)), 0, -1):
         others = scores[order[count:]]
-        above = others - np.median(others)
-        usual = float(above[above > 0].mean()) if (above > 0).any() else 0.0
-        limit = np.median(others) + APART_FACTOR * (1 + APART_PRESSES / n) * usual
-        if scores[order[count - 1]] > max(limit, others.max()):
+        above = np.maximum(others - np.median(others), 0)
+        limit = max(any_other * above.max(), usual * above[above > 0].mean() if above.any() else 0.0)
+        if scores[order[count - 1]] - np.median(others) > limit:
             return [int(k) for k in order[:count]]
     return []
 
