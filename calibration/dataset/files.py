@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DatasetError, FrameCorrupt
+from edge.core.imaging.aspect import cut_to_aspect
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import damage, kind, picture_size
@@ -77,7 +78,8 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
     """The picture, uint8 (h, w, 3), red green blue: in its own size, or as a profile shows it.
 
     With a profile, a picture of the camera's size is cut and scaled as the profile says, and one of the profile's own
-    size is taken as it is; resize scales any other. Errors: DatasetError with the file and what is wrong with it.
+    size is taken as it is; resize cuts any other to its aspect, in the middle, and scales it. Errors: DatasetError
+    with the file and what is wrong with it.
     """
     try:
         payload = _jpeg_or_png(path.read_bytes())
@@ -87,7 +89,7 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
         elif size != profile.native:
             if size != profile.size and not resize:
                 raise ValueError(_other_size(size, profile))
-            profile = _as_it_is(size, profile.size)
+            profile = _as_it_is(size, profile.size, cut_to_aspect(size, profile.size))
         return decode(CameraFrame(payload, 0, 0), profile).rgb
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
@@ -95,9 +97,11 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
         raise DatasetError(f"{path}: {error}") from error
 
 
-def _as_it_is(native: tuple[int, int], size: tuple[int, int]) -> SensorProfile:
-    """A profile that cuts nothing: the camera's checks (whole, decodable) hold for every picture."""
-    return SensorProfile("picture", native, (0.0, 0.0), size, 1, 1.0)
+def _as_it_is(
+    native: tuple[int, int], size: tuple[int, int], border: tuple[float, float] = (0.0, 0.0)
+) -> SensorProfile:
+    """A profile for one picture: the camera's checks (whole, decodable) hold for every one."""
+    return SensorProfile("picture", native, border, size, 1, 1.0)
 
 
 def _other_size(size: tuple[int, int], profile: SensorProfile) -> str:

@@ -1,4 +1,4 @@
-"""`gelgate record`: frames from a sensor, or from a folder of press images, into a recording."""
+"""`gelgate record`: frames from a sensor, a film, or a folder of press images, into a recording."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,6 +18,17 @@ Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after so many
 Frames = Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")]
 Images = Annotated[
     Path | None, typer.Option("--from-images", help="A folder of press images instead of a device.")
+]
+Video = Annotated[
+    Path | None,
+    typer.Option("--from-video", help="A film instead of a device; its frames keep their own times."),
+]
+Resize = Annotated[
+    bool,
+    typer.Option(
+        "--resize",
+        help="Cut a film's frames to the profile's aspect, in the middle, and scale them to its size.",
+    ),
 ]
 Pattern = Annotated[str, typer.Option(help="Which files of that folder, such as '*/gelsight.png'.")]
 Reference = Annotated[Path | None, typer.Option(help="The image without contact, shown between the presses.")]
@@ -48,6 +59,8 @@ def record(
     seconds: Seconds = None,
     frames: Frames = None,
     from_images: Images = None,
+    from_video: Video = None,
+    resize: Resize = False,
     pattern: Pattern = "**/*",
     reference: Reference = None,
     fps: Fps = 18.75,
@@ -61,37 +74,101 @@ def record(
     serial: Serial = "2BNN4ZE7",
     profile: Profile = "",
 ) -> None:
-    """Record frames from a device (Ctrl-C ends it), or make a press-and-lift recording from images.
+    """Record frames from a device (Ctrl-C ends it) or a film, or make a press-and-lift recording from images.
+
+    With --profile the recording is looked through at the end: how many presses the gateway would find in it.
 
     Copies of an image get a number each, for identical frames are what a hung camera sends, and are left out by the
     gateway and by fit alike. Nothing is invented unless asked for.
     """
     from edge.core.errors import ConfigError
 
-    if (device is None) == (from_images is None):
-        raise ConfigError("name either --device or --from-images; `gelgate devices` lists the devices")
+    if sum(source is not None for source in (device, from_images, from_video)) != 1:
+        raise ConfigError(
+            "name one of --device, --from-video and --from-images; `gelgate devices` lists the devices"
+        )
     if device is not None:
         typer.echo(_from_device(out, device, option or [], seconds, frames, profile))
-        return
-    from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
+    elif from_video is not None:
+        typer.echo(_from_video(out, from_video, profile, resize, product, serial))
+    else:
+        assert from_images is not None
+        images = _images(from_images, pattern, reference)
+        plan = _plan(fps, lead, repeat_free, repeat_press, number_copies, noise, seed)
+        typer.echo(_from_images(out, images, reference, plan, profile, product, serial))
+    _say_presses(out, profile)
 
-    assert from_images is not None
-    presses = [
-        path for path in images_in(from_images, pattern) if reference is None or not path.samefile(reference)
-    ]
+
+def _from_images(
+    out: Path, images: list[Path], reference: Path | None, plan: Any, profile: str, product: str, serial: str
+) -> str:
+    from edge.recording.from_images import record_images
+
+    count = record_images(out, images, reference, plan, product=product, serial=serial, profile=profile)
+    return f"{out}: {count} frames, {len(images)} presses at {plan.fps} fps"
+
+
+def _images(folder: Path, pattern: str, reference: Path | None) -> list[Path]:
+    from edge.recording.from_images import images_in
+
+    return [path for path in images_in(folder, pattern) if reference is None or not path.samefile(reference)]
+
+
+def _plan(
+    fps: float, lead: int, free: int, press: int, number_copies: bool, noise: float | None, seed: int
+) -> Any:
+    """Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+    from edge.recording.from_images import CopyNoise, PressLift
+
     try:
-        plan = PressLift(
-            fps=fps,
-            lead_frames=lead,
-            free_frames=repeat_free,
-            press_frames=repeat_press,
-            number_copies=number_copies,
-            noise=CopyNoise(noise, seed) if noise else None,
-        )
+        return PressLift(fps, lead, free, press, number_copies, CopyNoise(noise, seed) if noise else None)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    count = record_images(out, presses, reference, plan, product=product, serial=serial, profile=profile)
-    typer.echo(f"{out}: {count} frames, {len(presses)} presses at {fps} fps")
+
+
+def _from_video(out: Path, path: Path, profile: str, resize: bool, product: str, serial: str) -> str:
+    """Errors: ConfigError where the film has another size than the profile's camera."""
+    from edge.core.errors import ConfigError
+    from edge.core.imaging.aspect import cut_in_words
+    from edge.core.imaging.known_profiles import profile as named
+    from edge.recording.from_video import film_of, record_video
+
+    film = film_of(path)
+    wanted = named(profile).native if profile else None
+    is_other = wanted is not None and wanted != film.size
+    if resize and wanted is None:
+        raise ConfigError(
+            "--resize needs --profile: the profile says which size is wanted, such as cropped_lr"
+        )
+    if is_other and wanted is not None and (not resize or wanted > film.size):
+        raise ConfigError(
+            f"{path} has frames of {film.size[0]}x{film.size[1]}, profile '{profile}' takes {wanted[0]}x{wanted[1]}; "
+            + (
+                "add --resize to cut and scale them, or leave --profile out to keep them as they are"
+                if not resize
+                else "a film is not scaled up: choose a smaller profile, such as cropped_lr"
+            )
+        )
+    count = record_video(
+        out, film, size=wanted if is_other else None, product=product, serial=serial, profile=profile
+    )
+    scaled = f", {cut_in_words(film.size, wanted)}" if is_other and wanted else ""
+    return f"{out}: {count} frames of {path.name}{scaled}"
+
+
+def _say_presses(out: Path, name: str) -> None:
+    """What the gateway would find, where the profile is known."""
+    from edge.core.imaging.known_profiles import PROFILES
+    from edge.recording.format import Recording
+    from edge.recording.presses_in import presses_in
+
+    if name not in PROFILES:
+        return
+    found = presses_in(Recording.open(out), PROFILES[name])
+    typer.echo(f"seen in it: {found}")
+    for doubt in found.doubts:
+        typer.echo(f"warning: {doubt}", err=True)
 
 
 def _from_device(

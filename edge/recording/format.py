@@ -227,6 +227,11 @@ def _header_text(header: RecordingHeader) -> str:
 
 def _read_header(folder: Path) -> RecordingHeader:
     path = folder / _HEADER
+    if folder.is_file():
+        raise RecordingError(
+            f"{folder} is a file, not the folder of a recording; a film becomes one with "
+            f"`gelgate record FOLDER --from-video {folder.name}`"
+        )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:

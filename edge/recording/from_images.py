@@ -14,7 +14,9 @@ from pathlib import Path
 
 from edge.core.errors import DatasetError
 from edge.core.imaging.image_bytes import damage, kind, picture_size, with_comment
+from edge.core.imaging.quality import BLACK_LEVEL
 from edge.recording.format import RecordingHeader, RecordingWriter
+from edge.recording.from_video import VIDEO_SUFFIXES
 
 __all__ = ["CopyNoise", "PressLift", "images_in", "record_images"]
 
@@ -66,7 +68,8 @@ class _Shot:
 def images_in(folder: Path, pattern: str = "**/*") -> list[Path]:
     """The JPEG and PNG files below a folder, numbers in their names in numerical order. Errors: DatasetError."""
     if not folder.is_dir():
-        raise DatasetError(f"{folder} is not a folder of press images")
+        hint = "; a film is read with --from-video" if folder.suffix.lower() in VIDEO_SUFFIXES else ""
+        raise DatasetError(f"{folder} is not a folder of press images{hint}")
     found = sorted(
         (path for path in folder.glob(pattern) if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()),
         key=lambda path: _natural(path.relative_to(folder).as_posix()),
@@ -147,7 +150,7 @@ def _common_size(images: Sequence[Path]) -> tuple[int, int]:
     for path in images:
         payload = path.read_bytes()
         size = picture_size(payload)
-        fault = damage(payload) or (None if size else "its size cannot be read")
+        fault = damage(payload) or (_darkness(payload) if size else "its size cannot be read")
         if fault or size is None:
             faults.append(f"{path} ({fault})")
         else:
@@ -164,6 +167,17 @@ def _common_size(images: Sequence[Path]) -> tuple[int, int]:
             f"{len(faults)} of {len(images)} images cannot be in one recording: {', '.join(faults[:_LISTED])}{more}"
         )
     return expected
+
+
+def _darkness(payload: bytes) -> str | None:
+    """Why a picture is none of a lit sensor, or None; one that cannot be decoded is named elsewhere."""
+    import cv2
+    import numpy as np
+
+    small = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_REDUCED_COLOR_8)
+    if small is None or float(small.mean()) >= BLACK_LEVEL:
+        return None
+    return f"black: its mean level is {small.mean():.1f}, at least {BLACK_LEVEL:g} is expected"
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

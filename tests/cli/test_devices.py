@@ -97,7 +97,7 @@ def test_record_from_images(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
-        (["record", "out"], ConfigError, "either --device or --from-images"),
+        (["record", "out"], ConfigError, "one of --device, --from-video and --from-images"),
         (["record", "out", "--device", "usb_mok"], ConfigError, "did you mean 'usb_mock'"),
         (["record", "out", "--device", "usb_mock", "--option", "recording"], ConfigError, "name=value"),
         (

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import Picture
 
 __all__ = [
+    "BLACK_LEVEL",
     "NominalContact",
     "QualitySettings",
     "Reason",
@@ -19,6 +21,10 @@ __all__ = [
     "check_light",
     "saturated_fraction",
 ]
+
+
+# Real no-contact pictures have mean levels of 78 to 168; below 8 the LEDs or the camera are off.
+BLACK_LEVEL: Final = 8.0
 
 
 class Reason(StrEnum):
@@ -63,8 +69,7 @@ class NominalContact:
 class QualitySettings:
     """Limits on the light and the age of a scored frame."""
 
-    # Real no-contact pictures have mean levels of 78 to 168; below 8 the LEDs or the camera are off.
-    black_level: float = 8.0
+    black_level: float = BLACK_LEVEL
     # A value of 250 of 255 no longer shows the slope. Steep flanks of real imprints clip in blue and red on far less
     # than 5 %.
     saturated_level: int = 250

@@ -1,0 +1,151 @@
+"""Films become recordings: frames at the film's own times, sizes named, nothing squashed."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from edge import cli
+from edge.core.errors import ConfigError, DatasetError, RecordingError
+from edge.core.imaging.aspect import cut_in_words, cut_to_aspect
+from edge.recording.format import Recording
+from edge.recording.from_images import images_in
+from edge.recording.from_video import film_of, record_video
+
+FPS = 20.0
+
+
+def gel(depth: float, size: tuple[int, int], seed: int) -> NDArray[np.uint8]:
+    """BGR: the gel, a ball pressed into its middle, and noise."""
+    width, height = size
+    rows, columns = np.mgrid[:height, :width].astype(np.float32)
+    radius = max(0.16 * height * depth**0.5, 1e-3)
+    u, v = (columns - width / 2) / radius, (rows - height / 2) / radius
+    slopes = np.stack([60 * v, 55 * u, -60 * v], axis=-1) * (u * u + v * v <= 1)[..., None] * depth
+    level = (100 + 30 * rows / height + 20 * columns / width)[..., None]
+    noise = np.random.default_rng(seed).normal(0, 2, slopes.shape)
+    return np.clip(level + slopes + noise, 0, 255).astype(np.uint8)
+
+
+def film(path: Path, size: tuple[int, int] = (320, 240), presses: int = 2, fps: float = FPS) -> Path:
+    """Two seconds of free gel, then presses of a second with a second between."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), fps, size)
+    assert writer.isOpened()
+    depths = [0.0] * 40 + ([0.4, 0.8] + [1.0] * 18 + [0.3] + [0.0] * 20) * presses
+    for number, depth in enumerate(depths):
+        writer.write(gel(depth, size, number))
+    writer.release()
+    return path
+
+
+def gelgate(*arguments: object) -> tuple[str, BaseException | None]:
+    done = CliRunner().invoke(cli.build(), [str(one) for one in arguments])
+    return done.output, done.exception
+
+
+def test_frames_keep_the_films_times(tmp_path: Path) -> None:
+    """Sizes, rate and times are the file's, and each frame's label says where it comes from."""
+    given = film_of(film(tmp_path / "a.avi", fps=12.5))
+    assert (given.size, given.fps) == ((320, 240), 12.5)
+    count = record_video(tmp_path / "out", given, size=None, product="p", serial="s")
+    recording = Recording.open(tmp_path / "out")
+    assert count == len(recording) == 40 + 2 * 41
+    assert np.diff(recording.times_ns()) == pytest.approx(80_000_000, abs=1_000_000)
+    assert recording.labels()[3] == {"source": "a.avi", "frame": 3}
+    assert recording.header.mode == (320, 240)
+
+
+def test_the_presses_of_a_film_are_seen(tmp_path: Path) -> None:
+    """With a profile the recording is looked through at the end."""
+    said, error = gelgate(
+        "record", tmp_path / "out", "--from-video", film(tmp_path / "a.avi"), "--profile", "cropped_lr"
+    )
+    assert error is None, said
+    assert "122 frames of a.avi" in said
+    assert "seen in it: 2 presses, 2 of them at rest" in said
+
+
+def test_a_film_that_begins_pressed_is_named(tmp_path: Path) -> None:
+    """What would be learnt as the free gel is none."""
+    path = tmp_path / "pressed.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (320, 240))
+    for number, depth in enumerate([1.0] * 40 + [0.5] + [0.0] * 40):
+        writer.write(gel(depth, (320, 240), number))
+    writer.release()
+    said, error = gelgate("record", tmp_path / "out", "--from-video", path, "--profile", "cropped_lr")
+    assert error is None, said
+    assert "begins with a part on the gel" in said
+    assert "seen in it: 0 presses" in said
+
+
+def test_other_sizes_are_cut_and_scaled_only_when_asked(tmp_path: Path) -> None:
+    """640x400 is not 4:3: what happens to it is said, and nothing is squashed or scaled up."""
+    wide = film(tmp_path / "wide.avi", (640, 400), presses=1)
+    common = ("record", tmp_path / "out", "--from-video", wide)
+    _, error = gelgate(*common, "--profile", "cropped_lr")
+    assert isinstance(error, ConfigError)
+    assert "640x400, profile 'cropped_lr' takes 320x240; add --resize" in str(error)
+    _, error = gelgate(*common, "--profile", "mini_lr", "--resize")
+    assert isinstance(error, ConfigError)
+    assert "not scaled up" in str(error)
+    _, error = gelgate(*common, "--resize")
+    assert isinstance(error, ConfigError)
+    assert "--resize needs --profile" in str(error)
+    said, error = gelgate(*common, "--profile", "cropped_lr", "--resize")
+    assert error is None, said
+    assert "640x400 cut to 533x400 in the middle and scaled to 320x240" in said
+    assert "seen in it: 1 presses, 1 of them at rest" in said
+    header = Recording.open(tmp_path / "out").header
+    assert header.mode == (320, 240)
+
+
+def test_a_circle_stays_a_circle(tmp_path: Path) -> None:
+    """The ball is as wide as it is high after a cut of the sides."""
+    path = tmp_path / "ball.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (800, 480))
+    picture = np.zeros((480, 800, 3), np.uint8)
+    cv2.circle(picture, (400, 240), 100, (255, 255, 255), -1)
+    writer.write(picture)
+    writer.release()
+    record_video(tmp_path / "out", film_of(path), size=(320, 240), product="p", serial="s")
+    frame = cv2.imread(str(tmp_path / "out" / "frames" / "000000.png"))
+    assert frame is not None
+    rows, columns = np.nonzero(frame[..., 0] > 127)
+    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=1)
+
+
+def test_what_is_no_film_is_a_sentence(tmp_path: Path) -> None:
+    """A missing file, a text, a film where a folder is expected: each names the way out."""
+    with pytest.raises(DatasetError, match="there is no film at"):
+        film_of(tmp_path / "absent.avi")
+    text = tmp_path / "text.avi"
+    text.write_text("not a film")
+    with pytest.raises(DatasetError, match="no film that can be decoded"):
+        film_of(text)
+    path = film(tmp_path / "a.avi", presses=0)
+    with pytest.raises(RecordingError, match=r"becomes one with `gelgate record FOLDER --from-video a\.avi`"):
+        Recording.open(path)
+    with pytest.raises(DatasetError, match="a film is read with --from-video"):
+        images_in(path)
+
+
+def test_cuts_are_worked_by_hand() -> None:
+    """4:3 of a wide picture, of a tall one, and of one that is 4:3 already."""
+    assert cut_to_aspect((640, 400), (320, 240)) == (pytest.approx((640 - 1600 / 3) / 2 / 640), 0.0)
+    assert cut_to_aspect((300, 400), (320, 240)) == (0.0, pytest.approx(87.5 / 400))
+    assert cut_to_aspect((640, 480), (320, 240)) == (0.0, 0.0)
+    assert cut_in_words((640, 480), (320, 240)) == "640x480 scaled to 320x240"
+    assert (
+        cut_in_words((300, 400), (320, 240)) == "300x400 cut to 300x225 in the middle and scaled to 320x240"
+    )
+
+
+def test_the_help_names_all_three_sources() -> None:
+    """`gelgate record --help`."""
+    command = typer.main.get_command(cli.build())
+    options = {name for one in command.commands["record"].params for name in one.opts}  # type: ignore[attr-defined]
+    assert {"--device", "--from-images", "--from-video", "--resize"} <= options
