@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from edge import registry
+from edge.core.contact.settings import ContactSettings
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import topic_level
@@ -59,6 +60,45 @@ class InspectionTable(_Table):
     )
 
 
+class ContactTable(_Table):
+    """When a press is taken for one, and which of its frames is scored: see contact.md."""
+
+    settle_s: float = Field(
+        default=ContactSettings.settle_s,
+        ge=0.05,
+        le=2,
+        description="a press rests when its frame and the one so long before are alike, seconds",
+    )
+    still_share: float = Field(
+        default=ContactSettings.still_share,
+        gt=0,
+        lt=1,
+        description="alike: fewer than this share of the touched pixels have changed",
+    )
+    growth_share: float = Field(
+        default=ContactSettings.growth_share,
+        gt=0,
+        lt=1,
+        description="and the imprint has grown by no more than this share of itself",
+    )
+    settle_timeout_s: float = Field(
+        default=ContactSettings.settle_timeout_s,
+        gt=2,
+        le=60,
+        description="a press that has not rested so long after its imprint last grew is not settled, seconds",
+    )
+    light_levels: float = Field(
+        default=ContactSettings.light_levels,
+        gt=0,
+        le=100,
+        description="fine relief of so many levels counts as contact: lower finds lighter and softer presses",
+    )
+
+    def settings(self, *, is_external: bool) -> ContactSettings:
+        """For `PressDetector`."""
+        return ContactSettings(is_external=is_external, **self.model_dump())
+
+
 class GelTable(_Table):
     """When the gel is due."""
 
@@ -95,6 +135,7 @@ class Config(_Table):
     station: StationTable = StationTable()
     device: PluginTable = Field(description="the sensor")
     inspection: InspectionTable
+    contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
     sinks: list[PluginTable] = Field(min_length=1, description="where results go; one table each")

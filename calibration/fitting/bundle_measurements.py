@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.threshold import MIN_PRESSES, needed, pieces_of
 from edge import registry
+from edge.core.contact.light import foreign_free_gel
 from edge.core.detector import Detector
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -164,6 +165,12 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
             f"{alpha:g}"
         )
     return found
+
+
+def free_gel_warnings(presses: NominalPresses) -> list[str]:
+    """Whether the picture of the free gel belongs to the presses: where it does not, no place is known."""
+    said = foreign_free_gel(presses.touches, presses.reliefs)
+    return [] if said is None else [said]
 
 
 def scatter_warnings(

@@ -9,11 +9,13 @@ import typer
 
 from calibration.fitting.options import (
     Alpha,
+    Backbone,
     Holdout,
     NoContact,
     Output,
     Overwrite,
     Part,
+    Pattern,
     Position,
     Profile,
     RegionText,
@@ -45,15 +47,14 @@ def fit(
     position: Position = None,
     method: Annotated[str, typer.Option(help="The detector.")] = "padim",
     mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
-    backbone: Annotated[
-        str, typer.Option(help="An installed backbone, or a trunk .onnx file.")
-    ] = DEFAULT_BACKBONE,
+    backbone: Backbone = DEFAULT_BACKBONE,
     profile: Profile = "",
     region: RegionText = "centre",
     alpha: Alpha = 0.05,
     threshold: Threshold = None,
     no_contact: NoContact = None,
     resize: Resize = False,
+    pattern: Pattern = None,
     holdout: Holdout = 0.0,
     settings: Settings = None,
     seed: Seed = 0,
@@ -93,7 +94,7 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
     )
-    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize, leave_out)
+    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize, leave_out, pattern)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")
     make(partial(fit_files, presses, recipe), output, overwrite)
 
@@ -143,6 +144,7 @@ def nominal_presses(
     no_contact: Sequence[Path] | None,
     resize: bool,
     leave_out: Sequence[str] | None = None,
+    pattern: str | None = None,
 ) -> "NominalPresses":
     """The presses of all sources. Errors: as `read_presses`."""
     from calibration.fitting.nominal_presses import read_presses
@@ -155,6 +157,7 @@ def nominal_presses(
         resize=resize,
         specimens=found.specimens,
         leave_out=leave_out or (),
+        pattern=pattern,
     )
 
 

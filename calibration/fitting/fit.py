@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.fitting.bundle_measurements import (
     contact_range,
     cost_card,
+    free_gel_warnings,
     given_threshold,
     golden_frames,
     measured_tolerance,
@@ -150,6 +151,7 @@ class _Fit:
             self.warnings += said
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
+        self.warnings += free_gel_warnings(presses)
         self.warnings += scatter_warnings(presses, recipe.profile, self.detector, recipe.is_scattered)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(recipe.threads)
@@ -250,6 +252,7 @@ class _Fit:
             backbone=self.recipe.trunk.id,
             with_trunk=with_trunk,
             free_gel=self._free_gel(),
+            free_view=self.presses.free_view,
         )
 
     def _skipped(self) -> tuple[int, ...]:

@@ -19,15 +19,19 @@ from calibration.dataset.press import numbered
 from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.reference import Reference, View
+from edge.core.contact.relief import ReliefOfReference, with_relief
+from edge.core.contact.settings import ContactSettings
 from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import VIEW_SIZE, decode
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press_detector import PressDetector
 from edge.recording.format import Recording
+from edge.recording.from_images import images_in
 
 __all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
 
@@ -45,7 +49,9 @@ class NominalPresses:
     frames: uint8 (n, h, w, 3) RGB. names, specimens: one each per press, specimen None when unknown. touches: area and
     centroid in the picture, empty when there is no free gel to compare with. touched: bool (h, w), the union of what
     the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel. left_out: names of presses
-    that were there and were to be left out.
+    that were there and were to be left out. free_view: the free gel as contact detection sees it, uint8 (120, 160, 3).
+    reliefs: the share of the view in which each press shows an imprint's fine structure, empty when there is no free
+    gel.
     """
 
     frames: NDArray[np.uint8]
@@ -55,16 +61,28 @@ class NominalPresses:
     touched: NDArray[np.bool_] | None = None
     no_contact: NDArray[np.uint8] | None = None
     left_out: tuple[str, ...] = ()
+    free_view: NDArray[np.uint8] | None = None
+    reliefs: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
             raise ValueError(f"frames are uint8 (n, h, w, 3), found {self.frames.dtype} {self.frames.shape}")
-        for what in (self.names, self.specimens, self.touches):
+        for what in (self.names, self.specimens, self.touches, self.reliefs):
             if what and len(what) != len(self.frames):
-                raise ValueError(f"{len(self.frames)} frames with {len(what)} names, specimens or touches")
+                raise ValueError(
+                    f"{len(self.frames)} frames with {len(what)} names, specimens, touches or reliefs"
+                )
 
     def __len__(self) -> int:
         return len(self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class _Contact:
+    """Where a press touches, bool (120, 160), and the share of the view in which it shows fine structure."""
+
+    mask: NDArray[np.bool_]
+    relief: float
 
 
 @dataclass
@@ -76,13 +94,15 @@ class _Gathered:
     frames: list[NDArray[np.uint8]] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
     specimens: list[str | None] = field(default_factory=list)
-    masks: list[NDArray[np.bool_] | None] = field(default_factory=list)
+    contacts: list[_Contact | None] = field(default_factory=list)
     free: list[NDArray[np.uint8]] = field(default_factory=list)
     unwanted: frozenset[str] = frozenset()
     left_out: list[str] = field(default_factory=list)
+    free_views: list[View] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
 
     def add(
-        self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: NDArray[np.bool_] | None
+        self, picture: NDArray[np.uint8], name: str, specimen: str | None, contact: _Contact | None
     ) -> None:
         if name in self.unwanted:
             self.left_out.append(name)
@@ -90,11 +110,16 @@ class _Gathered:
         self.frames.append(self.region.crop(picture).copy())
         self.names.append(name)
         self.specimens.append(specimen)
-        self.masks.append(mask)
+        self.contacts.append(contact)
+
+    def add_free(self, picture: NDArray[np.uint8]) -> None:
+        self.free.append(self.region.crop(picture))
+        self.free_views.append(_view(picture))
 
     def presses(self) -> NominalPresses:
-        masks = [mask for mask in self.masks if mask is not None]
-        is_known = len(masks) == len(self.frames)
+        contacts = [contact for contact in self.contacts if contact is not None]
+        is_known = len(contacts) == len(self.frames)
+        masks = [contact.mask for contact in contacts]
         return NominalPresses(
             frames=np.stack(self.frames),
             names=tuple(self.names),
@@ -103,7 +128,15 @@ class _Gathered:
             touched=_union(masks, self.profile, self.region) if is_known else None,
             no_contact=np.stack(self.free[:MAX_NO_CONTACT]) if self.free else None,
             left_out=tuple(self.left_out),
+            free_view=self._free_view(),
+            reliefs=tuple(contact.relief for contact in contacts) if is_known else (),
         )
+
+    def _free_view(self) -> NDArray[np.uint8] | None:
+        if not self.free_views:
+            return None
+        mean = np.mean(self.free_views[:MAX_NO_CONTACT], axis=0, dtype=np.float64)
+        return np.asarray(np.rint(mean), np.uint8)
 
 
 def is_recording(source: Path) -> bool:
@@ -118,27 +151,33 @@ def read_presses(
     *,
     no_contact: Sequence[Path] = (),
     resize: bool = False,
+    pattern: str | None = None,
     specimens: Mapping[Path, str | None] = MappingProxyType({}),
     leave_out: Sequence[str] = (),
 ) -> NominalPresses:
     """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
 
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
-    other. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
+    other, cut to the profile's aspect. pattern: which files of a folder, those below it too; None: those directly
+    inside. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
     say it. leave_out: names of presses that are not wanted, as a bundle lists them. Errors: RecordingError,
     DatasetError listing every picture at fault, FitError when there is no press, or none of a name to be left out.
     """
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out))
     free = _pictures(_listed(no_contact), profile, resize)
-    gathered.free += [region.crop(picture) for _, picture in free]
+    for _, picture in free:
+        gathered.add_free(picture)
     reference = _reference([picture for _, picture in free])
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
-    files = _listed([source for source in sources if not is_recording(source)])
+    files = _listed([source for source in sources if not is_recording(source)], pattern)
+    files = [path for path in files if not any(path.samefile(one) for one in _listed(no_contact))]
     for path, picture in _pictures(files, profile, resize):
         _add_picture(picture, _name(path), specimens.get(path) or _specimen(path), reference, gathered)
     _require_left_out(gathered)
+    if not gathered.frames and gathered.refused:
+        raise FitError("no press was found: " + "; ".join(gathered.refused))
     if not gathered.frames:
         raise FitError(
             f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
@@ -164,7 +203,9 @@ def named_presses(
     no_contact: Sequence[NDArray[np.uint8]] = (),
 ) -> NominalPresses:
     """The same from at least one picture in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
-    gathered = _Gathered(profile, region, free=[region.crop(picture) for picture in no_contact])
+    gathered = _Gathered(profile, region)
+    for picture in no_contact:
+        gathered.add_free(picture)
     reference = _reference(no_contact)
     for name, picture in pictures.items():
         _add_picture(picture, name, _specimen(Path(name)), reference, gathered)
@@ -178,8 +219,15 @@ def _add_picture(
     reference: Reference | None,
     gathered: _Gathered,
 ) -> None:
-    mask = None if reference is None else touched_mask(reference.difference(_view(picture)))
-    gathered.add(picture, name, specimen, mask)
+    gathered.add(picture, name, specimen, None if reference is None else _contact(picture, reference))
+
+
+def _contact(picture: NDArray[np.uint8], reference: Reference) -> _Contact:
+    """As the gateway would find it."""
+    difference = reference.difference(_view(picture))
+    relief = ReliefOfReference(reference.view).of(difference, ContactSettings.light_levels)
+    mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
+    return _Contact(mask, relief.area)
 
 
 def _specimen(path: Path) -> str | None:
@@ -198,27 +246,39 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
             if isinstance(event, PressSettled) and (chosen := detector.chosen(event)) is not None:
                 _add_settled(folder, chosen, specimens[chosen.sequence], detector.tracker, gathered)
             elif isinstance(event, PressBegan | ReferenceReady) and last_free is not None:
-                gathered.free.append(gathered.region.crop(decode(last_free, gathered.profile).rgb))
+                gathered.add_free(decode(last_free, gathered.profile).rgb)
         if detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             last_free = detector.newest
+    if detector.looked_at == 0:
+        gathered.refused.append(_why_unread(folder, recording, detector))
+
+
+def _why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:
+    if detector.first_fault is None:
+        return f"{folder} has no frames"
+    return f"all {detector.corrupt} frames of {folder} were refused; the first: {detector.first_fault}"
 
 
 def _add_settled(
     folder: Path, frame: CameraFrame, specimen: object, tracker: ContactTracker, gathered: _Gathered
 ) -> None:
     picture = decode(frame, gathered.profile).rgb
-    mask = None if tracker.mask is None else tracker.mask.copy()
+    mask, relief = tracker.chosen_mask, tracker.chosen_relief
+    contact = None if mask is None or relief is None else _Contact(mask, relief.area)
     gathered.add(
-        picture, f"{folder.name}#{frame.sequence}", None if specimen is None else str(specimen), mask
+        picture, f"{folder.name}#{frame.sequence}", None if specimen is None else str(specimen), contact
     )
 
 
-def _listed(sources: Sequence[Path]) -> list[Path]:
-    """Picture files, and those directly inside folders, in the order of their names."""
+def _listed(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
+    """Picture files, and those directly inside folders (or that match the pattern), in the order of their names."""
     files: list[Path] = []
     for source in sources:
-        if source.is_dir():
+        if source.is_dir() and pattern is not None:
+            files += images_in(source, pattern)
+        elif source.is_dir():
             found = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+            _refuse_strays(source, found)
             if not found:
                 raise FitError(
                     f"{source} is neither a recording nor a folder with pictures ({', '.join(SUFFIXES)}) "
@@ -232,6 +292,18 @@ def _listed(sources: Sequence[Path]) -> list[Path]:
     return files
 
 
+def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
+    """One picture beside folders full of them is a free gel or a plot, not the presses. Errors: FitError."""
+    below = (
+        sum(1 for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES) if len(found) == 1 else 0
+    )
+    if below > 1:
+        raise FitError(
+            f"{folder} has one picture directly inside, {found[0].name}, and {below} in folders below; choose with "
+            "--pattern, such as --pattern '*/press.png', and give a picture of the free gel with --no-contact"
+        )
+
+
 def _pictures(
     files: Sequence[Path], profile: SensorProfile, resize: bool
 ) -> list[tuple[Path, NDArray[np.uint8]]]:
@@ -239,7 +311,7 @@ def _pictures(
     found: list[tuple[Path, NDArray[np.uint8]]] = []
     for path in files:
         try:
-            found.append((path, read_rgb(path, profile, resize=resize)))
+            found.append((path, _lit(path, read_rgb(path, profile, resize=resize))))
         except DatasetError as error:
             faults.append(str(error))
     if faults:
@@ -248,6 +320,16 @@ def _pictures(
             + "\n  ".join(faults)
         )
     return found
+
+
+def _lit(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Errors: DatasetError for a black picture."""
+    level = float(picture.mean(dtype=np.float64))
+    if level < BLACK_LEVEL:
+        raise DatasetError(
+            f"{path}: is black: its mean level is {level:.1f}, at least {BLACK_LEVEL:g} is expected"
+        )
+    return picture
 
 
 def _view(picture: NDArray[np.uint8]) -> View:

@@ -7,11 +7,13 @@ import typer
 
 __all__ = [
     "Alpha",
+    "Backbone",
     "Holdout",
     "NoContact",
     "Output",
     "Overwrite",
     "Part",
+    "Pattern",
     "Position",
     "Profile",
     "RegionText",
@@ -39,10 +41,18 @@ Profile = Annotated[
     str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
 ]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
+Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]
-Resize = Annotated[bool, typer.Option(help="Scale pictures of any size to the profile's.")]
+Resize = Annotated[
+    bool,
+    typer.Option(help="Cut pictures of any size to the profile's aspect, in the middle, and scale them."),
+]
+Pattern = Annotated[
+    str | None,
+    typer.Option(help="Which files of a folder, those in folders below it too, such as '*/press.png'."),
+]
 Holdout = Annotated[
     float,
     typer.Option(help="Share of a dataset's specimens that is kept for `gelgate evaluate`.", min=0, max=0.9),

@@ -30,6 +30,9 @@ bundle = "bundles/part"       # made by `gelgate fit`
 threads = 2
 trigger = "automatic"         # or "command": only presses that cmd/trigger asks for
 
+[contact]              # when a press is one, and which frame is scored: docs/contact.md
+settle_s = 0.2
+
 [gel]
 limit_presses = 1000          # the maker's figure for coins; sharp parts cut faster
 warn_fraction = 0.8

@@ -35,8 +35,9 @@ class PressDetector:
         profile: SensorProfile,
         settings: ContactSettings | None = None,
         stored: Reference | None = None,
+        witness: Reference | None = None,
     ) -> None:
-        self.tracker = ContactTracker(settings, stored)
+        self.tracker = ContactTracker(settings, stored, witness)
         self.corrupt = 0
         self.looked_at = 0
         self.first_fault: str | None = None
@@ -82,15 +83,12 @@ class PressDetector:
         return self._freshness.is_new(frame.payload) and is_later
 
     def _interrupted_before(self, frame: CameraFrame) -> list[Event]:
-        self._forget_all_but_candidate()
+        kept = self.tracker.candidates
+        self._kept = {sequence: old for sequence, old in self._kept.items() if sequence in kept}
         last_ns, self._last_ns = self._last_ns, frame.timestamp_ns
         if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
             return []
         return self.tracker.gap()
-
-    def _forget_all_but_candidate(self) -> None:
-        candidate = self.tracker.candidate
-        self._kept = {sequence: kept for sequence, kept in self._kept.items() if sequence == candidate}
 
     def _count_corrupt(self, fault: str) -> None:
         self.corrupt += 1

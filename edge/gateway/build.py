@@ -10,7 +10,6 @@ from contextlib import ExitStack
 
 from edge import registry
 from edge.config import Config, PluginTable
-from edge.core.contact.rules import ContactSettings
 from edge.core.ports import Clock, Device, Sink
 from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition
@@ -54,7 +53,7 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     closing.callback(acquisition.close)
     return Parts(
         inspector=Inspector(scorer, clock),
-        contact=ContactSettings(is_external=config.inspection.trigger == "command"),
+        contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=Place(table.site, table.line, table.station),
         store=store,
         references=ReferenceFolder(config.store.path.with_suffix(".references")),

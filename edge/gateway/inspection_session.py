@@ -8,8 +8,16 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
-from edge.core.contact.events import Event, ReferenceReady, ReferenceRefreshed, StartedTouched
-from edge.core.contact.rules import ContactSettings
+from edge.core.contact.events import (
+    Event,
+    ReferenceCorrected,
+    ReferenceDoubted,
+    ReferenceReady,
+    ReferenceRefreshed,
+    StartedTouched,
+)
+from edge.core.contact.light import foreign_start
+from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
@@ -27,6 +35,11 @@ log = logging.getLogger(__name__)
 
 # What is waited for before anything is inspected.
 FREE_GEL: Final = "the free gel, to learn its picture"
+# Said while the picture of the free gel is doubted.
+DOUBTED: Final = (
+    "the picture of the free gel was most likely learnt while something pressed; nothing is scored until the free gel "
+    "is seen at rest: lift the part for a second"
+)
 
 
 class InspectionSession:
@@ -51,7 +64,8 @@ class InspectionSession:
         self._status = status
         self._unrecorded: deque[JudgedPress] = deque()
         stored = references.load(gel.serial, gel.gel_id, "last")
-        detector = PressDetector(inspector.bundle.profile, settings, stored)
+        self._at_fit = inspector.bundle.free_reference
+        detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
         self._taker = PressTaker(detector, inspector, clock, self._see)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
@@ -116,11 +130,25 @@ class InspectionSession:
             case StartedTouched():
                 log.warning("something presses the gel at the start; nothing is inspected until it is free")
                 self._status.set_waiting_for(f"{FREE_GEL}; something presses it")
+            case ReferenceDoubted():
+                log.warning("%s", DOUBTED)
+                self._status.set_fault("free_gel", DOUBTED)
+            case ReferenceCorrected():
+                self._references.forget(self.gel.serial, self.gel.gel_id)
             case ReferenceReady():
+                self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
+                self._compare_light()
                 self._measure_wear()
             case ReferenceRefreshed():
                 self._measure_wear()
+
+    def _compare_light(self) -> None:
+        """A free gel in another light than at the fit is named once it is learnt."""
+        learnt = self._taker.tracker.reference
+        difference = foreign_start(learnt, self._at_fit) if learnt and self._at_fit else None
+        if difference is not None:
+            log.warning("%s", difference)
 
     def _measure_wear(self) -> None:
         """The free gel was seen: keep its picture, and compare it with the first of this gel."""

@@ -53,6 +53,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "store": "the database or its disk refuses writes; inspection halts",
     "outbox_full": "unsent messages were dropped for want of room: heatmaps first, passes next, fails last",
     "refused": "a receiver refused a message; it is kept and offered again every hour and at each start",
+    "free_gel": "the free gel was learnt while something pressed; nothing is scored until it was seen at rest",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
 }

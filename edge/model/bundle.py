@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from edge import registry
+from edge.core.contact.reference import Reference
 from edge.core.detector import Bank, Grid
 from edge.core.errors import BundleCorrupt, BundleMismatch, FitError, GelgateError
+from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.archive import MANIFEST, Archive, open_archive, write_archive
@@ -42,6 +44,7 @@ __all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", 
 MAX_MANIFEST_BYTES = 16 << 20
 TRUNK, HEAD, DETECTOR = "trunk.onnx", "head.onnx", "detector.onnx"
 FREE_GEL = "free_gel.png"
+FREE_VIEW = "free_view.png"
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,9 @@ class Bundle:
     """A checked bundle in memory. bank: unpacked arrays, as the head's inputs need them.
 
     `graphs.trunk` is None where the caller has this trunk open already. free_gel: the region without contact, uint8 (h,
-    w, 3), where tiles may be skipped. digest: SHA-256 of the manifest, the bundle's identity in every published result.
-    where: path, for messages.
+    w, 3), where tiles may be skipped. free_view: the whole gel without contact, as contact detection sees it, uint8
+    (120, 160, 3). digest: SHA-256 of the manifest, the bundle's identity in every published result. where: path, for
+    messages.
     """
 
     manifest: Manifest
@@ -79,6 +83,7 @@ class Bundle:
     digest: str
     where: str
     free_gel: NDArray[np.uint8] | None = None
+    free_view: NDArray[np.uint8] | None = None
 
     @classmethod
     def load(cls, path: str | Path, trunks: Path | None = None, loaded: Container[str] = ()) -> "Bundle":
@@ -126,6 +131,9 @@ class Bundle:
             digest=digest,
             where=archive.where,
             free_gel=_read_picture(archive, manifest.free_gel, manifest.frame) if manifest.free_gel else None,
+            free_view=_read_picture(archive, manifest.free_view, VIEW_SIZE[::-1])
+            if manifest.free_view
+            else None,
         )
 
     @property
@@ -135,6 +143,11 @@ class Bundle:
     @property
     def region(self) -> Region:
         return self.manifest.region.region()
+
+    @property
+    def free_reference(self) -> Reference | None:
+        """The untouched gel of the sensor that the bundle was fitted on."""
+        return None if self.free_view is None else Reference(self.free_view.astype(np.float32), 1, 0)
 
     @property
     def grid(self) -> Grid | None:
@@ -154,6 +167,7 @@ def bundle_files(
     backbone: str = "",
     with_trunk: bool = True,
     free_gel: NDArray[np.uint8] | None = None,
+    free_view: NDArray[np.uint8] | None = None,
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
 
@@ -187,6 +201,8 @@ def bundle_files(
     )
     if free_gel is not None:
         parts["free_gel"] = keep(FREE_GEL, _png(free_gel))
+    if free_view is not None:
+        parts["free_view"] = keep(FREE_VIEW, _png(free_view))
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
     files[MANIFEST] = _manifest_bytes(manifest)
     return manifest, files

@@ -330,6 +330,7 @@ class Manifest(Facts):
 
     Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or only `detector`: a single graph from
     frames to score map, such as a third party's. free_gel: the region without contact, where tiles may be skipped.
+    free_view: the whole gel as contact detection sees it, by which a start on a pressed gel is noticed.
     """
 
     backbone: BackboneEntry | None = None
@@ -338,6 +339,7 @@ class Manifest(Facts):
     bank: dict[str, ArrayEntry] = Field(default_factory=dict)
     golden: tuple[GoldenEntry, ...] = ()
     free_gel: FileEntry | None = None
+    free_view: FileEntry | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
@@ -373,5 +375,5 @@ class Manifest(Facts):
         trunk = [self.backbone.trunk] if self.backbone and self.backbone.in_bundle else []
         graphs = [graph for graph in (self.head, self.detector) if graph]
         arrays = [f for a in self.bank.values() for f in (a.data, a.scale) if f]
-        gel = [self.free_gel] if self.free_gel else []
+        gel = [picture for picture in (self.free_gel, self.free_view) if picture]
         return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel)

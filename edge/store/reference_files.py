@@ -50,6 +50,16 @@ class ReferenceFolder:
         except OSError as error:
             log.warning("the free-gel picture of %s was not kept: %s", gel_id, error.strerror or error)
 
+    def forget(self, serial: str, gel_id: str) -> None:
+        """What was kept of this gel proved to be no free gel; it is learnt again."""
+        for which in ("first", "last"):
+            try:
+                self._path(serial, gel_id, which).unlink(missing_ok=True)
+            except OSError as error:
+                log.warning(
+                    "a wrong free-gel picture of %s was not removed: %s", gel_id, error.strerror or error
+                )
+
     def _path(self, serial: str, gel_id: str, which: Which) -> Path:
         return self._folder / _as_name(serial) / f"{_as_name(gel_id)}.{which}.npy"
 

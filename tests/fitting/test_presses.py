@@ -144,3 +144,59 @@ def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Pat
     next((copy / "frames").iterdir()).unlink()
     with pytest.raises(RecordingError, match="lacks 1 of its"):
         read_presses([copy], PROFILE, REGION)
+
+
+def test_a_recording_of_another_size_names_the_reason(recording: Path) -> None:
+    """Every frame was refused for its size: that is said, and not that no press was found."""
+    camera = SensorProfile("mini_lr", (3280, 2464), (0.0, 0.0), (320, 240), 4, 15.77)
+    with pytest.raises(
+        FitError, match=r"all \d+ frames of .*three were refused; .*160x120.*expects 3280x2464"
+    ):
+        read_presses([recording], camera, Region(0, 0, 320, 240))
+
+
+def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
+    """A folder for each press; the picture of the free gel beside them is not a press."""
+    write(tmp_path / "set", "background.png", gel(0))
+    for k in range(3):
+        write(tmp_path / "set" / str(k), "press.png", gel(k, (80, 60)))
+        write(tmp_path / "set" / str(k), "plot.png", gel(k))
+    with pytest.raises(FitError, match=r"one picture directly inside, background\.png, and 6 in"):
+        read_presses([tmp_path / "set"], PROFILE, REGION)
+    presses = read_presses(
+        [tmp_path / "set"],
+        PROFILE,
+        REGION,
+        pattern="*/press.png",
+        no_contact=[tmp_path / "set/background.png"],
+    )
+    assert presses.names == ("0/press.png", "1/press.png", "2/press.png")
+    everything = read_presses(
+        [tmp_path / "set"], PROFILE, REGION, pattern="**/*", no_contact=[tmp_path / "set/background.png"]
+    )
+    assert len(everything) == 6
+
+
+def test_a_black_picture_is_no_press(tmp_path: Path) -> None:
+    """It is named among the faults."""
+    folder = write(tmp_path / "good", "sound.png", gel(1))
+    write(folder, "black.png", bytes(cv2.imencode(".png", np.zeros((120, 160, 3), np.uint8))[1]))
+    with pytest.raises(DatasetError, match=r"black\.png: is black: its mean level is 0\.0"):
+        read_presses([folder], PROFILE, REGION)
+
+
+def test_resizing_cuts_to_the_aspect(tmp_path: Path) -> None:
+    """A portrait picture loses its upper and lower quarter; its middle is not squashed."""
+    tall = np.zeros((160, 120, 3), np.uint8)
+    tall[35:125] = 200
+    folder = write(tmp_path / "good", "tall.png", bytes(cv2.imencode(".png", tall)[1]))
+    assert (read_presses([folder], PROFILE, REGION, resize=True).frames == 200).all()
+
+
+def test_the_free_gel_of_a_fit_is_kept_for_the_start(recording: Path) -> None:
+    """As contact detection sees it: the mean of the free gel before the presses."""
+    presses = read_presses([recording], PROFILE, REGION)
+    assert presses.free_view is not None
+    assert presses.free_view.shape == (120, 160, 3)
+    assert np.abs(presses.free_view.mean() - 110 - 10 - 10) < 3
+    assert all(0.01 < relief < 0.3 for relief in presses.reliefs)

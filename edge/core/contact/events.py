@@ -13,6 +13,8 @@ __all__ = [
     "PressEnded",
     "PressNotSettled",
     "PressSettled",
+    "ReferenceCorrected",
+    "ReferenceDoubted",
     "ReferenceReady",
     "ReferenceRefreshed",
     "StartedTouched",
@@ -27,6 +29,7 @@ class NotSettledReason(StrEnum):
     RELEASED = "released before it was still"
     TIMED_OUT = "not still in time"
     NOT_TRIGGERED = "released before a trigger asked for it"
+    DOUBTED = "the learnt picture of the free gel proved wrong"
     RELEARNT = "a new reference was asked for during the press"
 
 
@@ -43,6 +46,20 @@ class ReferenceRefreshed:
 
     timestamp_ns: int
     change: float
+
+
+@dataclass(frozen=True)
+class ReferenceDoubted:
+    """The reference was most likely learnt while something pressed; nothing is scored until it is corrected."""
+
+    timestamp_ns: int
+
+
+@dataclass(frozen=True)
+class ReferenceCorrected:
+    """The free gel was seen, and is the reference now; `ReferenceReady` follows."""
+
+    timestamp_ns: int
 
 
 @dataclass(frozen=True)
@@ -66,9 +83,9 @@ class PressBegan:
 
 @dataclass(frozen=True)
 class PressSettled:
-    """The press is still: score frame `sequence`, the one that moved least. Once per press.
+    """The press rests: score frame `sequence`, the deepest one at rest. Once per press.
 
-    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch: of the frame that decided.
+    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch: of the frame to score.
     """
 
     timestamp_ns: int
@@ -112,6 +129,8 @@ class TriggerRepeated:
 
 Event = (
     ReferenceReady
+    | ReferenceDoubted
+    | ReferenceCorrected
     | ReferenceRefreshed
     | StartedTouched
     | PressBegan

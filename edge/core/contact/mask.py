@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 
-__all__ = ["Touch", "changed_share", "touched", "touched_mask"]
+__all__ = ["Touch", "changed_share", "is_black", "mask_beyond", "squared_distance", "touched", "touched_mask"]
 
 # Colour distance in levels, Euclidean over RGB. gs_sdk, GelSLAM and NormalFlow use 15; noise stays below 6.
 TOUCH_LEVELS = 15.0
@@ -41,8 +41,17 @@ def touched_mask(difference: View) -> NDArray[np.bool_]:
 
     Holes are filled: what lies flat on the gel, like a ball's pole, bends no light and shows only by its surroundings.
     """
-    distance = np.einsum("hwc,hwc->hw", difference, difference)
-    far = (distance > TOUCH_LEVELS**2).astype(np.uint8)
+    return mask_beyond(squared_distance(difference))
+
+
+def squared_distance(difference: View) -> NDArray[np.float32]:
+    """The squared colour distance of each pixel: float32 (h, w), levels squared."""
+    return np.asarray(np.einsum("hwc,hwc->hw", difference, difference), np.float32)
+
+
+def mask_beyond(squared: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """`touched_mask` from squared colour distances, float32 (h, w)."""
+    far = (squared > TOUCH_LEVELS**2).astype(np.uint8)
     kernel = np.ones((MORPHOLOGY_SIDE, MORPHOLOGY_SIDE), np.uint8)
     closed = cv2.morphologyEx(far, cv2.MORPH_CLOSE, kernel)
     opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, kernel)

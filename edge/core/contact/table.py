@@ -17,6 +17,7 @@ class State(StrEnum):
     CONTACT = "contact"
     RELEASE = "release"
     RECOVERY = "recovery"
+    DOUBT = "doubt"
 
 
 class Signal(StrEnum):
@@ -30,6 +31,8 @@ class Signal(StrEnum):
     STILL = "still"  # touched, wanted, and still for the settle time
     LATE = "late"  # wanted, and not still within the settle timeout
     ELAPSED = "elapsed"  # the state's own condition has held for its time
+    INVERSE = "inverse"  # the view has lost structure that the reference shows, or a first press never ends
+    FREE = "free"  # at rest, and without structure that the doubted reference lacks
     GAP = "gap"  # the stream was interrupted
     RELEARN = "relearn"  # someone asks for a new reference
 
@@ -55,6 +58,7 @@ TABLE: dict[tuple[State, Signal], State] = {
         CLEAR=State.NO_CONTACT,
         FAINT=State.NO_CONTACT,
         ELAPSED=State.SETTLING,
+        INVERSE=State.DOUBT,
         GAP=State.NO_CONTACT,
         RELEARN=State.WARM_UP,
     ),
@@ -63,6 +67,7 @@ TABLE: dict[tuple[State, Signal], State] = {
         CLEAR=State.EARLY_RELEASE,
         STILL=State.CONTACT,
         LATE=State.CONTACT,
+        INVERSE=State.DOUBT,
         RELEARN=State.WARM_UP,
     ),
     **_row(
@@ -73,7 +78,7 @@ TABLE: dict[tuple[State, Signal], State] = {
         GAP=State.SETTLING,
         RELEARN=State.WARM_UP,
     ),
-    **_row(State.CONTACT, CLEAR=State.RELEASE, RELEARN=State.WARM_UP),
+    **_row(State.CONTACT, CLEAR=State.RELEASE, INVERSE=State.DOUBT, RELEARN=State.WARM_UP),
     **_row(
         State.RELEASE,
         FAINT=State.CONTACT,
@@ -83,6 +88,7 @@ TABLE: dict[tuple[State, Signal], State] = {
         RELEARN=State.WARM_UP,
     ),
     **_row(State.RECOVERY, TOUCH=State.APPROACH, ELAPSED=State.NO_CONTACT, RELEARN=State.WARM_UP),
+    **_row(State.DOUBT, CLEAR=State.NO_CONTACT, FREE=State.RECOVERY, RELEARN=State.WARM_UP),
 }
 
 

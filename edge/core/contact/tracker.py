@@ -7,11 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact import rules as contact
-from edge.core.contact.mask import Touch, changed_share, is_black, touched, touched_mask
+from edge.core.contact.events import Event, PressSettled, ReferenceCorrected, ReferenceRefreshed
+from edge.core.contact.mask import (
+    Touch,
+    changed_share,
+    is_black,
+    mask_beyond,
+    squared_distance,
+    touched,
+    touched_mask,
+)
 from edge.core.contact.reference import Reference, View
-from edge.core.contact.rules import ContactSettings, Event, Observation, ReferenceRefreshed, State, Track
+from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
+from edge.core.contact.rest import Observation
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.signals import ADDS_STRUCTURE
+from edge.core.contact.table import State
+from edge.core.contact.track import LEARNING, PRESSED, WATCHED, Track
 
 __all__ = ["ContactTracker"]
+
+# A picture of another gel differs all over; one of this gel, at most where a part lies.
+_LENT_AREA = 0.6
+# What is said of a view that agrees with another picture of the free gel: no press adds less structure.
+_WITNESSED = -9.0
 
 
 @dataclass
@@ -37,27 +56,49 @@ class _Mean:
         return (self.total / self.frames).astype(np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One view that may still matter: at the reference's level, and where it is touched."""
+
+    level: View
+    mask: NDArray[np.bool_] | None
+    relief: Relief | None
+
+
 @final
 class ContactTracker:
     """Follows one sensor's views. Feed every frame, or those that `is_due` asks for, in order.
 
     stored: the last reference of the same gel, if there is one; then a part that already presses at the start is
-    noticed (`StartedTouched`) instead of being learnt as the free gel. Without it only a part that moves while the
-    reference is learnt is noticed, so start with the gel free. After a change of gel call `relearn`.
+    noticed (`StartedTouched`) instead of being learnt as the free gel. witness: another picture of a free gel, such as
+    the one that the bundle was fitted with; it stands in for the stored one as far as it resembles this gel. Without
+    both a reference that was learnt from a pressed gel is recognised at the lift. After a change of gel call `relearn`.
 
-    A caller that scores later keeps the camera frame whose sequence is `candidate` and the newest one; no other can be
-    named by `PressSettled`.
+    A caller that scores later keeps the camera frames whose sequences are among `candidates`, and the newest one; no
+    other can be named by `PressSettled`.
     """
 
-    def __init__(self, settings: ContactSettings | None = None, stored: Reference | None = None) -> None:
+    def __init__(
+        self,
+        settings: ContactSettings | None = None,
+        stored: Reference | None = None,
+        witness: Reference | None = None,
+    ) -> None:
         self.settings = settings or ContactSettings()
         self._track = Track()
-        self._reference = stored
+        self._witness = witness
+        self._is_lent = stored is None and witness is not None
+        self._reference: Reference | None = None
+        self._structure: ReliefOfReference | None = None
+        self._refer_to(stored or witness)
         self._baseline, self._free = _Mean(), _Mean()
         self._rest: View | None = None
         self._last: View | None = None
+        self._recent: dict[int, _Seen] = {}
         self._mask: NDArray[np.bool_] | None = None
         self._touch: Touch | None = None
+        self._relief: Relief | None = None
+        self._chosen: _Seen | None = None
 
     @property
     def state(self) -> State:
@@ -84,9 +125,27 @@ class ContactTracker:
         return self._touch
 
     @property
-    def candidate(self) -> int | None:
-        """The sequence of the frame that would be scored now."""
-        return self._track.candidate
+    def relief(self) -> Relief | None:
+        """The fine structure that the last view adds; None before there is a reference."""
+        return self._relief
+
+    @property
+    def chosen_mask(self) -> NDArray[np.bool_] | None:
+        """The touched area of the frame that the last `PressSettled` names: bool (h, w)."""
+        chosen = self._chosen
+        if chosen is None or chosen.mask is None or chosen.relief is None:
+            return None
+        return with_relief(chosen.mask, chosen.relief, self.settings.on_area)
+
+    @property
+    def chosen_relief(self) -> Relief | None:
+        """The fine structure of that frame."""
+        return None if self._chosen is None else self._chosen.relief
+
+    @property
+    def candidates(self) -> frozenset[int]:
+        """The sequences of the frames that may still be scored."""
+        return frozenset(frame.sequence for frame in self._track.window.frames)
 
     def is_due(self, timestamp_ns: int) -> bool:
         """False for a frame that need not be decoded: nothing presses and the last look was a moment ago."""
@@ -98,20 +157,20 @@ class ContactTracker:
         """One view: float32 (h, w, 3), 0 to 255. Errors: ValueError for another shape or a time that does not rise."""
         if view.dtype != np.float32 or view.ndim != 3 or view.shape[2] != 3:
             raise ValueError(f"a view is float32 (h, w, 3), found {view.dtype} {view.shape}")
-        level = self._compared(view)
-        seen = Observation(
-            timestamp_ns=timestamp_ns,
-            sequence=sequence,
-            touch=self._touch,
-            change=1.0 if self._rest is None else changed_share(level, self._rest),
-            motion=1.0 if self._last is None else changed_share(level, self._last),
-            is_black=is_black(view),
-        )
+        seen, level = self._observed(view, timestamp_ns, sequence)
         before = self.state
+        self._recent[sequence] = _Seen(level, self._mask, self._relief)
         self._track, events = contact.step(self._track, seen, self.settings)
+        for event in events:
+            if isinstance(event, PressSettled):
+                self._chosen = self._recent[event.sequence]
+            elif isinstance(event, ReferenceCorrected):
+                self._correct(timestamp_ns)
         self._last = level
         if self._track.still_ns == timestamp_ns:
             self._rest = level
+        kept = self.candidates
+        self._recent = {number: recent for number, recent in self._recent.items() if number in kept}
         return [*events, *self._learn(before, view, timestamp_ns)]
 
     def gap(self) -> list[Event]:
@@ -129,23 +188,96 @@ class ContactTracker:
     def relearn(self) -> list[Event]:
         """Forget the reference and learn a new one, as after a change of gel."""
         self._track, events = contact.relearn(self._track)
-        self._reference, self._mask, self._touch = None, None, None
+        self._refer_to(None)
+        self._mask, self._touch, self._relief = None, None, None
+        self._is_lent = False
+        self._witness = None
         self._baseline.clear()
         self._free.clear()
         return list(events)
 
-    def _compared(self, view: View) -> View:
-        """The view at the reference's level, with mask and touch set; the view itself while there is no reference."""
-        if self._reference is None:
-            return view
+    def _observed(self, view: View, timestamp_ns: int, sequence: int) -> tuple[Observation, View]:
+        """The view in numbers, and at the reference's level; the view itself while there is no reference."""
+        if self._reference is None or self._structure is None:
+            return self._unreferred(view, timestamp_ns, sequence), view
         if self._reference.view.shape != view.shape:
             raise ValueError(
                 f"the reference is {self._reference.view.shape}, this view {view.shape}; use views of one size"
             )
         difference = self._reference.difference(view)
-        self._mask = touched_mask(difference)
+        squared = squared_distance(difference)
+        self._mask = mask_beyond(squared)
         self._touch = touched(self._mask)
-        return difference + self._reference.view
+        self._relief = self._structure.of(difference, self.settings.light_levels)
+        imprint = self._imprint(view)
+        is_foreign = self._is_lent and self.state in LEARNING and not _is_pressed(self._touch, imprint)
+        level = difference + self._reference.view
+        return Observation(
+            timestamp_ns=timestamp_ns,
+            sequence=sequence,
+            touch=None if is_foreign else self._touch,
+            change=self._change(level, timestamp_ns),
+            motion=self._motion(level),
+            is_black=is_black(view),
+            relief=self._relief.area,
+            strength=float(np.sqrt(squared[self._mask]).sum()) / squared.size,
+            texture=self._relief.level,
+            imprint=imprint,
+            place=self._place(),
+        ), level
+
+    def _place(self) -> Touch | None:
+        """Where a contact lies that is too light to have an area; asked for during a press alone."""
+        if self.state not in WATCHED or self._mask is None or self._relief is None:
+            return None
+        seen = with_relief(self._mask, self._relief, self.settings.on_area)
+        return None if seen is self._mask else touched(seen)
+
+    def _unreferred(self, view: View, timestamp_ns: int, sequence: int) -> Observation:
+        change = self._change(view, timestamp_ns)
+        return Observation(timestamp_ns, sequence, None, change, self._motion(view), is_black(view))
+
+    def _change(self, level: View, timestamp_ns: int) -> float:
+        """Against the view at rest while learning, and `settle_s` ago during a press; 1 where that is not known."""
+        if self.state in LEARNING:
+            return 1.0 if self._rest is None else changed_share(level, self._rest)
+        anchor = self._track.window.anchor(timestamp_ns, self.settings)
+        return 1.0 if anchor is None else changed_share(level, self._recent[anchor.sequence].level)
+
+    def _motion(self, level: View) -> float:
+        """Against the view before; it is asked for during a press alone."""
+        if self.state not in WATCHED or self._last is None:
+            return 1.0
+        return changed_share(level, self._last)
+
+    def _imprint(self, view: View) -> float:
+        """Whether the view shows more or less structure than the reference; 0 where nothing is in doubt."""
+        is_asked = self.state is State.BASELINE or self.state in PRESSED or self.state in WATCHED
+        if self._track.is_confirmed or not is_asked or self._relief is None or self._mask is None:
+            return 0.0
+        if self._agrees_with_witness(view):
+            return _WITNESSED
+        return self._relief.gain(self._mask)
+
+    def _agrees_with_witness(self, view: View) -> bool:
+        """Whether what looks touched is the free gel of the bundle."""
+        if (
+            self._witness is None
+            or self._is_lent
+            or self.state in LEARNING
+            or self._witness.view.shape != view.shape
+        ):
+            return False
+        return touched(touched_mask(self._witness.difference(view))).area < self.settings.off_area
+
+    def _correct(self, timestamp_ns: int) -> None:
+        """The views at rest are the free gel."""
+        views = [self._recent[number].level for number in self.candidates if number in self._recent]
+        self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32), len(views), timestamp_ns))
+
+    def _refer_to(self, reference: Reference | None) -> None:
+        self._reference = reference
+        self._structure = None if reference is None else ReliefOfReference(reference.view)
 
     def _learn(self, before: State, view: View, timestamp_ns: int) -> list[Event]:
         match before, self.state:
@@ -155,7 +287,8 @@ class ContactTracker:
                 self._baseline.add(view, timestamp_ns)
             case State.BASELINE, State.NO_CONTACT:
                 self._baseline.add(view, timestamp_ns)
-                self._reference = Reference(self._baseline.view(), self._baseline.frames, timestamp_ns)
+                self._refer_to(Reference(self._baseline.view(), self._baseline.frames, timestamp_ns))
+                self._is_lent = False
                 self._baseline.clear()
         return self._refreshed(view, timestamp_ns)
 
@@ -166,6 +299,7 @@ class ContactTracker:
             self._reference is None
             or not is_free
             or (self._touch and self._touch.area > self.settings.off_area)
+            or (self._relief and self._relief.area >= self.settings.on_area)
         ):
             self._free.clear()
             return []
@@ -173,6 +307,12 @@ class ContactTracker:
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
         old = self._reference
-        self._reference = old.refreshed(self._free.view(), self.settings.refresh_weight, timestamp_ns)
+        new = old.refreshed(self._free.view(), self.settings.refresh_weight, timestamp_ns)
+        self._refer_to(new)
         self._free.clear()
-        return [ReferenceRefreshed(timestamp_ns, float(np.abs(self._reference.view - old.view).mean()))]
+        return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]
+
+
+def _is_pressed(touch: Touch, imprint: float) -> bool:
+    """Whether the difference to a lent picture is a part's: it adds structure, and not all over."""
+    return touch.area < _LENT_AREA and imprint >= ADDS_STRUCTURE

@@ -111,12 +111,12 @@ def test_idle_frames_are_mostly_not_due() -> None:
     assert camera.names() == ["ReferenceRefreshed"]
 
 
-def test_the_scored_frame_is_the_candidate_or_the_newest() -> None:
-    """Whoever keeps these two camera frames can always score."""
+def test_the_scored_frame_is_a_candidate_or_the_newest() -> None:
+    """Whoever keeps these camera frames can always score, and they are few."""
     camera = ready()
     start = camera.now + 0.5
     while camera.now < start + 3:
-        kept = {camera.tracker.candidate, camera.count + 1}
+        kept = {*camera.tracker.candidates, camera.count + 1}
         before = len(camera.events)
         camera.show(depth_at(camera.now, start))
         for event in camera.events[before:]:
@@ -282,10 +282,10 @@ def test_the_real_press_video(real_tactile: Path) -> None:
         PressSettled,
         PressEnded,
     ]
-    expected = (22, 60, 67, 156, 162, 168, 211)
+    expected = (22, 60, 109, 156, 162, 171, 211)
     assert [frame for frame, _ in found] == pytest.approx(expected, abs=2)
     assert [event.sequence for _, event in found if isinstance(event, PressSettled)] == pytest.approx(
-        (65, 166), abs=3
+        (106, 168), abs=3
     )
 
 

@@ -1,0 +1,122 @@
+"""Does a press rest, and which of its frames is taken? One frame in numbers, and a window of the last few.
+
+Rest is judged over a time, not over frames: a frame is compared with the one `settle_s` before it, so that a slow ramp
+looks as slow at 60 frames a second as at 5.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edge.core.contact.mask import Touch
+from edge.core.contact.settings import ContactSettings
+
+__all__ = ["Observation", "Window", "changed_too_much"]
+
+# Frames come a little early or late; one that is due after `settle_s` still counts when it is this much early.
+_EARLY_SHARE = 0.05
+# Of the deepest frames, within this share of the deepest, the one that moved least is the sharpest.
+_DEEPEST_SHARE = 0.03
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame in numbers.
+
+    touch: None while there is no reference to compare with. change: share of the view's pixels that differ from the
+    view at rest while learning, and from the view `settle_s` ago while something presses; 1 where there is none.
+    motion: the same against the frame before. relief: share of the view with an imprint's fine structure. strength,
+    texture: how much the imprint differs from the reference, coarse and fine, levels; both grow with depth. imprint:
+    log ratio of the view's structure to the reference's (`Relief.gain`). place: the touched area by relief too, where
+    it is too light for one by itself.
+    """
+
+    timestamp_ns: int
+    sequence: int
+    touch: Touch | None
+    change: float
+    motion: float
+    is_black: bool = False
+    relief: float = 0.0
+    strength: float = 0.0
+    texture: float = 0.0
+    imprint: float = 0.0
+    place: Touch | None = None
+
+    @property
+    def area(self) -> float:
+        return 0.0 if self.touch is None else self.touch.area
+
+    @property
+    def depth(self) -> float:
+        """All of it together: the deeper the more."""
+        return self.strength + self.texture
+
+    @property
+    def depths(self) -> tuple[float, float]:
+        """What grows while a part goes deeper."""
+        return self.strength, self.texture
+
+
+def changed_too_much(seen: Observation, settings: ContactSettings) -> bool:
+    """Without a reference a contact's worth of change is motion; with one, a share of what is touched."""
+    if seen.touch is None:
+        return seen.change > settings.on_area
+    return seen.change > settings.still_share * max(seen.area, seen.relief, settings.on_area)
+
+
+@dataclass(frozen=True)
+class Window:
+    """The frames of one press that may still be chosen: the anchor, which is `settle_s` old, and all after it.
+
+    deepest: the largest depths of the frames before the anchor.
+    """
+
+    frames: tuple[Observation, ...] = ()
+    deepest: tuple[float, float] = (0.0, 0.0)
+
+    def anchor(self, now_ns: int, settings: ContactSettings) -> Observation | None:
+        """The newest frame that is `settle_s` old, if the press lasts so long."""
+        latest_ns = now_ns - round(settings.settle_s * (1 - _EARLY_SHARE) * 1e9)
+        return next((frame for frame in reversed(self.frames) if frame.timestamp_ns <= latest_ns), None)
+
+    def after(self, seen: Observation, settings: ContactSettings) -> "Window":
+        """With one more frame, and without those that are too old to matter."""
+        anchor = self.anchor(seen.timestamp_ns, settings)
+        first_ns = 0 if anchor is None else anchor.timestamp_ns
+        old = [frame for frame in self.frames if frame.timestamp_ns < first_ns]
+        new = tuple(frame for frame in self.frames if frame.timestamp_ns >= first_ns)
+        return Window((*new, seen), _largest([self.deepest, *(frame.depths for frame in old)]))
+
+    def is_growing(self, settings: ContactSettings) -> bool:
+        """Whether the newest frames are deeper than all before them; true as well while there are none before."""
+        anchor = self.anchor(self.frames[-1].timestamp_ns, settings)
+        if anchor is None:
+            return True
+        before = _largest([self.deepest, anchor.depths])
+        now = _largest([f.depths for f in self.frames if f.timestamp_ns > anchor.timestamp_ns])
+        return any(n > b * (1 + settings.growth_share) + _NOISE for n, b in zip(now, before, strict=True))
+
+    def is_at_rest(self, settings: ContactSettings) -> bool:
+        """The newest frame against the anchor: hardly changed, no deeper, and not being lifted."""
+        if not self.frames:
+            return False
+        seen = self.frames[-1]
+        anchor = self.anchor(seen.timestamp_ns, settings)
+        if anchor is None or changed_too_much(seen, settings) or self.is_growing(settings):
+            return False
+        return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
+
+    def chosen(self, since_ns: int) -> Observation:
+        """The deepest frame at rest since then; of those as deep, the one that moved least, the later of equals."""
+        frames = [frame for frame in self.frames if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
+        depth = max(frame.depth for frame in frames)
+        deep = [frame for frame in frames if frame.depth >= depth * (1 - _DEEPEST_SHARE)]
+        return min(reversed(deep), key=lambda frame: frame.motion)
+
+
+# Sensor noise moves strength and texture by less, in levels over the whole view.
+_NOISE = 0.005
+
+
+def _largest(depths: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    return max(strength for strength, _ in depths), max(texture for _, texture in depths)

@@ -1,0 +1,123 @@
+"""Which signal of the table one frame gives, from what is remembered and what is seen."""
+
+from typing import Final
+
+from edge.core.contact.rest import Observation
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.table import Signal, State
+from edge.core.contact.track import Track
+
+__all__ = ["ADDS_STRUCTURE", "level_of", "seconds", "signal_of"]
+
+# A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
+# more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.
+_CLEARLY_INVERSE: Final = -0.7
+ADDS_STRUCTURE: Final = 0.35
+# Relief that a press left behind wavers by this much.
+_RESIDUE_TIMES: Final = 1.2
+# A light press is over when its relief has fallen to this share: it has no area to tell by.
+_LIGHT_RELEASE_SHARE: Final = 0.25
+
+
+def seconds(later_ns: int, earlier_ns: int) -> float:
+    return (later_ns - earlier_ns) / 1e9
+
+
+def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
+    """Clear, faint or touch: hysteresis over what the last press left behind, by area and by relief."""
+    if _is_clear(track, seen, settings):
+        return Signal.CLEAR
+    is_touch = (
+        seen.area >= settings.on_area + track.residue
+        or seen.relief >= settings.on_area + _RESIDUE_TIMES * track.relief_residue
+    )
+    return Signal.TOUCH if is_touch else Signal.FAINT
+
+
+def _is_clear(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """Once a press has shown an area, its area alone says when it is over: its imprint stays in relief for seconds."""
+    off, relief_off = (
+        settings.off_area + track.residue,
+        settings.off_area + _RESIDUE_TIMES * track.relief_residue,
+    )
+    if not track.has_contact:
+        return seen.area <= off and seen.relief <= relief_off
+    if track.peak >= settings.on_area:
+        return seen.area <= max(off, settings.release_share * track.peak)
+    return seen.area <= off and seen.relief <= max(relief_off, _LIGHT_RELEASE_SHARE * track.relief_peak)
+
+
+def signal_of(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
+    match track.state:
+        case State.WARM_UP | State.BASELINE:
+            return _learning_signal(track, seen, settings)
+        case State.SETTLING:
+            return _settling_signal(track, seen, settings)
+        case State.DOUBT:
+            return _doubting_signal(track, seen, settings)
+    level = level_of(track, seen, settings)
+    if track.state is State.CONTACT and level is not Signal.CLEAR and _is_doubtful(track, seen, settings):
+        return Signal.INVERSE
+    if not _has_held(track, level, seen, settings):
+        return level
+    is_inverse = track.state is State.APPROACH and _is_inverse(track, seen)
+    return Signal.INVERSE if is_inverse else Signal.ELAPSED
+
+
+def _has_held(track: Track, level: Signal, seen: Observation, settings: ContactSettings) -> bool:
+    """Whether the state's own condition has held for its time."""
+    condition = {
+        State.APPROACH: (Signal.TOUCH, settings.onset_s, settings.min_frames),
+        State.EARLY_RELEASE: (Signal.CLEAR, settings.release_s, settings.min_frames),
+        State.RELEASE: (Signal.CLEAR, settings.release_s, settings.min_frames),
+        State.RECOVERY: (level if level is not Signal.TOUCH else None, settings.recovery_s, 1),
+    }.get(track.state)
+    if condition is None or level is not condition[0]:
+        return False
+    return seconds(seen.timestamp_ns, track.since_ns) >= condition[1] and track.frames + 1 >= condition[2]
+
+
+def _learning_signal(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
+    if track.still_ns == seen.timestamp_ns:
+        return Signal.MOVING
+    if track.state is State.WARM_UP:
+        is_warm = seconds(seen.timestamp_ns, track.since_ns) >= settings.warm_up_s
+        is_still = seconds(seen.timestamp_ns, track.still_ns) >= settings.settle_s
+        return Signal.ELAPSED if is_warm and is_still else Signal.CLEAR
+    if track.frames + 1 < settings.baseline_frames:
+        return Signal.CLEAR
+    return Signal.TOUCH if seen.area >= settings.on_area else Signal.ELAPSED
+
+
+def _settling_signal(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
+    level = level_of(track, seen, settings)
+    if level is Signal.CLEAR:
+        return level
+    if track.window.is_at_rest(settings):
+        if _is_inverse(track, seen):
+            return Signal.INVERSE
+        return Signal.STILL if track.is_wanted else level
+    waited_ns = max(track.wanted_ns, track.grown_ns)
+    is_late = track.is_wanted and seconds(seen.timestamp_ns, waited_ns) >= settings.settle_timeout_s
+    return Signal.LATE if is_late else level
+
+
+def _doubting_signal(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
+    """The free gel is the view at rest that adds no structure to the doubted reference."""
+    level = level_of(track, seen, settings)
+    if level is Signal.CLEAR:
+        return level
+    is_free = seen.imprint < ADDS_STRUCTURE and track.window.is_at_rest(settings)
+    return Signal.FREE if is_free else level
+
+
+def _is_inverse(track: Track, seen: Observation) -> bool:
+    """Whether the view has lost what the reference shows, as when a part is lifted that was taken for the free gel."""
+    return not track.is_confirmed and seen.imprint <= _CLEARLY_INVERSE
+
+
+def _is_doubtful(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """The same for a press that has its verdict, and for a first one that never ends and adds no structure."""
+    is_stuck = not track.is_cycled and seconds(seen.timestamp_ns, track.began_ns) >= settings.stuck_s
+    adds_none = not track.is_confirmed and seen.imprint < ADDS_STRUCTURE
+    return _is_inverse(track, seen) or (is_stuck and adds_none)

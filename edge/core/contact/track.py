@@ -1,0 +1,54 @@
+"""What contact detection remembers between frames."""
+
+from dataclasses import dataclass, field
+
+from edge.core.contact.rest import Window
+from edge.core.contact.table import State
+
+__all__ = ["IDLE", "LEARNING", "PRESSED", "UNJUDGED", "WATCHED", "Track"]
+
+LEARNING = frozenset({State.WARM_UP, State.BASELINE})
+IDLE = frozenset({State.NO_CONTACT, State.RECOVERY})
+UNJUDGED = frozenset({State.SETTLING, State.EARLY_RELEASE})
+PRESSED = UNJUDGED | {State.CONTACT, State.RELEASE}
+WATCHED = UNJUDGED | {State.APPROACH, State.DOUBT}
+
+
+@dataclass(frozen=True)
+class Track:
+    """All that contact detection remembers between frames.
+
+    since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for
+    the view at rest while learning. window: the frames of this press that may be chosen. wanted_ns: since when a
+    verdict is wanted. grown_ns: when the imprint last grew. peak, relief_peak: the largest area and relief of this
+    press. residue, relief_residue: what the last press left behind. is_counted: false for a part that was there at the
+    start. is_confirmed: another picture of the free gel, or a press, has shown that the reference is one; is_cycled: a
+    press has come and gone.
+    """
+
+    state: State = State.WARM_UP
+    last_ns: int | None = None
+    since_ns: int = 0
+    frames: int = 0
+    still_ns: int = 0
+    still_frames: int = 0
+    window: Window = field(default_factory=Window)
+    began_ns: int = 0
+    is_wanted: bool = False
+    wanted_ns: int = 0
+    grown_ns: int = 0
+    peak: float = 0.0
+    relief_peak: float = 0.0
+    residue: float = 0.0
+    relief_residue: float = 0.0
+    is_counted: bool = True
+    is_confirmed: bool = False
+    is_cycled: bool = False
+    adds_structure: bool = False
+    is_interrupted: bool = False
+    blind_until_ns: int = 0
+
+    @property
+    def has_contact(self) -> bool:
+        """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
+        return self.state in PRESSED

@@ -1,0 +1,124 @@
+"""Started while a part presses: a pressed gel learnt as free is noticed and corrected; nothing is scored meanwhile."""
+
+import numpy as np
+import pytest
+from press_films import NOISE_SD, VIEW_MM, series
+
+from edge.core.contact.events import (
+    PressBegan,
+    PressEnded,
+    PressNotSettled,
+    PressSettled,
+    ReferenceCorrected,
+    ReferenceDoubted,
+    StartedTouched,
+)
+from edge.core.contact.reference import Reference, View
+from edge.core.contact.tracker import ContactTracker
+from edge.core.contact.wear import wear
+
+FPS = 25.0
+PRESSES = (PressBegan, PressSettled, PressNotSettled, PressEnded)
+
+
+class Station:
+    """A tracker that is shown a part, or the free gel, for some time."""
+
+    def __init__(self, tracker: ContactTracker, part: str, gel: str = "clear") -> None:
+        self.tracker, self.views, self.count = tracker, series(part, gel), 0
+        self.rng = np.random.default_rng(5)
+        self.events: list[object] = []
+
+    def show(self, seconds: float, depth: int) -> None:
+        """depth: which of the part's depths."""
+        for _ in range(round(seconds * FPS)):
+            self.count += 1
+            noise = self.rng.normal(0, NOISE_SD, self.views[0].shape)
+            view = np.clip(np.rint(self.views[depth] + noise), 0, 255).astype(np.float32)
+            self.events += self.tracker.feed(view, round(self.count * 1e9 / FPS), self.count)
+
+    def press(self, seconds: float = 1.0) -> None:
+        """Down over four depths, held, and up again, then two seconds of free gel."""
+        for depth in (4, 7, 9, 11):
+            self.show(0.08, depth)
+        self.show(seconds, 12)
+        self.show(0.08, 7)
+        self.show(2.0, 0)
+
+    def of(self, *kinds: type) -> list[object]:
+        return [event for event in self.events if isinstance(event, kinds)]
+
+
+def free_view(part: str, gel: str = "clear") -> View:
+    return series(part, gel)[0]
+
+
+@pytest.mark.parametrize("part", ["PZ1", "PZ3", "PZ5", "ball"])
+def test_a_pressed_first_start_recovers_by_itself(part: str) -> None:
+    """Nothing is known of the gel: the lift is doubted and not counted, and then five presses are five."""
+    station = Station(ContactTracker(), part)
+    station.show(3.0, 12)
+    station.show(1.0, 0)
+    assert station.of(*PRESSES) == []
+    assert station.of(ReferenceDoubted)
+    assert station.of(ReferenceCorrected)
+    for _ in range(5):
+        station.press()
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [5, 5, 5]
+    assert station.tracker.reference is not None
+    assert np.abs(station.tracker.reference.view - free_view(part)).mean() < 1.5
+
+
+@pytest.mark.parametrize("gel", ["clear", "marker"])
+def test_the_bundles_free_gel_shows_a_pressed_first_start(gel: str) -> None:
+    """With the picture that the bundle was fitted with, it is noticed before anything is learnt."""
+    witness = Reference(free_view("PZ3", gel), 1, 0)
+    station = Station(ContactTracker(witness=witness), "PZ3", gel)
+    station.show(3.0, 12)
+    if gel == "clear":
+        assert station.of(StartedTouched)
+    station.show(1.0, 0)
+    assert station.of(PressSettled) == []
+    station.events.clear()
+    for _ in range(3):
+        station.press()
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [3, 3, 3]
+
+
+def test_the_free_gel_of_another_unit_is_no_witness() -> None:
+    """A bundle from elsewhere: the gel differs all over, so it is learnt as if there were no picture."""
+    other = np.ascontiguousarray(free_view("PZ3")[::-1, ::-1])
+    station = Station(ContactTracker(witness=Reference(other, 1, 0)), "PZ3")
+    station.show(2.0, 0)
+    station.press()
+    assert station.of(StartedTouched) == []
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [1, 1, 1]
+
+
+def test_a_stored_picture_that_was_learnt_pressed_is_given_up() -> None:
+    """The last run began pressed and kept that picture: a free start looks touched, and is the free gel."""
+    wrong = Reference(series("PZ3", "clear")[12], 1, 0)
+    station = Station(ContactTracker(stored=wrong), "PZ3")
+    station.show(2.5, 0)
+    assert station.of(PressSettled) == []
+    assert station.of(ReferenceCorrected)
+    station.press()
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [1, 1, 1]
+
+
+def test_a_first_press_is_not_taken_for_a_lift() -> None:
+    """On a free first start nothing is doubted, whatever the part."""
+    for part in ("PZ1", "PZ2", "PZ3", "PZ4", "PZ5", "ball", "soft"):
+        for gel in ("clear", "marker"):
+            station = Station(ContactTracker(), part, gel)
+            station.show(2.0, 0)
+            station.press()
+            assert station.of(ReferenceDoubted) == []
+            assert len(station.of(PressSettled)) == 1
+
+
+def test_the_sizes_that_the_films_assume() -> None:
+    """Views are those of contact detection, a tenth of a millimetre a pixel, and of one gel."""
+    assert series("ball", "clear").shape[1:] == (120, 160, 3)
+    assert 0.1 < VIEW_MM < 0.13
+    assert wear(free_view("ball"), free_view("PZ1")).index == pytest.approx(0, abs=1e-6)
