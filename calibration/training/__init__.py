@@ -2,5 +2,5 @@
 
 `train_config` has every setting; `training_pairs` draws random parts, defects and sensors; `render` turns them into
 frames on any torch device; `losses` is the objective; `train` is the loop; `package` makes the shipped graphs. Only
-these modules import torch, and they are imported at use.
+these modules import torch, and they are imported at use: what the shipped weights' facts need does without it.
 """

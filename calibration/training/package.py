@@ -9,17 +9,19 @@ import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.training import checkpoint as checkpoints
 from calibration.training.train_config import STAGES
 from edge.core.errors import GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import State
+
+if TYPE_CHECKING:
+    from calibration.training.checkpoint import Tensors
 
 __all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package", "quantised"]
 
@@ -38,7 +40,9 @@ def package(run: Path, out: Path) -> dict[str, Any]:
     Errors: ConfigError for a run without a complete checkpoint, GelgateError for a variant that is too large or a disk
     that refuses.
     """
-    saved = checkpoints.load(run)
+    from calibration.training import checkpoint
+
+    saved = checkpoint.load(run)
     state = trunk_state(saved.weights)
     plain = build_trunk(state, "resnet18", STAGES)
     variants = {
@@ -70,7 +74,7 @@ def package(run: Path, out: Path) -> dict[str, Any]:
     return facts
 
 
-def trunk_state(weights: checkpoints.Tensors) -> State:
+def trunk_state(weights: "Tensors") -> State:
     """The trunk's arrays under torchvision's names, out of a checkpoint's weights."""
     return {
         name.removeprefix("trunk."): value.float().numpy()

@@ -17,10 +17,6 @@ from plugins.detectors.common.smoothing import (
 )
 from plugins.onnx_builder import Graph
 
-torch = pytest.importorskip(
-    "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
-)
-
 
 @pytest.mark.parametrize(("pixels", "sigma"), [(224, 4.0), (224, 13.0), (30, 13.0), (7, 0.5), (5, 0.0)])
 def test_blur_is_scipys(pixels: int, sigma: float) -> None:
@@ -36,6 +32,9 @@ def test_blur_is_scipys(pixels: int, sigma: float) -> None:
 @pytest.mark.parametrize(("cells", "pixels"), [(56, 224), (28, 224), (14, 56), (7, 30), (1, 5)])
 def test_upsampling_is_torchs(kind: str, cells: int, pixels: int) -> None:
     """The upsampling matrix equals torch's interpolate, bilinear (align_corners False) and nearest."""
+    torch = pytest.importorskip(
+        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
+    )
     image = np.random.default_rng(1).normal(size=(cells, cells))
     matrix = upsampling_matrix(cells, pixels, kind)  # type: ignore[arg-type]
     expected = torch.nn.functional.interpolate(

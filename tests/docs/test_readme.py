@@ -115,12 +115,24 @@ def test_what_needs_torch_is_run_where_torch_is() -> None:
         path
         for path in (ROOT / "tests").rglob("test_*.py")
         if re.search(
-            r"^\s*import torch$|importorskip\(.torch", path.read_text(encoding="utf-8"), re.MULTILINE
+            r"^\s*import torch$|importorskip\(\s*.torch", path.read_text(encoding="utf-8"), re.MULTILINE
         )
     }
 
     assert asking
     assert {path for path in asking if not any(path.is_relative_to(ROOT / word) for word in words)} == set()
+
+
+def test_what_is_skipped_says_so_in_a_sentence() -> None:
+    """No test leaves it to pytest to say that a package could not be imported."""
+    skips = {
+        f"{path.relative_to(ROOT)}: {call}"
+        for path in (ROOT / "tests").rglob("*.py")
+        for call in re.findall(r"pytest\.importorskip\([^)]*\)", path.read_text(encoding="utf-8"))
+        if "reason=" not in call
+    }
+
+    assert skips == set()
 
 
 @pytest.mark.parametrize(
