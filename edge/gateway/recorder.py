@@ -55,43 +55,13 @@ class Recorder:
 
     def prepare(self, inspection: Inspection) -> JudgedPress:
         """Everything of a press but its place in the ledger."""
-        time_ns = self._clock.time_ns()
-        manifest, verdict = self._bundle.manifest, inspection.verdict
-        press = Press(
-            press_id=new_ulid(time_ns),
-            time_ns=time_ns,
-            serial=self._serial,
-            part=manifest.part,
-            position=manifest.position,
-            verdict="error" if verdict is None else verdict.kind.value,
-            score=verdict.score if verdict else None,
-            threshold=manifest.threshold.value,
-            wear_index=self.wear_index,
-        )
+        press = self._press(inspection)
         heatmap = self._heatmap(press, inspection)
-        rejection = verdict.rejection if verdict else None
         result = {
-            "press_id": press.press_id,
-            "time_ns": time_ns,
-            "site": self._place.site,
-            "line": self._place.line,
-            "station": self._place.station,
-            "part": press.part,
-            "position": press.position,
-            "verdict": None if verdict is None else verdict.kind,
-            "reason": f"{rejection.reason.value}: {rejection.text}" if rejection else None,
-            "error": inspection.error if verdict is None else None,
-            "score": press.score,
-            "threshold": press.threshold,
-            "tolerance": verdict.tolerance if verdict else None,
-            "score_ratio": _ratio(press),
-            "mm_per_pixel": self._bundle.profile.mm_per_pixel,
-            "method": manifest.method,
-            "bundle_id": self._bundle.digest,
-            "sensor_serial": self._serial,
-            "latency_ms": inspection.latency_ms,
-            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
+            **self._origin(press),
+            **_judgement(press, inspection),
             **self._defects(inspection),
+            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
         }
         return JudgedPress(press, result, heatmap)
 
@@ -107,6 +77,37 @@ class Recorder:
         # No messages are made for a press that the database already has.
         result = made[-1] if made else _result(judged, recorded)
         return PressReport(result, recorded.gel, judged.heatmap_png)
+
+    def _press(self, inspection: Inspection) -> Press:
+        time_ns = self._clock.time_ns()
+        manifest, verdict = self._bundle.manifest, inspection.verdict
+        return Press(
+            press_id=new_ulid(time_ns),
+            time_ns=time_ns,
+            serial=self._serial,
+            part=manifest.part,
+            position=manifest.position,
+            verdict="error" if verdict is None else verdict.kind.value,
+            score=verdict.score if verdict else None,
+            threshold=manifest.threshold.value,
+            wear_index=self.wear_index,
+        )
+
+    def _origin(self, press: Press) -> dict[str, Any]:
+        """Fields of a result that say what was pressed, when, where and with what."""
+        return {
+            "press_id": press.press_id,
+            "time_ns": press.time_ns,
+            "site": self._place.site,
+            "line": self._place.line,
+            "station": self._place.station,
+            "part": press.part,
+            "position": press.position,
+            "mm_per_pixel": self._bundle.profile.mm_per_pixel,
+            "method": self._bundle.manifest.method,
+            "bundle_id": self._bundle.digest,
+            "sensor_serial": press.serial,
+        }
 
     def _heatmap(self, press: Press, inspection: Inspection) -> bytes | None:
         if inspection.rgb is None or inspection.score_map is None or press.score is None:
@@ -144,6 +145,22 @@ def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
         gel_presses=gel.presses,
         gel_limit_presses=gel.limit_presses,
     )
+
+
+def _judgement(press: Press, inspection: Inspection) -> dict[str, Any]:
+    """Fields of a result that say what became of the press, and why."""
+    verdict = inspection.verdict
+    rejection = verdict.rejection if verdict else None
+    return {
+        "verdict": None if verdict is None else verdict.kind,
+        "reason": f"{rejection.reason.value}: {rejection.text}" if rejection else None,
+        "error": inspection.error if verdict is None else None,
+        "score": press.score,
+        "threshold": press.threshold,
+        "tolerance": verdict.tolerance if verdict else None,
+        "score_ratio": _ratio(press),
+        "latency_ms": inspection.latency_ms,
+    }
 
 
 def _ratio(press: Press) -> float | None:
