@@ -25,7 +25,7 @@ from calibration.fitting.bundle_measurements import (
     warnings,
 )
 from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
-from calibration.fitting.covering import covering_bank, covers
+from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.heads import check_head
@@ -162,14 +162,7 @@ class _Fit:
         self.learner = Learner(
             self.detector, self.grid, self.parameters, self.recipe.seed, self.recipe.threads
         )
-        bank, scores, room = covering_bank(
-            self.detector.name,
-            nominal,
-            self._learnt,
-            lambda bank, held_out: covers(
-                self.learner, bank, nominal, held_out, self.recipe.alpha, self.specimens
-            ),
-        )
+        bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
         self.warnings += room_warnings(room)
         self.warnings += bank.facts.get("warnings", ())
         self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=self.learner.head(bank))
@@ -180,6 +173,9 @@ class _Fit:
     def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
         bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
         return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
+
+    def _limit(self, scores: NDArray[np.float64], slack: float = 0.0) -> ThresholdEntry:
+        return conformal_threshold(scores, self.recipe.alpha, slack, specimens=self.specimens)
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
@@ -237,8 +233,7 @@ class _Fit:
             return given_threshold(self.recipe.threshold, alpha)
         if scores is None:
             raise FitError("no threshold: neither given nor found from the presses")
-        slack = tolerance.around(float(scores.max()))
-        return conformal_threshold(scores, alpha, slack, specimens=self.specimens)
+        return self._limit(scores, tolerance.around(float(scores.max())))
 
     def _files(
         self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]

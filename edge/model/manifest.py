@@ -192,8 +192,9 @@ class ThresholdEntry(_Entry):
 
     alpha: the requested false-alarm rate. alpha_floor: 1 / (pieces + 1), the smallest rate that presses of this number
     of pieces can guarantee, as a mean over bundles. pieces: the number of pieces; a press of an unknown piece counts as
-    one. rate_range: the range of this bundle's own rate, with a probability of 95 %. nominal_scores: rising. method:
-    how the value was found, in words; `edge.model.promise` states the guarantee.
+    one. rate_range: the range of this bundle's own rate, with a probability of 95 %. nominal_scores: rising;
+    of each press the higher of two, by a bank without it and by the final bank. method: how the value was found, in
+    words; `edge.model.promise` states the guarantee.
     """
 
     value: float

@@ -1,11 +1,9 @@
-"""What a fit finds out about its own work: presses that stand apart, and a bank that lacks a place."""
+"""What a fit finds out about its own work: presses that stand apart."""
 
 import numpy as np
 import pytest
 
-from calibration.fitting.covering import is_covered
 from calibration.fitting.self_check import apart_warnings, standing_apart
-from calibration.fitting.threshold import conformal_threshold
 
 
 @pytest.mark.parametrize("n", [8, 19, 24, 60])
@@ -55,22 +53,3 @@ def test_the_warning_names_the_press_and_the_way_out() -> None:
     assert "press 'good/4.png' stands apart" in said
     assert "90 where they reach 11" in said
     assert "--leave-out 'good/4.png'" in said
-
-
-def test_a_bank_covers_presses_that_score_lower_by_it() -> None:
-    """Known presses score at most what they do unknown."""
-    held_out = np.linspace(8, 14, 40)
-    assert is_covered(0.9 * held_out, held_out, conformal_threshold(held_out, 0.05))
-
-
-def test_a_bank_that_most_presses_fail_by_does_not_cover_them() -> None:
-    """Seen with 40 presses of a part: out of fold 8.4 to 13.8, by the final bank 12.9 to 15.8."""
-    held_out, known = np.linspace(8.4, 13.8, 40), np.linspace(12.9, 15.8, 40)
-    assert not is_covered(known, held_out, conformal_threshold(held_out, 0.05))
-
-
-def test_a_bank_lacks_a_place_also_where_no_press_fails_by_it() -> None:
-    """All presses score a half higher than unknown; one stray keeps the threshold above them."""
-    held_out = np.append(np.linspace(8, 9, 19), 40.0)
-    known = np.append(np.linspace(12, 13, 19), 5.0)
-    assert not is_covered(known, held_out, conformal_threshold(held_out, 0.05))

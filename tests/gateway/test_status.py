@@ -2,10 +2,13 @@
 
 import json
 
+import tiny
 from small_recordings import FakeClock
 
-from edge.core.ports import Message
+from edge.core.ports import DeviceIdentity, Message
 from edge.gateway.status import StationStatus
+from edge.model.bundle import Bundle
+from edge.model.manifest import Provenance
 
 
 class Heard:
@@ -15,12 +18,15 @@ class Heard:
         self.states: list[str] = []
         self.reasons: list[str | None] = []
         self.alarms: set[str] = set()
+        self.info: dict[str, object] = {}
 
     def __call__(self, message: Message) -> None:
         if message.topic == "state":
             content = json.loads(message.payload)
             self.states.append(content["state"])
             self.reasons.append(content["reason"])
+        elif message.topic == "info":
+            self.info = json.loads(message.payload)
         elif message.payload:
             self.alarms.add(message.topic)
         else:
@@ -62,3 +68,15 @@ def test_a_fault_that_lasts_is_said_once() -> None:
 
     assert [status.set_fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
     assert heard.reasons == ["full", "read-only"]
+
+
+def test_info_says_what_the_fit_warned_of_and_what_is_promised() -> None:
+    """Who only sees the broker learns that a press stood apart, and how often sound presses fail."""
+    heard = Heard()
+    said = "press 'a' stands apart"
+    facts = tiny.tiny_files(provenance=Provenance(created="2026-01-01", warnings=(said,)))
+    identity = DeviceIdentity("Mini", "1", (640, 480), 25.0)
+    StationStatus(heard, FakeClock()).info(Bundle.in_memory(*facts), identity)
+
+    assert heard.info["warnings"] == [said]
+    assert heard.info["false_alarms"] == "no rate is promised: the threshold was given"

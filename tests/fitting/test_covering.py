@@ -1,0 +1,83 @@
+"""A bank is held against the nominal presses that it was learnt from."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import tiny
+
+from calibration.fitting.covering import covering_bank, is_covered
+from calibration.fitting.held_out import Learner
+from calibration.fitting.threshold import conformal_threshold
+from edge.core.detector import Bank, Nominal
+
+GRID = tiny.tiny_grid()
+PRESSES = Nominal(
+    {"layer1": np.random.default_rng(0).uniform(0.4, 0.6, (20, *GRID.taps["layer1"])).astype(np.float32)}
+)
+LEARNER = Learner(tiny.TINY, GRID, tiny.TinyParameters(), 0, 1)
+
+
+def test_a_bank_covers_presses_that_score_lower_by_it() -> None:
+    """Known presses score at most what they do unknown."""
+    held_out = np.linspace(8, 14, 40)
+    assert is_covered(0.9 * held_out, held_out, 13.8)
+
+
+def test_a_bank_that_most_presses_fail_by_does_not_cover_them() -> None:
+    """Seen with 40 presses of a part: out of fold 8.4 to 13.8, by the final bank 12.9 to 15.8."""
+    assert not is_covered(np.linspace(12.9, 15.8, 40), np.linspace(8.4, 13.8, 40), 13.7)
+
+
+def test_a_bank_lacks_a_place_also_where_no_press_fails_by_it() -> None:
+    """All presses score a half higher than unknown; one stray keeps the threshold above them."""
+    held_out = np.append(np.linspace(8, 9, 19), 40.0)
+    assert not is_covered(np.append(np.linspace(12, 13, 19), 5.0), held_out, 40.0)
+
+
+def test_a_few_presses_that_fail_by_their_own_bank_are_no_lack() -> None:
+    """Three of 40, as InReaCh leaves out strays."""
+    held_out = np.linspace(5, 8, 40)
+    assert is_covered(np.append(0.9 * held_out[:37], [8.7, 8.8, 8.9]), held_out, 7.9)
+
+
+def test_the_higher_of_the_two_scores_counts_for_the_threshold() -> None:
+    """Three presses score low unknown: by the final bank they score as it does, and no more fail than promised."""
+    held_out = LEARNER.scores(LEARNER.bank(PRESSES), PRESSES.features, range(20))
+    known = held_out.copy()
+    held_out[:3] *= 0.5
+    _, scores, room = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), held_out), limit)
+    assert room == 1
+    np.testing.assert_array_equal(scores, known)
+
+
+def test_where_no_threshold_is_wanted_no_press_is_scored() -> None:
+    """A given threshold needs no scores, and no check."""
+    _, scores, room = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), None), limit)
+    assert (scores, room) == (None, 1)
+
+
+def test_a_bank_grows_until_it_covers_its_presses() -> None:
+    """Twice the usual room is enough here."""
+    rooms: list[float] = []
+
+    def learnt(roomy: Nominal) -> tuple[Bank, Any]:
+        rooms.append(roomy.room)
+        bank = LEARNER.bank(roomy)
+        spare = {"spare": np.zeros(round(100 * roomy.room), np.float32)}
+        return Bank({**bank.arrays, **spare}), np.full(20, 0.01 if roomy.room < 2 else 9.0)
+
+    _, _, room = covering_bank(LEARNER, PRESSES, learnt, limit)
+    assert (room, rooms) == (2, [1, 1.5, 2])
+
+
+def limit(scores: np.ndarray) -> Any:
+    return conformal_threshold(scores, 0.05)
+
+
+def test_the_limit_of_the_share_is_a_quarter() -> None:
+    """A place that every press has makes most of them fail."""
+    held_out = np.linspace(5, 8, 40)
+    for failing, expected in ((10, True), (11, False)):
+        known = np.where(np.arange(40) < 40 - failing, held_out, 8.5)
+        assert is_covered(known, held_out, 7.99) == pytest.approx(expected)
