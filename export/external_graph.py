@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.fitting.bundle_measurements import (
+    check_given,
     contact_range,
     cost_card,
     given_threshold,
@@ -48,6 +49,7 @@ class WrapRecipe:
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
+        check_given(self.threshold)
 
 
 @one_blas_thread()

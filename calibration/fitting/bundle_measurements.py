@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import math
 import platform
 from collections.abc import Mapping, Sequence
 
@@ -21,6 +22,7 @@ from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEnt
 from edge.model.scorer import Scorer, map_peaks
 
 __all__ = [
+    "check_given",
     "contact_range",
     "cost_card",
     "given_threshold",
@@ -145,7 +147,7 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         raise FitError(
             f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them anew"
         )
-    found = []
+    found = list(presses.faults)
     distinct = len({rgb.tobytes() for rgb in presses.frames})
     if alpha is not None and distinct == 1 < n:
         raise FitError(
@@ -201,6 +203,12 @@ def _indifferent() -> list[str]:
     """The methods that score a press wherever it lies."""
     methods = (registry.detector(name) for name in registry.names("detectors"))
     return [one.name for one in methods if not (one.compares_places or one.is_baseline)]
+
+
+def check_given(threshold: float | None) -> None:
+    """Errors: FitError for a stated threshold that no score can be compared with."""
+    if threshold is not None and not math.isfinite(threshold):
+        raise FitError(f"a threshold is a finite number, found {threshold}")
 
 
 def given_threshold(value: float, alpha: float) -> ThresholdEntry:

@@ -1,5 +1,6 @@
 """`gelgate fit`: nominal presses in, a bundle out."""
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -174,11 +175,16 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:
-    """Before any work. Errors: ConfigError."""
+    """Before any work: nothing is written over, and there is a folder to write in. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    if output.exists() and not overwrite:
+    if os.path.exists(output) and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or add --overwrite")
+    above = next(folder for folder in output.absolute().parents if os.path.exists(folder))
+    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+        raise ConfigError(
+            f"{output} cannot be written: {above} is no folder to write in; choose another place"
+        )
 
 
 def counted(n: int) -> str:

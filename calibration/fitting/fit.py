@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import (
+    check_given,
     contact_range,
     cost_card,
     free_gel_warnings,
@@ -88,6 +89,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
+        check_given(self.threshold)
         if self.folds < 2:
             raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
 

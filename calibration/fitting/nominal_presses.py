@@ -51,7 +51,7 @@ class NominalPresses:
     the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel. left_out: names of presses
     that were there and were to be left out. free_view: the free gel as contact detection sees it, uint8 (120, 160, 3).
     reliefs: the share of the view in which each press shows an imprint's fine structure, empty when there is no free
-    gel.
+    gel. faults: what of the sources could not be read or found, a sentence each.
     """
 
     frames: NDArray[np.uint8]
@@ -63,6 +63,7 @@ class NominalPresses:
     left_out: tuple[str, ...] = ()
     free_view: NDArray[np.uint8] | None = None
     reliefs: tuple[float, ...] = ()
+    faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -100,6 +101,7 @@ class _Gathered:
     left_out: list[str] = field(default_factory=list)
     free_views: list[View] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
 
     def add(
         self, picture: NDArray[np.uint8], name: str, specimen: str | None, contact: _Contact | None
@@ -130,6 +132,7 @@ class _Gathered:
             left_out=tuple(self.left_out),
             free_view=self._free_view(),
             reliefs=tuple(contact.relief for contact in contacts) if is_known else (),
+            faults=tuple(self.faults),
         )
 
     def _free_view(self) -> NDArray[np.uint8] | None:
@@ -240,17 +243,35 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
     recording, detector = Recording.open(folder), PressDetector(gathered.profile)
     specimens: dict[int, object] = {}
     last_free: CameraFrame | None = None
+    settled = 0
     for recorded in recording:
         specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
         for event in detector.feed(recorded.frame):
             if isinstance(event, PressSettled) and (chosen := detector.chosen(event)) is not None:
                 _add_settled(folder, chosen, specimens[chosen.sequence], detector.tracker, gathered)
+                settled += 1
             elif isinstance(event, PressBegan | ReferenceReady) and last_free is not None:
                 gathered.add_free(decode(last_free, gathered.profile).rgb)
         if detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             last_free = detector.newest
     if detector.looked_at == 0:
         gathered.refused.append(_why_unread(folder, recording, detector))
+    gathered.faults += _incomplete(recording, settled, detector)
+
+
+def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> list[str]:
+    """What of a recording is not learnt, though it was meant to be. settled: presses found in it."""
+    name, held, found = recording.folder.name, recording.presses(), []
+    if recording.is_cut:
+        found.append(f"recording {name} ends within a line of its index: what came later is not learnt")
+    if detector.corrupt:
+        found.append(
+            f"{detector.corrupt} of {len(recording)} frames of recording {name} cannot be read; the first: "
+            f"{detector.first_fault}"
+        )
+    if held is not None and held != settled:
+        found.append(f"recording {name} has labels of {held} presses, and {settled} were found in it")
+    return found
 
 
 def _why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:

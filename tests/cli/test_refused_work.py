@@ -113,6 +113,13 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     "fit over a bundle": (
         lambda _: ["fit", "presses", "-o", "bundle", "--part", "x"], 3, ("bundle exists already", "--overwrite"),
     ),
+    "fit into a file": (
+        lambda _: fit("presses", "-o", "presses/recording.toml/made"),
+        3, ("presses/recording.toml is no folder to write in; choose another place",),
+    ),
+    "fit with a threshold that is none": (
+        lambda _: fit("presses", "--threshold", "nan"), 3, ("a threshold is a finite number, found nan",),
+    ),
     "fit with an unknown method": (lambda _: fit("presses", "--method", "padin"), 3, ("did you mean 'padim'?",)),
     "fit with an unknown parameter": (
         lambda _: fit("presses", "--set", "rnk=3"), 3, ("padim: 'rnk' is not known; did you mean 'rank'?",),

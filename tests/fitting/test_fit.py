@@ -49,6 +49,14 @@ def test_the_bank_is_the_mean_of_the_presses() -> None:
     np.testing.assert_allclose(bank, cells.transpose(2, 0, 1), rtol=1e-6)
 
 
+def test_what_is_missing_of_the_presses_is_in_the_manifest() -> None:
+    """Whoever runs the bundle reads it, too."""
+    said = "recording a ends within a line of its index: what came later is not learnt"
+    bundle = fit_files(presses(6, faults=(said,)), recipe(), created="2026-01-01").bundle()
+
+    assert said in bundle.manifest.provenance.warnings
+
+
 def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:
     """The bundle does its job: threshold from nominal presses alone, a painted square lies far above it."""
     bundle = fit_files(presses(40), recipe(), created="2026-01-01").bundle()
@@ -224,6 +232,7 @@ def test_a_threshold_can_be_given() -> None:
         (NominalPresses(np.zeros((0, 32, 32, 3), np.uint8), ()), {}, "no nominal press"),
         (presses(3), {"alpha": 1.5}, "false-alarm rate"),
         (presses(3), {"alpha": 0.0}, "false-alarm rate"),
+        (presses(3), {"threshold": float("inf")}, "a threshold is a finite number, found inf"),
         (presses(3), {"overrides": {"gian": 2.0}}, "no such parameter"),
         (
             NominalPresses(np.zeros((3, 32, 31, 3), np.uint8), ("",) * 3),

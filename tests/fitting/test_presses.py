@@ -146,6 +146,23 @@ def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Pat
         read_presses([copy], PROFILE, REGION)
 
 
+def test_what_is_missing_of_a_recording_is_said(recording: Path, tmp_path: Path) -> None:
+    """A frame that cannot be read, an index that ends within a line, and labels of another number of presses."""
+    import shutil
+
+    copy = Path(shutil.copytree(recording, tmp_path / "copy"))
+    (copy / "frames" / "000005.png").write_bytes(b"")
+    index = (copy / "index.jsonl").read_text()
+    (copy / "index.jsonl").write_text(index.replace('{"specimen": ', '{"press": ')[:-9])
+    presses = read_presses([copy], PROFILE, REGION)
+
+    assert read_presses([recording], PROFILE, REGION).faults == ()
+    cut, unread, labels = presses.faults
+    assert cut == "recording copy ends within a line of its index: what came later is not learnt"
+    assert unread.startswith("1 of 275 frames of recording copy cannot be read; the first: frame 5 ")
+    assert labels == "recording copy has labels of 2 presses, and 3 were found in it"
+
+
 def test_a_recording_of_another_size_names_the_reason(recording: Path) -> None:
     """Every frame was refused for its size: that is said, and not that no press was found."""
     camera = SensorProfile("mini_lr", (3280, 2464), (0.0, 0.0), (320, 240), 4, 15.77)
