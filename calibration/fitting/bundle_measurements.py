@@ -171,7 +171,7 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
 
 def free_gel_warnings(presses: NominalPresses) -> list[str]:
     """Whether the picture of the free gel belongs to the presses: where it does not, no place is known."""
-    said = foreign_free_gel(presses.touches, presses.reliefs)
+    said = foreign_free_gel(presses.touches, presses.reliefs) if presses.reliefs else None
     return [] if said is None else [said]
 
 
