@@ -1,8 +1,8 @@
-"""`gelgate demo`: the whole product on one machine, without hardware, network or account.
+"""`gelgate demo`: the complete product on one machine, without hardware, network or account.
 
-A bolt is simulated, normality learnt from sound presses, and a gateway inspects further presses on the virtual sensor,
-through a real broker, to a subscriber that keeps the heatmaps. Only the sensor's bus and the bolt are not real.
-The sensor is played as fast as it is read, so that a busy machine takes longer and misses nothing.
+A bolt is simulated and a bundle is fitted on presses of good bolts. A gateway inspects further presses on the virtual
+sensor and publishes over a real broker, and a subscriber keeps the heatmaps. Only the sensor's bus and the bolt are
+simulated. The sensor is played as fast as it is read, so that a busy machine takes longer and misses no press.
 """
 
 import json
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["demo"]
 
 PART, POSITION = "PZ1", "pos1"
-# 24 nominal presses cannot promise fewer than one false alarm in 25; asking for less takes the highest of their scores.
+# 24 nominal presses cannot promise fewer than one false alarm in 25; a lower rate gives the highest of their scores.
 ALPHA = 0.03
 SUBSCRIBER_TIMEOUT_S = 60.0
 ROOT = "gelgate/demo/bench/station1/gel/v1"
@@ -53,19 +53,21 @@ options = {{ host = "{host}", port = {port}, protocol = "{protocol}" }}
 
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Where heatmaps, bundle and configuration are left.")
+        Path, typer.Option("--output", "-o", help="Folder for heatmaps, bundle and configuration.")
     ] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Another bolt, other damage.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the bolt and its damage.")] = 0,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings too, about 190 MB.")] = False,
 ) -> None:
-    """Simulate a bolt, learn it, inspect it on a virtual sensor, publish over a real broker, keep the heatmaps."""
+    """Simulate a bolt, fit a bundle, inspect, publish.
+
+    The gateway runs on a virtual sensor and publishes over a real broker; the heatmaps are kept."""
     from edge.messaging.local_broker import LocalBroker
 
     started = time.monotonic()
     heatmaps = output / "heatmaps"
     shutil.rmtree(heatmaps, ignore_errors=True)
     heatmaps.mkdir(parents=True)
-    # The broker first: where none is installed that is said before a minute of work, not after it.
+    # The broker first: if none is installed, the error comes before a minute of work, not after it.
     with LocalBroker() as broker, _recordings_folder(output if keep else None) as folder:
         nominal, test = _simulated(folder, seed)
         bundle = _fitted(nominal, output / "bundle")
@@ -85,7 +87,7 @@ def _recordings_folder(kept: Path | None) -> Iterator[Path]:
 
 
 def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
-    """Two runs of the scene `demo`: sound presses to learn from, and presses of which some are damaged."""
+    """Two runs of the scene `demo`: good presses for the fit, and presses of which some are damaged."""
     import os
 
     from calibration.progress import progress
@@ -133,7 +135,7 @@ def _fitted(nominal: Path, path: Path) -> Path:
 
 @dataclass
 class _Tally:
-    """What came of the presses, against what the simulation knows. damaged: press number to whether it is."""
+    """The verdicts against the truth of the simulation. damaged: press number to whether it is damaged."""
 
     damaged: dict[int, bool]
     kinds: dict[int, str]
@@ -156,12 +158,12 @@ class _Tally:
         typer.echo(f"\ngel ledger: {self.gel}")
         typer.echo(
             f"verdicts:   {caught} of {n_damaged} damaged presses failed, "
-            f"{passed} of {len(self.damaged) - n_damaged} sound ones passed"
+            f"{passed} of {len(self.damaged) - n_damaged} good ones passed"
         )
         typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
 
     def check(self, recording: Path) -> None:
-        """Errors: PressesMissed, SinkUnavailable: a demonstration that lost something has not succeeded."""
+        """Errors: PressesMissed, SinkUnavailable: a demo that lost a press or a result has failed."""
         from edge.core.errors import SinkUnavailable
         from edge.gateway.played import check_played
         from edge.recording.format import Recording
@@ -171,12 +173,12 @@ class _Tally:
         if self.received != len(self.verdicts):
             raise SinkUnavailable(
                 f"{len(self.verdicts)} presses were inspected and {self.received} results arrived at the subscriber "
-                f"within {SUBSCRIBER_TIMEOUT_S:g} s; look at the broker, and take load from the machine"
+                f"within {SUBSCRIBER_TIMEOUT_S:g} s; check the broker, and reduce the load of the machine"
             )
 
 
 def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker: "LocalBroker") -> _Tally:
-    """Run the gateway on the test recording, with a subscriber beside it."""
+    """Run the gateway and a subscriber on the test recording."""
     from edge.cli.run import press_line
     from edge.clock import SystemClock
     from edge.config import load_config
@@ -206,7 +208,7 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
         ) as gateway:
             tally.summary = gateway.run(threading.Event())
             tally.status = gateway.status
-            # Before the gateway closes: it gives what it has not sent two seconds, and a busy machine needs more.
+            # Before the gateway closes: it waits two seconds for unsent messages, and a busy machine needs more.
             _await(lambda: len(received) >= len(tally.verdicts))
         tally.received = len(received)
     with Store(folder / "gelgate.db") as store:
@@ -222,7 +224,7 @@ def _level(broker: "LocalBroker") -> "Level":
 
 
 def _known_truth(recording: Path) -> _Tally:
-    """What the simulation wrote beside each frame: which press is damaged, and how."""
+    """The labels of the simulation: which press is damaged, and how."""
     from edge.recording.format import Recording
 
     damaged: dict[int, bool] = {}
@@ -239,7 +241,7 @@ def _known_truth(recording: Path) -> _Tally:
 
 @contextmanager
 def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]]:
-    """A plant's subscriber: press id to verdict, as they arrive; pictures are saved under the verdict's name."""
+    """A subscriber: press id to verdict, in the order of arrival; pictures are saved with the verdict in their name."""
     from edge.messaging.mqtt_connection import Broker, Connection, Received
 
     results: dict[str, str] = {}

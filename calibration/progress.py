@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, a plain line every tenth elsewhere, always on stderr."""
+"""Progress of long work: a bar on a terminal, else a plain line at every tenth, always on stderr."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -8,15 +8,15 @@ from typing import Any
 __all__ = ["Advance", "Report", "Stages", "progress"]
 
 Advance = Callable[[int], None]
-"""Called with how many steps are done in all."""
+"""Called with the number of steps done."""
 
 Report = Callable[[str, float], None]
-"""Called with a stage's name and the fraction of it that is done."""
+"""Called with a stage's name and the fraction that is done."""
 
 
 @contextmanager
 def progress(what: str, total: int, unit: str = "") -> Iterator[Advance]:
-    """Show how far `what` has come; the caller reports steps done, up to `total`. unit: "%" where steps are none."""
+    """Show the progress of `what`; the caller reports steps done, up to `total`. unit: "%" if steps have no name."""
     if sys.stderr.isatty():
         yield from _bar(what, total)
     else:
@@ -48,7 +48,7 @@ def _lines(what: str, total: int, unit: str) -> Advance:
 
 
 class Stages:
-    """Progress of named stages: bars on a terminal, a line every tenth of a stage elsewhere."""
+    """Progress of named stages: bars on a terminal, else a line at every tenth of a stage."""
 
     def __init__(self) -> None:
         self._bars: Any = None

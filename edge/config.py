@@ -32,11 +32,11 @@ class PluginTable(_Table):
     """One plugin, chosen by name."""
 
     plugin: str = Field(description="its name")
-    options: dict[str, Any] = Field(default_factory=dict, description="that plugin's own table")
+    options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
 
 
 class StationTable(_Table):
-    """Where this gateway stands in the plant; the levels of its MQTT topics.
+    """The place of this gateway in the plant: the levels of its MQTT topics.
 
     Each has 1 to 64 characters, no space, and none of + # / $.
     """
@@ -117,7 +117,7 @@ class GelTable(_Table):
 
 
 class StoreTable(_Table):
-    """The database of presses, gels and unsent messages, and how much room unsent messages may take."""
+    """The database of presses, gels and unsent messages, and the room for unsent messages."""
 
     path: Path = Field(default=Path("gelgate.db"), description="the SQLite file; its folder must exist")
     outbox_mb: float = Field(
@@ -129,7 +129,7 @@ class StoreTable(_Table):
 
 
 class Config(_Table):
-    """The whole file."""
+    """The complete file."""
 
     version: Literal[1] = Field(description="the version of this format")
     station: StationTable = StationTable()
@@ -151,7 +151,7 @@ def load_config(path: Path) -> Config:
         ) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(
-            f"configuration {path} cannot be read: {error}; `gelgate check --example` prints a sound one"
+            f"configuration {path} cannot be read: {error}; `gelgate check --example` prints a correct one"
         ) from error
     faults: list[str] = []
     config = _validated(Config, table, "", faults)
@@ -170,7 +170,7 @@ def _validated(model: type[M], table: object, where: str, faults: list[str]) -> 
 
 
 def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
-    """Faults in plugin names and options, as far as the tables are well formed enough to look."""
+    """Faults in plugin names and options, of the tables that can be read."""
     faults: list[str] = []
     for kind, where, plugin in _named_plugins(table):
         try:
@@ -193,7 +193,7 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
 
 
 def _with_paths_from(folder: Path, config: Config) -> Config:
-    """The same configuration with every relative path, those in plugins' options too, taken from its own folder."""
+    """The same configuration with every relative path, also in plugin options, taken from the folder of its file."""
     inspection = config.inspection.model_copy(update={"bundle": folder / config.inspection.bundle})
     store = config.store.model_copy(update={"path": folder / config.store.path})
     device = _with_options_from(folder, "devices", config.device)
@@ -209,7 +209,7 @@ def _with_options_from(folder: Path, kind: registry.PluginGroup, table: PluginTa
 
 
 def _rooted(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options in which what the model calls a path is taken from the folder, in nested tables as well."""
+    """Options with each path of the model taken from the folder, in nested tables too."""
     rooted = dict(options)
     for name, value in options.items():
         kinds = set(types_in(model.model_fields[name].annotation))

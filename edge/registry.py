@@ -1,7 +1,7 @@
-"""Names to plugins, through entry points; built-ins and plugins by others come through the same door.
+"""Names to plugins, through entry points, the same for built-in plugins and those of other packages.
 
-A plugin is loaded only when it is named, so an unused one costs nothing and cannot run. What does not meet its
-group's protocol (`edge.core.plugins`) is refused here, so that nobody else has to look.
+A plugin is loaded only when it is named, so an unused one costs nothing and cannot run. An object without the protocol
+of its group (`edge.core.plugins`) is refused here, so that no other code has to check it.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,21 +36,21 @@ Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "comman
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
 PluginGroup: TypeAlias = Literal["devices", "sinks"]
-"""The groups whose plugins have a table in the configuration."""
+"""The groups with a table in the configuration."""
 
 Verb: TypeAlias = "typer.Typer | Callable[..., None]"
 
 
 def names(group: Group) -> list[str]:
-    """The names that can be chosen in a group."""
+    """The known names of a group."""
     return sorted(_points(group))
 
 
 def device(name: str) -> "DevicePlugin[BaseModel]":
     """The device plugin of that name.
 
-    Errors, here and below: ConfigError for a name that nobody has or two packages have, with the nearest known one;
-    for a plugin that cannot be loaded; and for an object that is no plugin of this group.
+    Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for
+    a plugin that cannot be loaded; and for an object without the protocol of this group.
     """
     from edge.core.plugins import DevicePlugin
 
@@ -95,7 +95,7 @@ def command(name: str) -> Verb:
     found = _load("commands", name)
     if callable(found):
         return found
-    raise ConfigError(f"the entry point '{name}' of gelgate.commands is no function; correct its package")
+    raise ConfigError(f"the entry point '{name}' of gelgate.commands is not a function; correct its package")
 
 
 def options(group: PluginGroup, name: str) -> "type[BaseModel]":
@@ -127,7 +127,7 @@ def _load(group: Group, name: str) -> object:
     except (ImportError, AttributeError) as error:
         raise ConfigError(
             f"the {group} plugin '{name}' ({points[0].value}) cannot be loaded: {error}; "
-            f"pip install what it needs, such as the extras of {_package(points[0])}"
+            f"pip install the packages it needs, such as the extras of {_package(points[0])}"
         ) from error
     return loaded
 

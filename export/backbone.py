@@ -1,7 +1,7 @@
 """`gelgate export backbone`: a PyTorch checkpoint of weights becomes an ONNX trunk, without torchvision.
 
-A checkpoint is a pickle, and an unrestricted pickle runs whatever its author wrote. Only PyTorch's weights-only loader
-is used here, which builds tensors and plain containers and refuses everything else; nothing falls back to more.
+A checkpoint is a pickle, and an unrestricted pickle runs any code of its author. Only PyTorch's weights-only loader is
+used here: it builds tensors and plain containers and refuses everything else. There is no fallback.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from plugins.backbones.topology import State, check_state, expected_shapes, topo
 
 __all__ = ["export_backbone", "read_checkpoint", "weights_sha256"]
 
-# Where training scripts put the weights beside their other state, and what wrappers put before every name.
+# Keys under which training scripts store the weights, and prefixes that wrappers add to every name.
 CONTAINERS = ("state_dict", "model", "model_state_dict")
 WRAPPERS = ("module.", "_orig_mod.")
 
@@ -38,9 +38,9 @@ def export_backbone(
     std: Sequence[float] = IMAGENET_STD,
     weights: Literal["float32", "float16"] = "float32",
 ) -> dict[str, str]:
-    """Write the trunk (whole or not at all); returns its facts, which also stand in the file's metadata.
+    """Write the trunk, completely or not at all; returns its facts, which are also in the file's metadata.
 
-    Errors: ConfigError for a file that is no checkpoint of this topology, OSError where the output cannot be written.
+    Errors: ConfigError for a file that is not a checkpoint of this topology, OSError when the output cannot be written.
     """
     net = topology(topology_name)
     state = read_checkpoint(checkpoint)
@@ -57,11 +57,11 @@ def export_backbone(
 
 
 def read_checkpoint(path: Path) -> State:
-    """The weights in a `.pth` file, by name, float32. Errors: ConfigError saying what the file is instead."""
+    """The weights in a `.pth` file, by name, float32. Errors: ConfigError with what the file is instead."""
     if not path.is_file():
-        raise ConfigError(f"there is no checkpoint at {path}; give the path of a .pth file")
+        raise ConfigError(f"checkpoint {path} does not exist; give the path of a .pth file")
     if _is_onnx(path):
-        raise ConfigError(f"{path} is an ONNX graph already; use it as it is: gelgate fit --backbone {path}")
+        raise ConfigError(f"{path} is already an ONNX graph; use it directly: gelgate fit --backbone {path}")
     loaded = _load(path)
     for name in CONTAINERS:
         if isinstance(loaded, Mapping) and isinstance(loaded.get(name), Mapping):
@@ -96,10 +96,10 @@ def _load(path: Path) -> Any:
             "or export on another machine and copy the .onnx file"
         ) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about old pickle protocols; what matters is raised
+        warnings.simplefilter("ignore", UserWarning)  # about old pickle protocols; real faults are raised
         try:
             return torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # on foreign bytes the loader raises whatever comes
+        except Exception as error:  # on foreign bytes the loader raises any error
             raise ConfigError(f"{path} {_complaint(path, error)}") from error
 
 
@@ -109,7 +109,7 @@ def _complaint(path: Path, error: Exception) -> str:
             "is a TorchScript archive, not a checkpoint of weights; save model.state_dict() with torch.save"
         )
     if isinstance(error, pickle.UnpicklingError) and zipfile.is_zipfile(path):
-        return "holds more than weights and was not opened further; save model.state_dict() alone with torch.save"
+        return "holds more than weights and was not loaded; save model.state_dict() alone with torch.save"
     return (
         f"is not a PyTorch checkpoint of weights ({type(error).__name__}); give a file written by torch.save"
     )
@@ -124,7 +124,7 @@ def _is_onnx(path: Path) -> bool:
 
     try:
         return bool(onnx.load(path, load_external_data=False).graph.node)
-    except Exception:  # noqa: BLE001 (protobuf raises its own classes; whatever it is, it is no ONNX)
+    except Exception:  # noqa: BLE001 (protobuf raises its own classes; then it is not ONNX)
         return False
 
 

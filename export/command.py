@@ -1,4 +1,4 @@
-"""`gelgate export`: what comes from, or goes to, other people's tools."""
+"""`gelgate export`: weights from other tools in, graphs for other tools out."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,12 +7,12 @@ import typer
 
 __all__ = ["export"]
 
-export = typer.Typer(help="Bring in trained backbones; hand out graphs.", no_args_is_help=True)
+export = typer.Typer(help="Import trained backbones, or write graphs.", no_args_is_help=True)
 
 
 @export.callback()
 def _group() -> None:
-    """Bring in trained backbones; hand out graphs."""
+    """Import trained backbones, or write graphs."""
 
 
 @export.command()
@@ -21,14 +21,16 @@ def backbone(
     output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx"),
     topology: Annotated[str, typer.Option(help="resnet18, resnet50 or wide_resnet50_2.")] = "wide_resnet50_2",
     taps: Annotated[
-        str, typer.Option(help="Feature maps to give, by torchvision's names.")
+        str, typer.Option(help="Feature maps to output, by torchvision's names.")
     ] = "layer1,layer2,layer3",
     mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1.")] = "0.485,0.456,0.406",
-    std: Annotated[str, typer.Option(help="Divided by afterwards.")] = "0.229,0.224,0.225",
+    std: Annotated[str, typer.Option(help="Then RGB is divided by this.")] = "0.229,0.224,0.225",
     half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Turn a PyTorch checkpoint into an ONNX trunk; needs PyTorch, not torchvision."""
+    """Convert a PyTorch checkpoint to an ONNX trunk.
+
+    It needs PyTorch, but not torchvision."""
     from edge.core.errors import ConfigError
     from edge.extras import needs
     from export.backbone import export_backbone
@@ -55,13 +57,13 @@ def tiles(
     trunk: Annotated[Path, typer.Argument(help="A trunk .onnx file, or an installed backbone's name.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("tiled.onnx"),
     frame: Annotated[str, typer.Option(help="Size of the inspected region, WIDTHxHEIGHT.")] = "1280x720",
-    size: Annotated[int, typer.Option(min=32, help="Side of a tile in pixels.")] = 224,
-    overlap: Annotated[
-        int, typer.Option(min=0, help="Pixels that neighbours have in common, at least.")
-    ] = 56,
+    size: Annotated[int, typer.Option(min=32, help="Width and height of a tile in pixels.")] = 224,
+    overlap: Annotated[int, typer.Option(min=0, help="Least overlap of neighbouring tiles in pixels.")] = 56,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Make a trunk see a large frame in overlapping tiles, each as it sees a small frame."""
+    """Make a trunk for large frames from overlapping tiles.
+
+    Each tile is processed as a small frame."""
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.imaging.tiles import tiling
@@ -91,14 +93,16 @@ def merge(
     bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="What to write.")] = Path("detector.onnx"),
     trunks: Annotated[
-        Path | None, typer.Option(help="Folder of <sha256>.onnx, for bundles without their trunk.")
+        Path | None, typer.Option(help="Folder of <sha256>.onnx files, for bundles without their trunk.")
     ] = None,
     as_bundle: Annotated[
-        bool, typer.Option("--as-bundle", help="Write a bundle around the single graph instead of the file.")
+        bool, typer.Option("--as-bundle", help="Write a bundle with the single graph instead of the file.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option(help="Replace what is there.")] = False,
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing file or bundle.")] = False,
 ) -> None:
-    """Write one graph from frames to score map, the bank inside, after checking that it scores the same."""
+    """Write one graph from frames to score map.
+
+    It contains the bank. It is checked first: its scores must be those of the bundle."""
     from edge.core.errors import ConfigError
     from edge.extras import needs
     from edge.model.bundle import Bundle
@@ -108,7 +112,9 @@ def merge(
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)
-    typer.echo(f"{output} written; at most {difference:.1e} of the largest score apart from the bundle")
+    typer.echo(
+        f"{output} written; it differs from the bundle by at most {difference:.1e} of the largest score"
+    )
 
 
 def _three(option: str, text: str) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
-"""A third party's single graph made into a bundle: it brings the mathematics, nominal presses bring the threshold.
+"""A bundle of a third party's single graph: the graph has the method, nominal presses give the threshold.
 
-The graph does not know these presses, so their scores need no folds: the quantile is split-conformal as it stands.
+The graph was not trained on these presses, so their scores need no folds: their quantile is split-conformal.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ __all__ = ["WrapRecipe", "wrap_files"]
 
 @dataclass(frozen=True)
 class WrapRecipe:
-    """What is to be made. method: the name that results will carry. The other fields are those of `Recipe`."""
+    """What to make. method: the name in the results. The other fields are those of `Recipe`."""
 
     part: str
     position: str
@@ -63,8 +63,8 @@ def wrap_files(
 ) -> Fitted:
     """The bundle of one graph: uint8 `frames` (n, h, w, 3) to `score_map` (n, h, w) and `score` (n,).
 
-    presses: nominal ones that the graph was not trained on. Errors: BundleCorrupt for a graph that does not keep the
-    contract, FitError for too few presses, NotScorable.
+    presses: nominal ones that the graph was not trained on. Errors: BundleCorrupt for a graph that breaks the contract,
+    FitError for too few presses, NotScorable.
     """
     region, is_given = recipe.region, recipe.threshold is not None
     if not is_given:

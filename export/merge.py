@@ -1,6 +1,6 @@
-"""One ONNX graph from frames to score map, with the bank inside: for runtimes and tools that are not gelgate.
+"""One ONNX graph from frames to score map, with the bank inside: for other runtimes and tools.
 
-It answers the same outer contract as a bundle's pair of graphs, so the gateway accepts it as `detector.onnx` too.
+Its inputs and outputs are those of a bundle's pair of graphs, so the gateway also accepts it as `detector.onnx`.
 """
 
 from dataclasses import replace
@@ -19,15 +19,15 @@ from plugins.backbones.tiled import mosaic_trunk
 __all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]
 
 MERGED_RELATIVE = 1e-4
-"""How far the merged graph may differ from the pair, relative to the largest map value: with the bank constant the
-runtime folds and fuses otherwise. The two agreed to 1e-6 on every detector at the time of writing."""
+"""How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the
+runtime folds and fuses differently. Measured on every detector: 1e-6."""
 
 
 def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> float:
     """Write the merged graph of a bundle and return the largest relative difference from the bundle's own maps.
 
-    as_bundle: write a bundle with `detector.onnx` instead of the bare file. Nothing is written when the graph scores
-    otherwise. Errors: BundleMismatch for a bundle that is a single graph already, BundleCorrupt when it differs,
+    as_bundle: write a bundle with `detector.onnx` instead of the bare file. Nothing is written when the scores
+    differ. Errors: BundleMismatch for a bundle that is already a single graph, BundleCorrupt when the scores differ,
     OSError of the disk.
     """
     graph = merged_graph(bundle)
@@ -35,7 +35,7 @@ def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> fl
     if not difference <= MERGED_RELATIVE:
         raise BundleCorrupt(
             f"the merged graph of {bundle.where} differs from the bundle by {difference:.2g} of the largest score, "
-            f"{MERGED_RELATIVE:g} is allowed; nothing was written, report this with the bundle"
+            f"{MERGED_RELATIVE:g} is allowed; nothing is written, report this with the bundle"
         )
     if as_bundle:
         write_bundle(output, single_graph_bundle(bundle, graph)[1], overwrite=True)
@@ -50,7 +50,7 @@ def merged_graph(bundle: Bundle) -> bytes:
     from onnx import compose, numpy_helper
 
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
-        raise BundleMismatch(f"bundle {bundle.where} is a single graph already; copy its detector.onnx")
+        raise BundleMismatch(f"bundle {bundle.where} is already a single graph; copy its detector.onnx")
     head = onnx.load_from_string(bundle.graphs.head)
     whole = bundle.graphs.trunk
     if bundle.grid is not None and bundle.grid.tiles is not None:
@@ -64,7 +64,7 @@ def merged_graph(bundle: Bundle) -> bytes:
     del head.graph.input[:]
     head.graph.input.extend(kept)
     trunk, head = _same_versions(trunk, head)
-    # Prefixes keep the two graphs' inner names apart; the outer names are put back below.
+    # Prefixes keep the inner names of the two graphs distinct; the outer names are restored below.
     merged = compose.merge_models(
         compose.add_prefix(trunk, "trunk/"),
         compose.add_prefix(head, "head/"),
@@ -81,7 +81,7 @@ def merged_graph(bundle: Bundle) -> bytes:
 
 
 def _metadata(bundle: Bundle) -> dict[str, str]:
-    """What another runtime needs to know beside the graph: the file says it of itself."""
+    """What another runtime needs to know, as metadata of the file."""
     manifest = bundle.manifest
     return {
         "gelgate_bundle": bundle.digest,
@@ -95,11 +95,11 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
 
 
 def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
-    """The manifest and files of a bundle with one graph in place of trunk, head and bank; all else is kept."""
+    """The manifest and files of a bundle with one graph in place of trunk, head and bank; the rest is kept."""
     facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
     golden = bundle.golden
     if bundle.free_gel is not None:
-        # The single graph sees every tile, so it is held to what the pair scores when it skips none.
+        # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
         golden = tuple(_scored_again(frame, scorer) for frame in golden)
     return bundle_files(facts, Graphs(detector=graph), golden=golden)
@@ -128,7 +128,7 @@ def _largest_difference(bundle: Bundle, graph: bytes) -> float:
 
 
 def _same_versions(trunk: Any, head: Any) -> tuple[Any, Any]:
-    """Both at the higher opset and IR version of the two, as merging demands."""
+    """Both at the higher opset and IR version of the two, as merging requires."""
     from onnx import version_converter
 
     opset = max(trunk.opset_import[0].version, head.opset_import[0].version)
@@ -143,7 +143,7 @@ def _same_versions(trunk: Any, head: Any) -> tuple[Any, Any]:
 
 
 def _rename(model: Any, names: dict[str, str]) -> None:
-    """Rename values wherever they stand: inputs, outputs, nodes."""
+    """Rename values in inputs, outputs and nodes."""
     for value in [*model.graph.input, *model.graph.output]:
         value.name = names.get(value.name, value.name)
     for node in model.graph.node:

@@ -1,8 +1,8 @@
-"""`make heads`: the heads that ship with the product, written by the detectors' own authors.
+"""`make heads`: the heads that ship with the product, written by the detectors themselves.
 
-Each detector is fitted with its default settings on invented features of the shipped trunk's sizes, with all cells and
-with some touched, with and without the free gel, and whatever different graphs result are stored.
-`plugins/detectors/prebuilt_heads` finds them again.
+Each detector is fitted with its default settings on synthetic features of the shipped trunk's sizes: with all or some
+cells touched, with and without frames of the untouched gel. Every different graph is stored, and
+`plugins/detectors/prebuilt_heads` finds it.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from plugins.detectors.prebuilt_heads import FORMAT, INDEX, identity, written_gr
 __all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "prebuilt_grid"]
 
 HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "prebuilt_heads"
-# Enough that no number of presses limits anything that a graph could fix.
+# Enough presses that their number limits no size in a graph.
 _PRESSES = 4
 
 Authored = tuple[dict[str, Any], bytes]
@@ -34,7 +34,7 @@ Authored = tuple[dict[str, Any], bytes]
 
 
 def prebuilt() -> dict[str, tuple[tuple[int, int], ...]]:
-    """The installed detectors whose heads ship, each with the frames (h, w) that it names."""
+    """The installed detectors whose heads ship, each with its frame sizes (h, w)."""
     detectors = {name: registry.detector(name) for name in registry.names("detectors")}
     return {name: one.prebuilt_frames for name, one in detectors.items() if isinstance(one, HasPrebuiltHeads)}
 
@@ -49,7 +49,7 @@ def prebuilt_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
 @dataclass(frozen=True)
 class Situation:
     """What is known of the gel. touched: radius of the disc in the middle that presses touch, as a part of the frame's
-    height; None where nothing is known of it. has_free_gel: whether there are frames of the untouched gel."""
+    height; None if unknown. has_free_gel: whether there are frames of the untouched gel."""
 
     touched: float | None
     has_free_gel: bool
@@ -100,7 +100,7 @@ def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
 
 
 def _arrays(graph: bytes, bank: Bank) -> dict[str, Any]:
-    """Name to dtype and shape of every bank array; sizes that the graph leaves open are names."""
+    """Name to dtype and shape of every bank array; sizes that are free in the graph are names."""
     import onnx
 
     declared = {
@@ -117,7 +117,7 @@ def _arrays(graph: bytes, bank: Bank) -> dict[str, Any]:
 
 
 def main(home: Path = HOME) -> None:
-    """Write every head and the index, and remove heads that are no longer any."""
+    """Write every head and the index, and remove heads that are not in it."""
     entries = []
     home.mkdir(exist_ok=True)
     for method, frames in prebuilt().items():

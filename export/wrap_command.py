@@ -1,4 +1,4 @@
-"""`gelgate wrap`: a third party's graph in, a bundle out."""
+"""`gelgate wrap`: a third party's graph becomes a bundle."""
 
 from functools import partial
 from pathlib import Path
@@ -29,12 +29,14 @@ def wrap(
     ],
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="SOURCE...", help="Nominal presses that it was not trained on, as for `fit`."),
+        typer.Argument(
+            metavar="SOURCE...", help="Nominal presses that the graph was not trained on, as for `fit`."
+        ),
     ],
     output: Output,
     part: Part = None,
     position: Position = None,
-    method: Annotated[str, typer.Option(help="The name that results carry.")] = "external",
+    method: Annotated[str, typer.Option(help="The method's name in results.")] = "external",
     profile: Profile = "",
     region: RegionText = "centre",
     alpha: Alpha = 0.05,
@@ -44,7 +46,9 @@ def wrap(
     threads: Threads = 2,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a bundle of someone else's detector; the threshold comes from nominal presses."""
+    """Make a bundle of another tool's detector graph.
+
+    The threshold comes from nominal presses."""
     from calibration.fitting.command import (
         chosen_profile,
         counted,

@@ -1,6 +1,6 @@
-"""Datasets of presses: the paper's layout, MVTec-style folders and CVAT exports, read into one kind of value.
+"""Datasets of presses: the paper's layout, MVTec-style folders and CVAT exports, read into the same values.
 
-Everything that is missing, misnamed, wrongly sized or unreadable is listed in one DatasetError.
+Every file that is missing, misnamed, of the wrong size or unreadable is listed in one DatasetError.
 """
 
 from calibration.dataset.files import pool_mask

@@ -24,7 +24,7 @@ _ELLIPSE_POINTS = 72
 
 
 def read_cvat_xml(root: Path, faults: Faults) -> list[Press]:
-    """The presses of an export with annotations.xml and images/. Errors: DatasetError when the XML is none."""
+    """The presses of an export with annotations.xml and images/. Errors: DatasetError for invalid XML."""
     annotations = root / "annotations.xml"
     presses = []
     seen: set[Path] = set()
@@ -33,7 +33,7 @@ def read_cvat_xml(root: Path, faults: Faults) -> list[Press]:
         path = next((p for p in (root / "images" / name, root / name) if p.is_file()), root / "images" / name)
         seen.add(path)
         if not path.resolve().is_relative_to(root.resolve()):
-            faults.add(annotations, f"image '{name}' lies outside the dataset")
+            faults.add(annotations, f"image '{name}' is outside the dataset")
             continue
         press = _annotated(root, path, image, annotations, faults)
         if press is not None:
@@ -46,7 +46,7 @@ def read_cvat_xml(root: Path, faults: Faults) -> list[Press]:
 
 def _parse(path: Path) -> ElementTree.Element:
     data = path.read_bytes()
-    # CVAT writes no document type; refusing one keeps entity expansion out.
+    # CVAT writes no document type; refusing it prevents entity expansion.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise DatasetError(
             f"'{path}' declares a document type, which a CVAT export does not; export it again"
@@ -54,7 +54,7 @@ def _parse(path: Path) -> ElementTree.Element:
     try:
         tree = ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
-        raise DatasetError(f"'{path}' is no whole XML file: {error}; export it again") from error
+        raise DatasetError(f"'{path}' is not a complete XML file: {error}; export it again") from error
     if tree.tag != "annotations":
         raise DatasetError(f"'{path}' is <{tree.tag}>, expected <annotations> of 'CVAT for images 1.1'")
     return tree
@@ -86,7 +86,7 @@ def _annotated(
 
 
 def _shape(element: ElementTree.Element) -> Shape:
-    """One drawn element. Errors: ValueError or KeyError saying what is wrong with it."""
+    """One drawn element. Errors: ValueError or KeyError with what is wrong."""
     if element.tag == "polygon":
         pairs = [p.split(",") for p in element.attrib["points"].split(";") if p]
         return Polygon(tuple((float(x), float(y)) for x, y in pairs))
@@ -105,11 +105,11 @@ def _shape(element: ElementTree.Element) -> Shape:
         return Runs(left, top, width, height, counts)
     if element.tag in _NO_AREA:
         raise ValueError("has no area; draw a polygon, a box or a mask")
-    raise ValueError("is no shape that CVAT for images 1.1 knows")
+    raise ValueError("is not a shape of CVAT for images 1.1")
 
 
 def _rotated(points: list[tuple[float, float]], centre: tuple[float, float], degrees: float) -> Polygon:
-    """Turned clockwise on the screen about the centre, as CVAT's `rotation` does."""
+    """Rotated clockwise on the screen about the centre, as CVAT's `rotation`."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     moved = ((x - centre[0], y - centre[1]) for x, y in points)
     return Polygon(tuple((centre[0] + c * x - s * y, centre[1] + s * x + c * y) for x, y in moved))
@@ -118,8 +118,8 @@ def _rotated(points: list[tuple[float, float]], centre: tuple[float, float], deg
 def read_cvat_masks(root: Path, faults: Faults) -> list[Press]:
     """The presses of an export with SegmentationClass/ and JPEGImages/ (or images/).
 
-    A defect pixel is any that is not black, the colour of `background`. A picture without a mask file is a fault:
-    this format writes an all-black one for a good part.
+    Every pixel that is not black, the colour of `background`, is a defect. A picture without a mask file is a fault:
+    this format writes a black mask for a good part.
     """
     from calibration.dataset.files import read_mask
 

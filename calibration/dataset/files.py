@@ -24,7 +24,7 @@ _PNG_HEAD, _PNG_TAIL = 24, 12
 
 
 class Faults:
-    """Collects what is wrong, so that one error names every file and nobody repairs a dataset one run at a time."""
+    """Collects faults, so that one error names every file at fault."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -35,7 +35,7 @@ class Faults:
         self._found.append(f"{where.as_posix()}: {what}")
 
     def raise_any(self) -> None:
-        """Errors: DatasetError listing all that was added, if anything was."""
+        """Errors: DatasetError listing all faults, if there are any."""
         if self._found:
             count = len(self._found)
             listed = "\n  ".join(sorted(self._found))
@@ -58,7 +58,7 @@ def pictures_in(folder: Path, faults: Faults) -> dict[str, Path]:
 
 
 def size_of(path: Path) -> tuple[int, int] | None:
-    """(width, height) of a whole picture, or None when it cannot be read. A PNG is judged by its two ends alone."""
+    """(width, height) of a complete picture, or None when it cannot be read. Of a PNG only the two ends are read."""
     try:
         with path.open("rb") as file:
             payload = file.read(_PNG_HEAD)
@@ -77,9 +77,9 @@ def size_of(path: Path) -> tuple[int, int] | None:
 def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool = False) -> NDArray[np.uint8]:
     """The picture, uint8 (h, w, 3), red green blue: in its own size, or as a profile shows it.
 
-    With a profile, a picture of the camera's size is cut and scaled as the profile says, and one of the profile's own
-    size is taken as it is; resize cuts any other to its aspect, in the middle, and scales it. Errors: DatasetError
-    with the file and what is wrong with it.
+    With a profile, a picture of the camera's size is cropped and scaled by the profile, one of the profile's size is
+    kept; resize crops any other to the profile's aspect, in the middle, and scales it. Errors: DatasetError with the
+    file and its fault.
     """
     try:
         payload = _jpeg_or_png(path.read_bytes())
@@ -100,7 +100,7 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
 def _as_it_is(
     native: tuple[int, int], size: tuple[int, int], border: tuple[float, float] = (0.0, 0.0)
 ) -> SensorProfile:
-    """A profile for one picture: the camera's checks (whole, decodable) hold for every one."""
+    """A profile for one picture: every picture gets the checks of a camera frame (complete, decodable)."""
     return SensorProfile("picture", native, border, size, 1, 1.0)
 
 
@@ -112,19 +112,19 @@ def _other_size(size: tuple[int, int], profile: SensorProfile) -> str:
 
 
 def _jpeg_or_png(payload: bytes) -> bytes:
-    """The same pixels in a format that a camera sends. Errors: ValueError for bytes that are no picture."""
+    """The same pixels in a format that a camera sends. Errors: ValueError for bytes that are not a picture."""
     if kind(payload) is not None:
         return payload
     pixels = _decoded(payload, cv2.IMREAD_COLOR)
     if pixels is None:
-        raise ValueError("is neither a JPEG nor a PNG, nor another picture that can be decoded")
+        raise ValueError("is not a picture that can be decoded, such as a JPEG or PNG")
     return cv2.imencode(".png", pixels)[1].tobytes()
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
     """The mask at (width, height), bool (h, w): any non-zero pixel is a defect; a finer mask is max-pooled.
 
-    Errors: DatasetError when it is unreadable or its size is no whole multiple of the wanted one.
+    Errors: DatasetError when it is unreadable or its size is not an integer multiple of the wanted one.
     """
     raw = _read(path, cv2.IMREAD_UNCHANGED)
     colours = raw[..., :3] if raw.ndim == 3 else raw[..., None]
@@ -137,11 +137,11 @@ def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
 def pool_mask(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Block-wise maximum of a mask, bool (h, w), down to `shape`: a block with any defect pixel is defective.
 
-    A 1280x720 mask has 4x3 pixels per pixel of 320x240. Errors: ValueError unless the sizes are whole multiples.
+    A 1280x720 mask has 4x3 pixels per pixel of 320x240. Errors: ValueError unless the sizes are integer multiples.
     """
     (h, w), (rows, cols) = mask.shape, shape
     if h % rows or w % cols:
-        raise ValueError(f"size {w}x{h} is no whole multiple of {cols}x{rows}")
+        raise ValueError(f"size {w}x{h} is not an integer multiple of {cols}x{rows}")
     return np.asarray(mask.reshape(rows, h // rows, cols, w // cols).any(axis=(1, 3)), np.bool_)
 
 

@@ -29,7 +29,7 @@ _SUFFIX: dict[Resolution, str] = {"lr": "_320x240", "hr": ""}
 
 
 def resolution_of(size: tuple[int, int]) -> Resolution:
-    """Which of the paper's two resolutions pictures of this size are taken from."""
+    """The resolution of the paper that fits pictures of this size."""
     return "hr" if size == SIZES["hr"] else "lr"
 
 
@@ -47,8 +47,8 @@ def positions(root: Path) -> list[Path]:
 def read_paper(root: Path, resolution: Resolution, faults: Faults) -> list[Press]:
     """The presses of every part and position at one resolution.
 
-    A position that was acquired at the other resolution alone is left out, as the study's PZ1 and PZ2 have no 1280x720;
-    where none has the resolution, every file is missing.
+    A position with pictures of the other resolution only is left out (in the study PZ1 and PZ2 have no 1280x720). If no
+    position has the resolution, every file is missing.
     """
     presses: list[Press] = []
     name = f"rgb{_SUFFIX[resolution]}"
@@ -104,7 +104,7 @@ def _is_sound(path: Path, expected: tuple[int, int], faults: Faults) -> bool:
 
 
 def _has_mask(path: Path, mask_file: Path | None, size: tuple[int, int], faults: Faults) -> bool:
-    """Whether the mask is there, readable, and a whole multiple of the frame."""
+    """Whether the mask exists, is readable, and is an integer multiple of the frame."""
     if mask_file is None:
         faults.add(path, "has no mask of the same name")
         return False
@@ -112,7 +112,9 @@ def _has_mask(path: Path, mask_file: Path | None, size: tuple[int, int], faults:
     if found is None:
         faults.add(mask_file, "is unreadable or truncated")
     elif found[0] % size[0] or found[1] % size[1]:
-        faults.add(mask_file, f"is {found[0]}x{found[1]}, expected {size[0]}x{size[1]} or a whole multiple")
+        faults.add(
+            mask_file, f"is {found[0]}x{found[1]}, expected {size[0]}x{size[1]} or an integer multiple"
+        )
     else:
         return True
     return False

@@ -1,4 +1,4 @@
-"""Opening a dataset: which layout it has, its presses, and who their specimens are."""
+"""Opening a dataset: its layout, its presses, and their specimens."""
 
 import csv
 import json
@@ -27,7 +27,7 @@ Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
 # Two columns with a header, file and specimen; file is a path below the root or a bare file name.
 SPECIMENS_FILE = "specimens.csv"
 
-# What `gelgate simulate` writes beside its pictures; datasets of other origin have none.
+# The summary of `gelgate simulate`; datasets of other origin have none.
 SUMMARY_FILE = "dataset.json"
 DATASET_VERSION = 1
 
@@ -54,7 +54,7 @@ class Dataset:
         return tuple(sorted({(p.part, p.position) for p in self.presses}))
 
     def select(self, part: str | None = None, position: str | None = None) -> "Dataset":
-        """The presses of one part or position. Errors: DatasetError naming what there is, when none is left."""
+        """The presses of one part or position. Errors: DatasetError with the existing ones, when none is left."""
         chosen = tuple(p for p in self.presses if part in (None, p.part) and position in (None, p.position))
         if not chosen:
             known = ", ".join("/".join(pair) for pair in self.positions)
@@ -64,11 +64,11 @@ class Dataset:
 
 
 def open_dataset(root: Path, resolution: Resolution = "lr") -> Dataset:
-    """Read a dataset's file names, sizes and specimens; pictures are read when a press is asked for them.
+    """Read a dataset's file names, sizes and specimens; pictures are read later, from each press.
 
-    resolution: which of the two the paper's layout is read at; the other layouts have one. A `specimens.csv` at the
-    root overrides specimen ids. Errors: DatasetError for a folder in no known layout, a simulated dataset of another
-    version or one that was interrupted, or listing every file at fault.
+    resolution: of the two in the paper's layout; the other layouts have one. A `specimens.csv` at the root overrides
+    specimen ids. Errors: DatasetError for an unknown layout, for a simulated dataset of another version or an
+    interrupted one, or with every file at fault.
     """
     _check_summary(root)
     faults = Faults(root)
@@ -81,7 +81,7 @@ def open_dataset(root: Path, resolution: Resolution = "lr") -> Dataset:
 
 
 def layout_of(root: Path) -> Layout | None:
-    """How a folder is laid out, None when it is no dataset."""
+    """The layout of a folder, None when it is not a dataset."""
     if (root / "annotations.xml").is_file():
         return "cvat_xml"
     if (root / "SegmentationClass").is_dir():
@@ -111,7 +111,7 @@ def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, l
 
 
 def _check_summary(root: Path) -> None:
-    """Refuse a simulated dataset of another version, and half of one: figures of it would be taken for the whole's."""
+    """Refuse a simulated dataset of another version, and an incomplete one: its results would be wrong."""
     path = root / SUMMARY_FILE
     if not path.is_file():
         return
@@ -130,12 +130,13 @@ def _check_summary(root: Path) -> None:
         )
     if is_complete is not True:
         raise DatasetError(
-            f"dataset '{root}' was interrupted while it was made; give the same 'gelgate simulate' command to finish it"
+            f"dataset '{root}' is incomplete, because 'gelgate simulate' was interrupted; "
+            "give the same command again to finish it"
         )
 
 
 def _with_specimens(root: Path, presses: list[Press], faults: Faults) -> list[Press]:
-    """Specimen ids from specimens.csv where it lists a file, else as they were read from the name."""
+    """Specimen ids from specimens.csv if it lists a file, else from the file's name."""
     table = root / SPECIMENS_FILE
     if not table.is_file():
         return presses

@@ -1,4 +1,4 @@
-"""One press of a dataset, and how presses are divided so that no specimen stands on both sides."""
+"""One press of a dataset, and how presses are divided so that no specimen is on both sides."""
 
 import re
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class Split(NamedTuple):
 
 
 class Numbered(NamedTuple):
-    """What a name such as `PZ3_pos1_s004_p02` says; the specimen is its digits."""
+    """The fields of a name such as `PZ3_pos1_s004_p02`; specimen holds the digits."""
 
     where: str
     specimen: str
@@ -74,9 +74,9 @@ def numbered(stem: str) -> Numbered | None:
 
 
 def parse_name(stem: str, part: str, position: str) -> tuple[str | None, int | None, bool]:
-    """(specimen, press, is_misnamed) of a file's stem; a name in no known pattern is not misnamed, only unknown.
+    """(specimen, press, is_misnamed) of a file's stem; a name without a known pattern is not misnamed, only unknown.
 
-    A specimen's id carries its part, so that one specimen keeps its id at every position it is pressed at.
+    A specimen's id contains its part, so that it is the same at every position.
     """
     name = numbered(stem)
     if name is None:
@@ -87,13 +87,13 @@ def parse_name(stem: str, part: str, position: str) -> tuple[str | None, int | N
 
 
 def split_by_specimen(presses: Sequence[Press], held_out: float, seed: int = 0) -> Split:
-    """Divide presses so that about `held_out` of them, whole specimens at a time, stand apart.
+    """Hold out about the share `held_out` of the presses, with all presses of a specimen on one side.
 
-    Specimens are drawn in an order that the seed fixes, until the share is reached; each side keeps at least one.
+    Specimens are drawn in an order fixed by the seed, until the share is reached; each side keeps at least one.
     Errors: DatasetError when specimens are unknown or fewer than two; ValueError for a share outside (0, 1).
     """
     if not 0 < held_out < 1:
-        raise ValueError(f"the share held out lies in (0, 1), found {held_out}")
+        raise ValueError(f"the share held out is in (0, 1), found {held_out}")
     unknown = [p.path.name for p in presses if p.specimen is None]
     if unknown:
         raise DatasetError(

@@ -1,4 +1,4 @@
-"""Annotated shapes and their pixels: a pixel belongs to a shape when its centre lies inside.
+"""Annotated shapes and their pixels: a pixel belongs to a shape when its centre is inside.
 
 Coordinates are continuous, the top left corner of the top left pixel is (0, 0), as in CVAT.
 """
@@ -27,7 +27,7 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Runs:
-    """A run-length mask in a rectangle: counts alternate sound, defect, ... in row order, beginning with sound."""
+    """A run-length mask in a rectangle: counts alternate good, defect, ... in row order, starting with good."""
 
     left: int
     top: int
@@ -46,7 +46,7 @@ Shape = Polygon | Runs
 
 
 def rasterise(shapes: Sequence[Shape], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """The union of the shapes, bool (h, w), for a picture of (width, height); what lies outside is cut off."""
+    """The union of the shapes, bool (h, w), for a picture of (width, height); what is outside is cut off."""
     mask = np.zeros((size[1], size[0]), np.bool_)
     for shape in shapes:
         if isinstance(shape, Polygon):

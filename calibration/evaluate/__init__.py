@@ -1,1 +1,1 @@
-"""`gelgate evaluate`: a bundle scored on a dataset; exact measures, a JSON report and a sheet of pictures."""
+"""`gelgate evaluate`: a bundle scored on a dataset: metrics, a JSON report and a sheet of pictures."""

@@ -11,21 +11,25 @@ __all__ = ["evaluate"]
 def evaluate(
     bundle: Annotated[Path, typer.Argument(help="the bundle: a folder or a .zip")],
     dataset: Annotated[Path, typer.Argument(help="the folder of presses")],
-    part: Annotated[
-        str | None, typer.Option(help="another part than the bundle's, '*' for every part")
-    ] = None,
+    part: Annotated[str | None, typer.Option(help="the part, '*' for all; by default the bundle's")] = None,
     position: Annotated[
-        str | None, typer.Option(help="another position than the bundle's, '*' for every one")
+        str | None, typer.Option(help="the position, '*' for all; by default the bundle's")
     ] = None,
     limit: Annotated[float, typer.Option(help="false-positive rate up to which AU-PRO is integrated")] = 0.01,
-    bootstrap: Annotated[int, typer.Option(help="replicates per interval, 0 for none", min=0)] = 1000,
+    bootstrap: Annotated[
+        int, typer.Option(help="bootstrap replicates per interval, 0 for none", min=0)
+    ] = 1000,
     seed: Annotated[int, typer.Option(help="seed of the replicates", min=0)] = 0,
     json: Annotated[
-        Path | None, typer.Option(help="write everything, each press included, to this file")
+        Path | None, typer.Option(help="write the report with every press to this JSON file")
     ] = None,
-    sheet: Annotated[Path | None, typer.Option(help="write the worst and best maps to this PNG")] = None,
+    sheet: Annotated[
+        Path | None, typer.Option(help="write the worst and best score maps to this PNG")
+    ] = None,
 ) -> None:
-    """Score a bundle on a dataset: image and pixel AUROC, AUPRC, AU-PRO and AUPIMO with intervals."""
+    """Score a bundle on a dataset: metrics and report.
+
+    Image and pixel AUROC, AUPRC, AU-PRO and AUPIMO with intervals."""
     from calibration.evaluate.report import as_json, as_table, write_atomically
     from calibration.evaluate.scoring import evaluate_bundle
     from calibration.evaluate.sheet import draw_sheet
@@ -36,7 +40,7 @@ def evaluate(
         raise ConfigError(f"--limit is a false-positive rate in (0, 1], found {limit}")
     for path in (json, sheet):
         if path is not None and (path.is_dir() or not path.parent.is_dir()):
-            raise ConfigError(f"'{path}' cannot be written: name a file in a folder that exists")
+            raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
     evaluation = evaluate_bundle(
         bundle,
         dataset,

@@ -26,7 +26,7 @@ def as_table(evaluation: Evaluation) -> str:
         lines.append(f"{e.left_out} presses left out, because the bundle was fitted on them")
     if e.seen_specimens:
         lines.append(
-            f"{e.seen_specimens} specimens were also pressed for the fit: the good scores are optimistic"
+            f"{e.seen_specimens} specimens have other presses in the fit: the good scores are optimistic"
         )
     lines += ["", f"{'measure':<20}{'value':>9}   {'95 % over images':<20}{'95 % over specimens':<20}"]
     lines += [_row(m) for m in e.measures]
@@ -112,11 +112,11 @@ def _measure(one: Measure) -> dict[str, object]:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """The whole file or none. Errors: GelgateError when the folder is missing or the disk refuses."""
+    """The complete file or none. Errors: GelgateError when the folder is missing or the disk refuses."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_bytes(data)
         os.replace(part, path)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise GelgateError(f"'{path}' cannot be written: {error.strerror}; choose another place") from error
+        raise GelgateError(f"'{path}' cannot be written: {error.strerror}; choose another path") from error

@@ -24,7 +24,7 @@ Show = Callable[[str, int], AbstractContextManager[Advance]]
 
 
 EVERY = "*"
-"""The name that stands for every part or position of a dataset."""
+"""The name for every part or position of a dataset."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class ScoredPress:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Everything that is reported.
+    """All results of an evaluation.
 
-    left_out: presses of the dataset that the bundle was fitted on. seen_specimens: specimens among the scored ones of
-    which other presses were fitted. unscorable: presses without a score, with the reason.
+    left_out: presses of the dataset that the bundle was fitted on. seen_specimens: scored specimens with other
+    presses in the fit. unscorable: presses without a score, with the reason.
     """
 
     bundle: Bundle
@@ -74,7 +74,7 @@ class Evaluation:
 
     @property
     def unsure(self) -> tuple[int, int]:
-        """Good and defective presses that lie too near the threshold for the gateway to say."""
+        """Good and defective presses that are too near the threshold for a verdict."""
         return self._count(Kind.UNSURE, is_defective=False), self._count(Kind.UNSURE, is_defective=True)
 
     def _count(self, kind: Kind, *, is_defective: bool) -> int:
@@ -130,7 +130,7 @@ def evaluate_bundle(
 
 
 def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:
-    """The presses of the asked part and position. Errors: DatasetError where the dataset has none of them."""
+    """The presses of the given part and position. Errors: DatasetError if the dataset has none of them."""
     own = bundle.manifest.part, bundle.manifest.position
     wanted = [mine if asked is None else asked for asked, mine in zip((part, position), own, strict=True)]
     pair = [None if name == EVERY else name for name in wanted]
@@ -138,14 +138,14 @@ def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | 
         return dataset.select(*pair)
     except DatasetError as error:
         raise DatasetError(
-            f"{error}; the bundle is of {'/'.join(own)}: choose with --part and --position, '{EVERY}' for every one"
+            f"{error}; the bundle is of {'/'.join(own)}: choose with --part and --position, '{EVERY}' for all"
         ) from None
 
 
 def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:
-    """The files that the provenance names: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
+    """The files named in the provenance: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
 
-    MVTec folders call files alike in train/good and test/good; where a name fits both, the one in train was fitted.
+    MVTec folders have the same file names in train/good and test/good; if a name fits both, train was fitted.
     """
     ending: dict[str, list[Press]] = {}
     for press in presses:
@@ -162,13 +162,13 @@ def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:
 def score_presses(
     scorer: Scorer, presses: tuple[Press, ...], show: Show
 ) -> tuple[tuple[ScoredPress, ...], tuple[tuple[Press, str], ...]]:
-    """Score each press in the bundle's region. Errors: DatasetError when a picture is not as the profile wants."""
+    """Score each press in the bundle's region. Errors: DatasetError when a picture does not fit the profile."""
     region, size = scorer.bundle.region, scorer.bundle.profile.size
     wrong = [p for p in presses if p.size != size]
     if wrong:
         raise DatasetError(
-            f"{len(wrong)} pictures are not {size[0]}x{size[1]} as the bundle's profile "
-            f"'{scorer.bundle.profile.name}' wants, such as '{wrong[0].path}' at {wrong[0].size[0]}x{wrong[0].size[1]}"
+            f"{len(wrong)} pictures are not {size[0]}x{size[1]}, the size of the bundle's profile "
+            f"'{scorer.bundle.profile.name}', such as '{wrong[0].path}' at {wrong[0].size[0]}x{wrong[0].size[1]}"
         )
     scored: list[ScoredPress] = []
     unscorable: list[tuple[Press, str]] = []

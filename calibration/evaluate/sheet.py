@@ -1,4 +1,4 @@
-"""A contact sheet: the worst and the best maps, so that a number can be looked in the face."""
+"""A contact sheet: the worst and the best score maps, to see what is behind a metric."""
 
 from collections.abc import Sequence
 
@@ -25,10 +25,10 @@ U8 = NDArray[np.uint8]
 
 
 def draw_sheet(evaluation: Evaluation) -> bytes:
-    """PNG bytes: four rows of up to four presses, each as frame with the mask's outline beside its score map.
+    """PNG bytes: four rows of up to four presses, each as frame with the mask's outline, next to its score map.
 
-    All maps have the colours of the pictures that a station publishes: from 0 to twice the threshold, which is the
-    middle colour and the contour. The last line of the sheet is the legend.
+    All maps have the colours of a station's pictures: from 0 to twice the threshold, which is the middle colour and
+    the contour. The last line of the sheet is the legend.
     """
     good = sorted((s for s in evaluation.scored if not s.press.is_defective), key=lambda s: -s.anomaly_score)
     bad = sorted((s for s in evaluation.scored if s.press.is_defective), key=lambda s: s.anomaly_score)
@@ -85,7 +85,7 @@ def _outlined(frame: U8, mask: NDArray[np.bool_]) -> U8:
 
 
 def _heat(one: ScoredPress, evaluation: Evaluation) -> U8:
-    """The colours of the published pictures; a threshold that has no scale is replaced by half the map's maximum."""
+    """The colours of the published pictures; a threshold that is not positive is replaced by half the map's maximum."""
     limit = evaluation.threshold if evaluation.threshold > 0 else max(float(one.score_map.max()) / 2, 1e-9)
     relative = relative_scores(one.score_map, limit)
     colours = coloured(relative)

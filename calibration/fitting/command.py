@@ -71,9 +71,10 @@ def fit(
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Learn a bundle from nominal presses: features, bank, threshold, golden frames.
+    """Learn a bundle from nominal presses.
 
-    Of a dataset (the paper's layout, MVTec's, CVAT's) the sound presses of one part and position are learnt.
+    The bundle holds bank, threshold and golden frames. Of a dataset (the paper's layout, MVTec's, CVAT's) the good
+    presses of one part and position are learnt.
     """
     from calibration.fitting.fit import Recipe, fit_files
     from edge.core.imaging.region import Region

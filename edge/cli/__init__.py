@@ -2,7 +2,7 @@
 
 A verb's module imports only typer at the top and everything heavy inside its function, so help stays instant.
 
-Exit codes: EXIT_MEANINGS. A service need not be restarted after 2 or 3: a person has to mend something first.
+Exit codes: EXIT_MEANINGS. After 2 or 3 a restart does not help: a person has to correct something first.
 """
 
 import errno
@@ -28,8 +28,8 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         3: "a configuration, bundle, recording, dataset or set of nominal presses is wrong",
         4: "a sensor or broker is not available",
         5: "`gelgate verify`: the bundle is not sound",
-        6: "a recording was played, and the presses seen are not those that it holds",
-        130: "interrupted with Ctrl-C; `gelgate run` and `gelgate record` end with 0 then: it is how they are ended",
+        6: "a recording was played, and the presses found are not the presses that it holds",
+        130: "interrupted with Ctrl-C; not `gelgate run` and `gelgate record`, which it stops with 0",
     }
 )
 
@@ -45,7 +45,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.GelgateError, 1),
 )
 
-# What a disk says that takes no more; such an error names no file.
+# Errors of a disk that is full, read-only or faulty; such an error names no file.
 _DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
@@ -83,7 +83,7 @@ def _options(
             "-V",
             callback=_print_versions,
             is_eager=True,
-            help="Print the versions that a report of a fault should name.",
+            help="Print the versions to name in a fault report.",
         ),
     ] = False,
 ) -> None:
@@ -91,7 +91,7 @@ def _options(
 
 
 def versions() -> Iterator[str]:
-    """The versions that a report of a fault should name, one a line; from metadata, so that nothing is imported."""
+    """The versions to name in a fault report, one per line; from metadata, so that nothing is imported."""
     yield f"gelgate {version('gelgate')}"
     yield f"python {platform.python_version()} ({platform.system()} {platform.machine()})"
     for name in ("onnxruntime", "numpy"):

@@ -1,4 +1,4 @@
-"""`gelgate inspect` and `gelgate verify`: what is in a bundle, and whether this machine scores it as it should."""
+"""`gelgate inspect` and `gelgate verify`: what is in a bundle, and whether it scores correctly on this machine."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +13,7 @@ __all__ = ["inspect", "verify"]
 BundlePath = Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")]
 TrunkStore = Annotated[
     Path | None,
-    typer.Option("--trunks", help="Folder of <sha256>.onnx, for bundles sent without their trunk."),
+    typer.Option("--trunks", help="Folder of <sha256>.onnx files, for bundles without their trunk."),
 ]
 
 VERIFICATION_FAILED = 5
@@ -21,11 +21,11 @@ VERIFICATION_FAILED = 5
 
 def inspect(
     bundle: BundlePath,
-    as_json: Annotated[bool, typer.Option("--json", help="The whole manifest as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the complete manifest as JSON.")] = False,
 ) -> None:
-    """Show what a bundle is: part, method, sensor profile, bank, threshold, cost, provenance.
+    """Show what a bundle contains, from its manifest.
 
-    Reads the manifest alone; `verify` checks the files.
+    Part, method, sensor profile, bank, threshold, cost, provenance. `verify` checks the files too.
     """
     import hashlib
 
@@ -74,7 +74,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     if grid and grid.tiles:
         count, skipped = len(grid.tiles.tiles(grid.frame)), len(grid.tiles.untouched)
         rows.append(
-            ("tiles", f"{count} of {grid.tiles.size}, {skipped} of them run only where a press touches them")
+            ("tiles", f"{count} of {grid.tiles.size}, {skipped} of them run only when a press touches them")
         )
     graphs = [graph for graph in (manifest.head, manifest.detector) if graph]
     rows += [(graph.file, f"{_mb(graph.size_bytes)}, {graph.sha256[:12]}") for graph in graphs]
@@ -111,7 +111,7 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
             (
                 "cost",
                 f"trunk {cost.trunk_ms:.1f} ms, head {cost.head_ms:.1f} ms, {cost.threads} threads, "
-                f"where it was fitted",
+                f"on the machine of the fit",
             )
         )
         rows.append(
@@ -138,7 +138,7 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
 
 def _colours(colours: "ColourEntry | None") -> str:
     if colours is None:
-        return "not known: frames of another sensor are scored; fit again"
+        return "unknown: frames of another sensor are not refused; fit again"
     return f"refused beyond {colours.limit:.1%} of the light, nominal presses differ by {colours.spread:.1%}"
 
 
@@ -151,9 +151,9 @@ def verify(
     trunks: TrunkStore = None,
     threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
 ) -> None:
-    """Check a bundle: schema, every hash, the graphs, and the golden frames scored on this machine.
+    """Check a bundle's files and its scores on this machine.
 
-    Exit code 5 when a check fails.
+    Checked: schema, every hash, the graphs, the scores of the golden frames. Exit code 5 when a check fails.
     """
     from edge.core.errors import BundleError
     from edge.model.bundle import Bundle
@@ -162,9 +162,9 @@ def verify(
     try:
         checked = Bundle.load(bundle, trunks)
         typer.echo(f"manifest schema {checked.manifest.schema_version}: known")
-        typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 agrees")
+        typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 is correct")
         scorer = Scorer(checked, threads)
-        typer.echo("graphs: open, and answer in the promised shapes")
+        typer.echo("graphs: they open, and give the promised shapes")
         worst = scorer.check_golden()
         typer.echo(f"{len(checked.golden)} golden frames: scores agree, largest difference {worst:.2g}")
     except BundleError as error:

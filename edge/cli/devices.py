@@ -1,4 +1,4 @@
-"""`gelgate devices`: what is plugged in, by plugin, and why something that looks like a sensor is none."""
+"""`gelgate devices`: the sensors that are plugged in, by plugin, and why a similar device is refused."""
 
 from typing import Annotated, Any
 
@@ -7,19 +7,21 @@ import typer
 __all__ = ["devices"]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON for a program.")]
-DeviceName = Annotated[str | None, typer.Option("--device", help="Ask this plugin only.")]
+DeviceName = Annotated[str | None, typer.Option("--device", help="Use this plugin only.")]
 OptionTexts = Annotated[
     list[str] | None, typer.Option("--option", help="An option of that plugin, as name=value.")
 ]
 Reset = Annotated[
-    bool, typer.Option(help="Reset the sensor that --device and --option mean, as a re-plug would.")
+    bool, typer.Option(help="Reset the sensor that --device and --option select, as a re-plug does.")
 ]
 
 
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the sensors that are plugged in, by plugin, and what was refused and why."""
+    """List the sensors that are plugged in, by plugin.
+
+    A device that is refused is listed with the reason."""
     from edge import registry
     from edge.core.errors import ConfigError
 
@@ -28,7 +30,7 @@ def devices(
     if reset and device is not None:
         _reset(device, option or [])
     if device is not None:
-        registry.device(device)  # a wrong name is refused; a plugin that cannot look is reported
+        registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
     if as_json:
         import json
@@ -40,7 +42,7 @@ def devices(
 
 
 def _report(name: str, given: list[str]) -> dict[str, Any]:
-    """What a plugin sees, or why it cannot look (a missing option, a missing package)."""
+    """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
     from dataclasses import asdict
 
     from edge import registry

@@ -11,7 +11,9 @@ __all__ = ["docs"]
 
 
 def docs(
-    page: Annotated[str, typer.Argument(help="A page's name, such as mqtt; without one, list them.")] = "",
+    page: Annotated[
+        str, typer.Argument(help="A page's name, such as mqtt. Without it the pages are listed.")
+    ] = "",
 ) -> None:
     """List the pages of the manual, or print one."""
     from edge.core.errors import ConfigError
@@ -30,7 +32,7 @@ def docs(
 
 
 def _pages() -> Mapping[str, Path]:
-    """Every page by its name without `.md`: those of the source tree where there is one, else the installed ones."""
+    """Every page by its name without `.md`, from the source tree if there is one, else from the installation."""
     tree = Path(__file__).parents[2]
     folders = [tree / "docs", tree / "firmware_notes"] if (tree / "docs").is_dir() else _installed()
     found = {

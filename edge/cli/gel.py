@@ -1,4 +1,4 @@
-"""`gelgate gel`: the ledger of gels, and the recorded act of replacing one."""
+"""`gelgate gel`: show the gel ledger, or record that a gel was replaced."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 __all__ = ["gel"]
 
-gel = typer.Typer(help="Show the wear of each gel, or record that one was replaced.", no_args_is_help=True)
+gel = typer.Typer(help="Show the wear of gels, or record a replacement.", no_args_is_help=True)
 
 Database = Annotated[Path | None, typer.Option(help="The gateway's database file.")]
 Config = Annotated[Path | None, typer.Option(help="The gateway's configuration, which names the database.")]
@@ -21,10 +21,12 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 def show(
     database: Database = None,
     config: Config = None,
-    serial: Annotated[str | None, typer.Option(help="This sensor alone.")] = None,
+    serial: Annotated[str | None, typer.Option(help="This sensor only.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print every gel with its presses, limit and state; mounted ones are marked with *."""
+    """Print every gel with its presses, limit and state.
+
+    A mounted gel is marked with *."""
     import json
 
     with _open(database, config) as store:
@@ -32,7 +34,7 @@ def show(
     if as_json:
         print(json.dumps([_plain(record) for record in gels], indent=2))
     elif not gels:
-        print("no gel is known yet: the first press of a sensor makes its first entry")
+        print("no gel is known yet; the first press of a sensor adds its gel")
     else:
         print("\n".join(_line(record) for record in gels))
 
@@ -40,17 +42,19 @@ def show(
 @gel.command()
 def replace(
     serial: Annotated[str | None, typer.Option(help="The sensor; needed if there are several.")] = None,
-    gel_id: Annotated[str | None, typer.Option(help="The new gel's id; numbered if left out.")] = None,
+    gel_id: Annotated[str | None, typer.Option(help="The new gel's id; a number by default.")] = None,
     limit: Annotated[
         int | None,
-        typer.Option(help="Presses it may take; the configured limit if left out.", min=1, max=10_000_000),
+        typer.Option(help="Presses allowed on it; the configured limit by default.", min=1, max=10_000_000),
     ] = None,
     note: Annotated[str, typer.Option(help="Why, or which batch.")] = "",
     database: Database = None,
     config: Config = None,
     as_json: AsJson = False,
 ) -> None:
-    """Record that a new gel is mounted. Its count starts at 0; the old gel's stays as history."""
+    """Record that a new gel is mounted.
+
+    Its count starts at 0; the count of the old gel stays as history."""
     import json
     import time
 
@@ -75,12 +79,14 @@ def _only(serials: list[str]) -> str:
 
     if len(serials) != 1:
         found = ", ".join(serials) or "none"
-        raise ConfigError(f"which sensor's gel is replaced? known: {found}; name it with --serial")
+        raise ConfigError(
+            f"the sensor of the replaced gel is not clear; known are {found}; name one with --serial"
+        )
     return serials[0]
 
 
 def _known(serial: str, serials: list[str]) -> str:
-    """A slip in the serial must not leave the worn gel in the ledger. Errors: ConfigError with the nearest serial."""
+    """A mistyped serial must not leave the worn gel in the ledger. Errors: ConfigError with the nearest serial."""
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
@@ -95,9 +101,7 @@ def _open(database: Path | None, config: Path | None) -> "Store":
     from edge.store.press_store import Store
 
     if (database is None) == (config is None):
-        raise ConfigError(
-            "give either --database or --config, so that it is clear which gateway's gels are meant"
-        )
+        raise ConfigError("give either --database or --config; it selects the gateway whose gels are meant")
     if database is None and config is not None:
         loaded = load_config(config)
         database, limit, warn = loaded.store.path, loaded.gel.limit_presses, loaded.gel.warn_fraction
@@ -109,7 +113,7 @@ def _existing(database: Path | None) -> Path:
     from edge.core.errors import ConfigError
 
     if database is None or not database.is_file():
-        raise ConfigError(f"database {database} does not exist; the gateway makes it when it first runs")
+        raise ConfigError(f"database {database} does not exist; the gateway makes it at its first run")
     return database
 
 

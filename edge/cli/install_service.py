@@ -9,7 +9,7 @@ import typer
 
 __all__ = ["install_service"]
 
-# The names under which the files come with the package, and where the system looks for them.
+# The names of the files in the package, and where the system looks for them.
 _PLACES: Final = {
     "60-gelgate.rules": "etc/udev/rules.d/60-gelgate.rules",
     "gelgate.service": "etc/systemd/system/gelgate.service",
@@ -31,14 +31,15 @@ _START: Final = "systemctl enable --now gelgate"
 
 def install_service(
     is_printed: Annotated[
-        bool, typer.Option("--print", help="Print a shell script that does the same; change nothing.")
+        bool, typer.Option("--print", help="Print a shell script that does the same, and change nothing.")
     ] = False,
     config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(_CONFIG),
     root: Annotated[Path, typer.Option(help="Write below this folder, such as a mounted image.")] = Path("/"),
 ) -> None:
-    """Write the udev rule and the systemd unit, then print the commands that put them to use.
+    """Install the systemd unit and the udev rule.
 
-    The unit starts the program that runs this command. Writing to /etc needs root; with --print nothing is written.
+    The commands that activate them are printed. The unit starts the program that runs this command. Writing to /etc
+    needs root; with --print nothing is written.
     """
     texts = {root / place: _text(name, config) for name, place in _PLACES.items()}
     if is_printed:
@@ -49,7 +50,7 @@ def install_service(
         path.write_text(text, encoding="utf-8")
         typer.echo(f"written: {path}")
     typer.echo("next, as root:")
-    for command in (*_BEFORE, *_AFTER, f"{_START}    # when {config.absolute()} is there"):
+    for command in (*_BEFORE, *_AFTER, f"{_START}    # when {config.absolute()} exists"):
         typer.echo(f"  {command}")
 
 
@@ -67,4 +68,4 @@ def _script(texts: dict[Path, str], config: Path) -> Iterator[str]:
     for path, text in texts.items():
         yield f"mkdir -p '{path.parent}'\ncat > '{path}' <<'END_OF_FILE'\n{text}END_OF_FILE"
     yield from _AFTER
-    yield f'echo "when {config.absolute()} is there: {_START}"'
+    yield f'echo "when {config.absolute()} exists: {_START}"'

@@ -1,4 +1,4 @@
-"""`NAME=VALUE` on the command line, alike for every option that takes it."""
+"""`NAME=VALUE` on the command line, the same for every option that takes it."""
 
 import tomllib
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ __all__ = ["named_values"]
 
 
 def named_values(option: str, given: Sequence[str]) -> dict[str, object]:
-    """The values of texts such as `pace=0`, `rank=[1, 2]` or `faults=["drop@3"]`; the last of one name counts.
+    """The values of texts such as `pace=0`, `rank=[1, 2]` or `faults=["drop@3"]`; the last value of a name counts.
 
-    A value is a number, a truth value, a quoted text or a list as TOML writes them, or else plain text.
+    A value is a number, a boolean, a quoted text or a list in TOML syntax, otherwise plain text.
     Errors: ConfigError for a text without a name or without `=`.
     """
     values: dict[str, object] = {}

@@ -14,42 +14,44 @@ DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugi
 OptionTexts = Annotated[
     list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
 ]
-Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after so many seconds.")]
-Frames = Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")]
+Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after this number of seconds.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames.")]
 Images = Annotated[
     Path | None, typer.Option("--from-images", help="A folder of press images instead of a device.")
 ]
 Video = Annotated[
     Path | None,
-    typer.Option("--from-video", help="A film instead of a device; its frames keep their own times."),
+    typer.Option("--from-video", help="A video instead of a device; its frames keep their times."),
 ]
 Resize = Annotated[
     bool,
     typer.Option(
         "--resize",
-        help="Cut a film's frames to the profile's aspect, in the middle, and scale them to its size.",
+        help="Crop a video's frames to the profile's aspect, in the middle, and scale them.",
     ),
 ]
-Pattern = Annotated[str, typer.Option(help="Which files of that folder, such as '*/gelsight.png'.")]
+Pattern = Annotated[str, typer.Option(help="Pattern of the files in that folder, such as '*/gelsight.png'.")]
 Reference = Annotated[Path | None, typer.Option(help="The image without contact, shown between the presses.")]
 Fps = Annotated[float, typer.Option(min=0.1, max=999, help="Frames per second of the recording from images.")]
 Free = Annotated[int, typer.Option("--repeat-free", min=0, help="Frames of every lift.")]
 Lead = Annotated[
     int,
-    typer.Option("--lead", min=0, help="More frames of the first lift, in which the free gel is learnt."),
+    typer.Option(
+        "--lead", min=0, help="Additional frames of the first lift, to learn the no-contact reference."
+    ),
 ]
 Press = Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of every press.")]
 Number = Annotated[
     bool,
     typer.Option(
-        help="Write a comment into each copy: same pixels, but not taken for the last frame again.",
+        help="Write a comment into each copy, so that it is not taken for a repeated frame.",
     ),
 ]
-Noise = Annotated[float | None, typer.Option(help="Add noise of this many grey levels (sd) to copies.")]
+Noise = Annotated[float | None, typer.Option(help="Add noise to copies: standard deviation in grey levels.")]
 Seed = Annotated[int, typer.Option(help="Seed of that noise.")]
 Product = Annotated[str, typer.Option(help="Product string of the recording from images.")]
 Serial = Annotated[str, typer.Option(help="Serial of the recording from images.")]
-Profile = Annotated[str, typer.Option(help="Sensor profile that the frames suit, kept as a hint.")]
+Profile = Annotated[str, typer.Option(help="Sensor profile of the frames, kept as a hint.")]
 
 
 def record(
@@ -74,12 +76,13 @@ def record(
     serial: Serial = "2BNN4ZE7",
     profile: Profile = "",
 ) -> None:
-    """Record frames from a device (Ctrl-C ends it) or a film, or make a press-and-lift recording from images.
+    """Record frames from a device, video or press images.
 
-    With --profile the recording is looked through at the end: how many presses the gateway would find in it.
+    With --profile the number of presses that the gateway finds in the recording is printed at the end.
 
-    Copies of an image get a number each, for identical frames are what a hung camera sends, and are left out by the
-    gateway and by fit alike. Nothing is invented unless asked for.
+    Ctrl-C ends a recording from a device. From images, a sequence of presses and lifts is made. A hung camera sends
+    identical frames, which the gateway and fit leave out, so each copy of an image gets a number. No noise is added
+    by default.
     """
     from edge.core.errors import ConfigError
 
@@ -219,7 +222,7 @@ def _copy_frames(
                 said_ns = frame.timestamp_ns
                 typer.echo(f"{len(writer)} frames", err=True)
     except RecordingEnded:
-        return corrupt, "; the recording that was played is over"
+        return corrupt, "; the played recording has ended"
     except KeyboardInterrupt:
-        return corrupt, "; stopped by hand"
+        return corrupt, "; stopped with Ctrl-C"
     return corrupt, ""

@@ -52,16 +52,17 @@ ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station'
 
 def run(
     config: ConfigOption = Path("gelgate.toml"),
-    presses: Annotated[int | None, typer.Option(min=1, help="Stop after so many presses.")] = None,
+    presses: Annotated[int | None, typer.Option(min=1, help="Stop after this number of presses.")] = None,
     wait_for_device: Annotated[
         bool,
-        typer.Option(
-            "--wait-for-device", help="Start without a sensor and wait for it, as a service should."
-        ),
+        typer.Option("--wait-for-device", help="Start without a sensor and wait for it, as a service does."),
     ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every contact event.")] = False,
 ) -> None:
-    """Inspect: read the sensor, score every press, publish, count. Ends on Ctrl-C or SIGTERM."""
+    """Run the gateway: inspect every press and publish.
+
+    It reads the sensor, scores every press, publishes the verdict and counts the press on its gel. Ctrl-C or SIGTERM
+    ends it."""
     import logging
     import signal
     import threading
@@ -99,7 +100,9 @@ def check(
     config: ConfigOption = Path("gelgate.toml"),
     example: Annotated[bool, typer.Option("--example", help="Print a configuration to start from.")] = False,
 ) -> None:
-    """Try everything a start would use, and report every fault at once."""
+    """Check all that `run` needs; report every fault.
+
+    Configuration, bundle, sensor, database and sinks are tried as at a start."""
     if example:
         typer.echo(EXAMPLE, nl=False)
         return
@@ -120,7 +123,7 @@ def check(
 
 
 def summary_text(summary: "Summary") -> str:
-    """What a run did, in one or two lines; frames that were lost are never left out."""
+    """What a run did, in one or two lines; lost frames are always reported."""
     words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
     frames = summary.frames
     text = (

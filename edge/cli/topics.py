@@ -1,10 +1,10 @@
-"""`gelgate topics`: what is published where, printed from the payload models."""
+"""`gelgate topics`: every topic and its payload, printed from the payload models."""
 
 __all__ = ["topics"]
 
 
 def topics() -> None:
-    """Print the MQTT reference: every topic and every field, as in docs/mqtt.md."""
+    """Print every MQTT topic and field, as in docs/mqtt.md."""
     from edge.gateway.commands import COMMANDS
     from edge.messaging.topic_reference import reference
 

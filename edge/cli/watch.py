@@ -1,4 +1,4 @@
-"""`gelgate watch`: a subscriber that prints one line a verdict and saves the heatmaps."""
+"""`gelgate watch`: a subscriber that prints one line per verdict and saves the heatmaps."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,20 +12,24 @@ def watch(
     host: Annotated[str, typer.Option(help="The broker's name or address.")] = "localhost",
     port: Annotated[int, typer.Option(help="Its port.", min=1, max=65535)] = 1883,
     prefix: Annotated[str, typer.Option(help="First level of the topics.")] = "gelgate",
-    site: Annotated[str, typer.Option(help="This site alone; + for all.")] = "+",
-    line: Annotated[str, typer.Option(help="This line alone; + for all.")] = "+",
-    station: Annotated[str, typer.Option(help="This station alone; + for all.")] = "+",
+    site: Annotated[str, typer.Option(help="This site only; + for all.")] = "+",
+    line: Annotated[str, typer.Option(help="This line only; + for all.")] = "+",
+    station: Annotated[str, typer.Option(help="This station only; + for all.")] = "+",
     save: Annotated[Path | None, typer.Option(help="Save heatmaps in this folder.")] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print each result as it came, one JSON object a line.")
+        bool, typer.Option("--json", help="Print each result as received, one JSON object per line.")
     ] = False,
-    count: Annotated[int | None, typer.Option(help="End after so many verdicts.", min=1)] = None,
-    timeout: Annotated[float | None, typer.Option(help="End after so many seconds.", min=0)] = None,
-    username: Annotated[str | None, typer.Option(help="User name at the broker.")] = None,
+    count: Annotated[int | None, typer.Option(help="End after this number of verdicts.", min=1)] = None,
+    timeout: Annotated[float | None, typer.Option(help="End after this number of seconds.", min=0)] = None,
+    username: Annotated[str | None, typer.Option(help="User name for the broker.")] = None,
     password_file: Annotated[Path | None, typer.Option(help="File that holds the password.")] = None,
-    ca: Annotated[Path | None, typer.Option(help="Use TLS and trust this authority (PEM).")] = None,
+    ca: Annotated[
+        Path | None, typer.Option(help="Use TLS and trust this certificate authority (PEM).")
+    ] = None,
 ) -> None:
-    """Print verdicts as they arrive, each press once. Ends with 1 if --count was not reached in --timeout seconds."""
+    """Print verdicts as they arrive, each press once.
+
+    It ends with exit code 1 if --count is not reached in --timeout seconds."""
     import json
     import os
     import sys
@@ -60,5 +64,5 @@ def watch(
     if heatmaps:
         tell(f"{heatmaps} heatmap(s) saved in {save}")
     if count is not None and results < count:
-        tell(f"{results} verdict(s) came in {timeout:g} s, {count} were wanted; is the gateway running?")
+        tell(f"{results} verdict(s) arrived in {timeout:g} s, expected {count}; check that the gateway runs")
         raise typer.Exit(1)

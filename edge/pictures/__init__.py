@@ -1,1 +1,1 @@
-"""What people see of a press: score maps in colour, and the picture that is published."""
+"""Score maps in colour, and the published picture of a press."""

@@ -1,10 +1,9 @@
-"""Score maps in colour: one scale and one colour map for every picture that the product draws.
+"""Score maps in colour: one scale and one colour map for every picture.
 
-The scale is score / threshold and not the map's own maximum, so that the same colour means the same thing on every
-press of a part, and a sound press looks calm. The colour map is OpenCV's INFERNO: its lightness rises evenly with the
-score, so it reads the same in a grey print and to colour-blind eyes; it is black where nothing is found, so a sound
-press is dark; and a near miss (0.7 to 1 of the threshold) is a clear purple to red. TURBO's lightness falls again at
-its upper end, where the defects are, and VIRIDIS has no dark calm end.
+The scale is score / threshold and not the maximum of the map, so that a colour has the same meaning on every press of a
+part. The colour map is OpenCV's INFERNO. Its lightness rises evenly with the score, so it is readable in a grey print
+and for colour-blind people. A good press is dark, and a score just below the threshold (0.7 to 1 of it) is purple to
+red. TURBO becomes darker again at its upper end, where the defects are, and VIRIDIS has no dark lower end.
 """
 
 from typing import Final
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 __all__ = ["FULL_SCALE", "coloured", "draw_contour", "relative_scores"]
 
 FULL_SCALE: Final = 2.0
-"""Score / threshold at the upper end of the colours; more has the same colour. The middle colour is the threshold."""
+"""Score / threshold at the upper end of the colours, also for higher scores. The threshold is in the middle."""
 
 _COLOURS: Final = cv2.COLORMAP_INFERNO
 _CONTOUR: Final = (255, 255, 255)
@@ -26,7 +25,7 @@ U8 = NDArray[np.uint8]
 
 
 def relative_scores(score_map: NDArray[np.floating], threshold: float) -> NDArray[np.float32]:
-    """Scores in units of the threshold, float32 (h, w). Errors: ValueError for what has no such scale."""
+    """Scores in units of the threshold, float32 (h, w). Errors: ValueError for a wrong map or threshold."""
     if score_map.ndim != 2:
         raise ValueError(f"a score map is (h, w), found {score_map.shape}")
     if not (np.isfinite(threshold) and threshold > 0):
@@ -39,13 +38,13 @@ def relative_scores(score_map: NDArray[np.floating], threshold: float) -> NDArra
 
 
 def coloured(relative: NDArray[np.float32]) -> U8:
-    """Relative scores (h, w) as uint8 (h, w, 3) RGB: 0 and below is black, FULL_SCALE and above pale yellow."""
+    """Relative scores (h, w) as uint8 (h, w, 3) RGB: 0 and below is black, FULL_SCALE and above is pale yellow."""
     levels = np.rint(np.clip(relative / np.float32(FULL_SCALE), 0.0, 1.0) * np.float32(255.0))
     return np.asarray(cv2.applyColorMap(levels.astype(np.uint8), _COLOURS)[:, :, ::-1], np.uint8)
 
 
 def draw_contour(rgb: U8, relative: NDArray[np.float32]) -> None:
-    """Draw, around what is above the threshold, a white line with a dark edge; what lies inside stays as it is."""
+    """Draw a white line with a dark edge around the areas above the threshold; their inside is unchanged."""
     above = (relative > 1.0).astype(np.uint8)
     ring = cv2.dilate(above, np.ones((5, 5), np.uint8)) - cv2.dilate(above, np.ones((3, 3), np.uint8))
     white = cv2.dilate(above, np.ones((3, 3), np.uint8)) - above

@@ -1,4 +1,4 @@
-"""PNG files that say what they show: pixels by OpenCV, and text chunks, which OpenCV does not write.
+"""PNG files with text chunks: OpenCV writes the pixels, this module adds the texts.
 
 Ref: PNG specification, third edition (W3C), 11.3.3.4 iTXt: UTF-8 text under a Latin-1 keyword of 1 to 79 bytes.
 """
@@ -22,7 +22,7 @@ _LEVEL: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 def encode(rgb: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> bytes:
-    """A picture, uint8 (h, w, 3), with these texts in it. Errors: ValueError where OpenCV cannot encode it."""
+    """A picture, uint8 (h, w, 3), with these texts in it. Errors: ValueError when OpenCV cannot encode it."""
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(rgb[:, :, ::-1]), list(_LEVEL))
     if not encoded:
         raise ValueError(f"a picture of shape {rgb.shape} cannot be encoded as PNG")
@@ -32,7 +32,7 @@ def encode(rgb: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> byt
 
 
 def texts(png: bytes) -> dict[str, str]:
-    """The texts in a PNG, keyword to text. Errors: ValueError for what is not a PNG."""
+    """The texts in a PNG, keyword to text. Errors: ValueError for bytes that are not a PNG."""
     found = {}
     for kind, data in _chunks(png):
         if kind == b"iTXt":

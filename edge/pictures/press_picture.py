@@ -1,8 +1,8 @@
-"""The picture of one press for people: as the sensor saw it, and its scores in colour.
+"""The picture of one press for people: the press on the left, its scores in colour on the right.
 
-The picture itself is never painted over: left is the press with the threshold's contour around a defect, right the
-score map with a legend. Verdict, score, scale in mm and the press's names are written around them, and the same facts
-stand in the file's text chunks, so that a picture that was saved somewhere still says what it shows.
+The press is not covered: only the contour of the threshold is drawn on it, around a defect. Verdict, score, scale in mm
+and the names of the press are written around the panels. The text chunks of the file hold the same facts, so that a
+saved picture is complete.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ TEXT_KEYWORDS: Final = (
 )
 """Of the PNG's text chunks. mm_per_pixel is `x y` of the inspected region, not of the enlarged panel."""
 
-# The longest side of one panel in pixels. Small regions are enlarged by an integer factor, large ones shrunk.
+# The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
 _LARGEST_PANEL: Final = 800
 
@@ -43,7 +43,7 @@ _PAPER: Final = (250, 250, 250)
 _INK: Final = (25, 25, 25)
 _VERDICT_COLOURS: Final = {"pass": (20, 120, 50), "fail": (185, 25, 30), "unsure": (175, 105, 0)}
 
-# Lengths that a scale bar may have; the longest that fits into a third of the panel is drawn.
+# Possible lengths of a scale bar; the longest that fits into a third of the panel is drawn.
 _BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 U8 = NDArray[np.uint8]
@@ -51,7 +51,7 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class PressCaption:
-    """What is written on a picture. mm_per_pixel: (x, y) of the region. station: site/line/station."""
+    """The text on a picture. mm_per_pixel: (x, y) of the region. station: site/line/station."""
 
     press_id: str
     verdict: str
@@ -63,7 +63,7 @@ class PressCaption:
     time: str
 
     def texts(self) -> dict[str, str]:
-        """Keyword to text, as they stand in the PNG."""
+        """Keyword to text, as in the PNG."""
         x, y = self.mm_per_pixel
         numbers = {
             "score": f"{self.score:.9g}",
@@ -74,15 +74,15 @@ class PressCaption:
 
 
 def press_png(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> bytes:
-    """`draw_press` as a PNG whose text chunks say the same as the caption."""
+    """`draw_press` as a PNG whose text chunks hold the caption."""
     return png.encode(draw_press(rgb, score_map, caption), caption.texts())
 
 
 def draw_press(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> U8:
     """uint8 (height, width, 3) RGB. rgb: uint8 (h, w, 3), the inspected region. score_map: raw, (h, w) of the same.
 
-    Both panels have square millimetres, also where the profile squeezes one axis. Errors: ValueError for other shapes,
-    a map that is not finite, a threshold that is not positive.
+    Both panels have the same scale in x and y, also when the profile compresses one axis. Errors: ValueError for
+    other shapes, a map that is not finite, a threshold that is not positive.
     """
     if rgb.dtype != np.uint8 or rgb.shape != (*score_map.shape, 3):
         raise ValueError(f"the picture must be uint8 {(*score_map.shape, 3)}, found {rgb.dtype} {rgb.shape}")
@@ -114,7 +114,7 @@ def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float]) -> tuple[int,
 
 
 def _press_panel(rgb: U8, width: int, height: int) -> U8:
-    """The press at that size; by repeating pixels where it can be: true to the sensor, and the file a third smaller."""
+    """The press at that size. Integer factors repeat pixels: the file is a third smaller, and no detail is added."""
     if width % rgb.shape[1] == 0 and height % rgb.shape[0] == 0:
         return rgb.repeat(height // rgb.shape[0], axis=0).repeat(width // rgb.shape[1], axis=1)
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=_how(rgb, width)), np.uint8)
@@ -136,7 +136,7 @@ def _draw_header(sheet: U8, caption: PressCaption) -> None:
 
 
 def _draw_legend(area: U8, threshold: float) -> None:
-    """The colour bar, with the threshold's line in its middle, like the contour; numbers are score / threshold."""
+    """The colour bar with the line of the threshold in its middle; numbers are score / threshold."""
     height = area.shape[0]
     top, bottom = 10, height - 10
     rise = np.linspace(FULL_SCALE, 0.0, bottom - top, dtype=np.float32)
@@ -178,6 +178,6 @@ def _draw_scale_bar(panel: U8, mm_per_pixel: float) -> None:
 
 
 def _write(picture: U8, text: str, x: int, y: int, scale: float) -> None:
-    """OpenCV's letters are ASCII; others become question marks on the picture (the text chunks keep them)."""
+    """OpenCV draws ASCII letters only; others become question marks on the picture. The text chunks keep them."""
     plain = text.encode("ascii", "replace").decode()
     cv2.putText(picture, plain, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

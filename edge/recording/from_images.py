@@ -40,7 +40,7 @@ class CopyNoise:
 class PressLift:
     """The timing of the sequence: frames per second, and the frames of a lift and of a press.
 
-    lead_frames: additional frames of the first lift, in which a gateway learns the free gel.
+    lead_frames: additional frames of the first lift, in which a gateway learns the no-contact reference.
     """
 
     fps: float = 18.75

@@ -1,4 +1,4 @@
-"""The gateway's one SQLite file: how it is opened, its tables, and what its errors mean.
+"""The gateway's SQLite file: how it is opened, its tables, and what its errors mean.
 
 Ref: https://www.sqlite.org/wal.html and https://www.sqlite.org/pragma.html#pragma_synchronous. Write-ahead logging lets
 the publisher read while the gateway writes; synchronous=FULL makes a committed press survive a power cut.
@@ -15,14 +15,14 @@ from edge.core.errors import StoreError
 
 __all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database"]
 
-# "GelG", written into the file's header so that another program's database is never taken for ours.
+# "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
 SCHEMA_VERSION: Final = 1
 
-# How long a writer waits for another's transaction; ours last milliseconds, a backup tool's perhaps a second.
+# How long a writer waits for another transaction; ours take milliseconds, that of a backup tool perhaps a second.
 BUSY_TIMEOUT_S: Final = 5.0
 
-# The write-ahead log is cut back to this after a checkpoint, so that one large heatmap burst does not keep the disk.
+# The write-ahead log is cut back to this after a checkpoint, so that a burst of large heatmaps frees the disk again.
 JOURNAL_LIMIT_BYTES: Final = 16 << 20
 
 _SCHEMA: Final = """
@@ -54,7 +54,7 @@ CREATE TABLE presses (
     threshold REAL
 ) STRICT;
 
--- The payload is the last column: reading the others then never touches a heatmap's pages.
+-- The payload is the last column: reading the other columns then reads no page of a heatmap.
 CREATE TABLE outbox (
     row_id       INTEGER PRIMARY KEY AUTOINCREMENT,
     worth        INTEGER NOT NULL,
@@ -71,7 +71,7 @@ CREATE INDEX outbox_by_worth ON outbox (worth, row_id);
 CREATE INDEX outbox_by_age ON outbox (created_ns);
 CREATE INDEX outbox_retained ON outbox (topic) WHERE retain = 1;
 
--- One line per row and sink that is done with it; `refusal` is NULL when the sink acknowledged.
+-- One line per row and sink that acknowledged it (`refusal` is NULL) or refused it.
 CREATE TABLE settled (
     row_id  INTEGER NOT NULL,
     sink    TEXT NOT NULL,
@@ -98,9 +98,9 @@ END;
 _ADVICE: Final = {
     sqlite3.SQLITE_FULL: "free space on its disk",
     sqlite3.SQLITE_IOERR: "check its disk for faults and free space",
-    sqlite3.SQLITE_BUSY: "another program holds it; end that program",
-    sqlite3.SQLITE_LOCKED: "another program holds it; end that program",
-    sqlite3.SQLITE_CORRUPT: "move the file away to keep it for repair; a new one is started",
+    sqlite3.SQLITE_BUSY: "another program has locked it; end that program",
+    sqlite3.SQLITE_LOCKED: "another program has locked it; end that program",
+    sqlite3.SQLITE_CORRUPT: "move the file away to keep it for repair; a new one is made",
     sqlite3.SQLITE_NOTADB: "name another file",
     sqlite3.SQLITE_READONLY: "give the gateway's user the right to write it and its folder",
     sqlite3.SQLITE_CANTOPEN: "create its folder and give the gateway's user the right to write there",
@@ -108,11 +108,11 @@ _ADVICE: Final = {
 
 
 class Database:
-    """One connection to the file. Any thread may use it; they take turns.
+    """One connection to the file. Any thread may use it, one at a time.
 
-    path: made at first use, with its tables. is_durable: commits survive a power cut. Without it they survive a crash
-    of the process alone, at a tenth of the cost: right for acknowledgements, whose loss means a message is sent twice.
-    Errors: StoreError (not ours, newer than this program, damaged, no permission, no space).
+    path: made at first use, with its tables. is_durable: commits survive a power cut. Otherwise they survive a crash of
+    the process only, at a tenth of the cost. That is enough for acknowledgements: after a loss a message is sent twice.
+    Errors: StoreError (of another program, newer than this program, damaged, no permission, no space).
     """
 
     def __init__(self, path: Path, *, is_durable: bool = True) -> None:
@@ -131,7 +131,7 @@ class Database:
 
     @contextmanager
     def reading(self, doing: str) -> Iterator[sqlite3.Connection]:
-        """The connection, for statements that each stand alone. Errors: StoreError."""
+        """The connection, for statements that are each complete alone. Errors: StoreError."""
         with self._lock, self._faults(doing):
             yield self._connection
 
@@ -139,7 +139,7 @@ class Database:
     def writing(self, doing: str) -> Iterator[sqlite3.Connection]:
         """The connection inside one transaction: all or nothing. Errors: StoreError.
 
-        The write lock is taken at once, so that a transaction never fails half way for want of it.
+        The write lock is taken at the start, so that a transaction never fails in the middle because it has none.
         """
         with self._lock, self._faults(doing):
             self._connection.execute("BEGIN IMMEDIATE")
@@ -152,7 +152,7 @@ class Database:
                 raise
 
     def close(self) -> None:
-        """Give the file back; harmless when repeated."""
+        """Close the file; harmless when repeated."""
         with self._lock:
             self._connection.close()
 
@@ -177,7 +177,7 @@ def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool) -> No
     if _pragma(connection, "user_version") == SCHEMA_VERSION:
         return
     connection.execute("BEGIN IMMEDIATE")
-    if _pragma(connection, "user_version") != SCHEMA_VERSION:  # no other process was quicker
+    if _pragma(connection, "user_version") != SCHEMA_VERSION:  # no other process was first
         for statement in _statements(_SCHEMA):
             connection.execute(statement)
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")

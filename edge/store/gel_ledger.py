@@ -1,7 +1,7 @@
 """The gel ledger: which gel is on which sensor, and how often it was pressed. Runs inside the caller's transaction.
 
-A sensor seen for the first time gets the gel `<serial>-1`; replacing a gel is a recorded act, and the old one's row
-stays as history.
+A sensor seen for the first time gets the gel `<serial>-1`. A replacement is recorded, and the row of the old gel stays
+as history.
 """
 
 import sqlite3
@@ -20,12 +20,12 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class GelRecord:
-    """One gel on one sensor, as the ledger knows it.
+    """One gel on one sensor, as in the ledger.
 
     serial: of the sensor. presses: contacts so far. limit_presses: contacts allowed; warn_fraction of them makes the
     gel due. Times are wall-clock nanoseconds; `first_use_ns` and `last_use_ns` are None before the first press,
-    `removed_ns` is None while the gel is mounted. wear_index: optical wear of the untouched gel, 0 as new and 1 where
-    it should be replaced, None if never measured. note: what the person who mounted it wrote.
+    `removed_ns` is None while the gel is mounted. wear_index: optical wear of the untouched gel, 0 when new and 1 when
+    it should be replaced, None if never measured. note: by the person who mounted it.
     """
 
     serial: str
@@ -42,14 +42,14 @@ class GelRecord:
 
     @property
     def state(self) -> GelState:
-        """That of its press count, or `replace` when it is optically worn."""
+        """The state of its press count, or `replace` when it is optically worn."""
         if (self.wear_index or 0.0) >= 1.0:
             return GelState.REPLACE
         return GelLife(self.presses, self.limit_presses, self.warn_fraction).state
 
 
 def mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:
-    """The gel on this sensor now, None for a sensor never seen."""
+    """The gel mounted on this sensor, None for an unknown sensor."""
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM gels WHERE serial = ? AND removed_ns IS NULL", (serial,)
     ).fetchone()
@@ -72,15 +72,15 @@ def mount(
     note: str,
     time_ns: int,
 ) -> str:
-    """Take the present gel off and put this one on. `gel_id` None numbers it. Gives the id.
+    """Replace the mounted gel by this one; returns its id. `gel_id` None gives it a number.
 
-    Errors: StoreError if this sensor has had a gel of that id: its count would not be that of one gel any more.
+    Errors: StoreError if this sensor has had a gel of that id: the count would then be of two gels.
     """
     ids = {row[0] for row in connection.execute("SELECT gel_id FROM gels WHERE serial = ?", (serial,))}
     gel_id = gel_id or next(name for n in range(1, len(ids) + 2) if (name := f"{serial}-{n}") not in ids)
     if gel_id in ids:
         raise StoreError(
-            f"gel '{gel_id}' was already used on sensor {serial}; give the new gel an id of its own, or none"
+            f"gel '{gel_id}' was already used on sensor {serial}; give the new gel another id, or none"
         )
     connection.execute(
         "UPDATE gels SET removed_ns = ? WHERE serial = ? AND removed_ns IS NULL", (time_ns, serial)
@@ -93,7 +93,7 @@ def mount(
 
 
 def count_press(connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
-    """One more press on the mounted gel. A clock that was set back never makes the last use earlier."""
+    """One more press on the mounted gel. The last use never becomes earlier, also when the clock is set back."""
     connection.execute(
         "UPDATE gels SET presses = presses + 1, first_use_ns = coalesce(first_use_ns, :t), "
         "last_use_ns = max(coalesce(last_use_ns, :t), :t) WHERE serial = :serial AND removed_ns IS NULL",
@@ -102,7 +102,7 @@ def count_press(connection: sqlite3.Connection, serial: str, time_ns: int) -> No
 
 
 def set_wear(connection: sqlite3.Connection, serial: str, wear_index: float) -> None:
-    """Note the mounted gel's optical wear."""
+    """Store the optical wear of the mounted gel."""
     connection.execute(
         "UPDATE gels SET wear_index = ? WHERE serial = ? AND removed_ns IS NULL", (wear_index, serial)
     )

@@ -1,9 +1,9 @@
-"""The outbox: messages that wait for every sink's acknowledgement, bounded in bytes and age.
+"""The outbox: messages that wait for the acknowledgement of every sink, limited in bytes and age.
 
-Rows are put in by the transaction that records a press (`put`, `enforce`), and taken out by the publisher through an
-`Outbox` of its own. A retained message takes the place of an older one that still waits on its topic, and rows leave
-in order, so a retained topic never goes back in time. Nothing is deleted before all sinks are done with it, except
-by the bounds: pictures first, passes next, everything else last, oldest first, each counted.
+The transaction that records a press adds rows (`put`, `enforce`); the publisher removes them through its own `Outbox`.
+A retained message replaces an older one that still waits on its topic, and rows leave in order: a retained topic never
+returns to an older value. A row is deleted when all sinks acknowledged it, or by the limits: pictures first, passes
+next, everything else last, oldest first, each counted.
 """
 
 import sqlite3
@@ -30,14 +30,14 @@ __all__ = [
 # What a row costs besides its payload: columns, three indexes, page slack. Measured on 4 KiB pages: 150 to 250 bytes.
 ROW_OVERHEAD_BYTES: Final = 256
 
-# 2020-01-01. A gateway without a clock battery starts in 1970; rows from then have no age that could be trusted.
+# 2020-01-01. A gateway without a clock battery starts in 1970; the age of rows from then is unknown.
 EARLIEST_PLAUSIBLE_NS: Final = 1_577_836_800 * 10**9
 
 
 class DropPriority(IntEnum):
-    """What is dropped first when room runs out; column `worth` of the tables.
+    """What is dropped first when there is no room; column `worth` of the tables.
 
-    RETAINED is never dropped: there is one row per topic at most.
+    RETAINED is never dropped: there is at most one row per topic.
     """
 
     HEATMAP = 0
@@ -62,7 +62,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class OutboxRow:
-    """A message on its way. `row_id` rises with every row ever put in and is never used again."""
+    """A waiting message. `row_id` rises with every row and is never used again."""
 
     row_id: int
     created_ns: int
@@ -71,8 +71,8 @@ class OutboxRow:
 
 @dataclass(frozen=True)
 class OutboxStatus:
-    """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: `heatmap`, `pass`, `fail`
-    to the number dropped since the database was made."""
+    """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: the number of
+    `heatmap`, `pass` and `fail` rows dropped since the database was made."""
 
     rows: int
     bytes: int
@@ -81,7 +81,7 @@ class OutboxStatus:
 
 
 def drop_priority_of(message: Message, verdict: str) -> DropPriority:
-    """A retained message is kept, a picture goes first, and only a pass is worth less than the rest."""
+    """A retained message is kept, a picture is dropped first, a pass before the rest."""
     if message.retain:
         return DropPriority.RETAINED
     if message.content_type.startswith("image/"):
@@ -154,16 +154,16 @@ def _bytes(connection: sqlite3.Connection) -> int:
 
 
 class Outbox:
-    """The publisher's side, over a connection of its own; any thread may use it, one at a time does.
+    """The publisher's side, with its own connection. Any thread may use it, one at a time.
 
-    Its commits survive a crash but perhaps not a power cut: then an acknowledged row is sent again.
+    Its commits survive a crash, but perhaps not a power cut: an acknowledged row is then sent again.
     """
 
     def __init__(self, path: Path) -> None:
         self._database = Database(path, is_durable=False)
 
     def register(self, sinks: Iterable[str]) -> None:
-        """From now on a row leaves when exactly these sinks acknowledged it."""
+        """From now on a row leaves when all of these sinks acknowledged it."""
         names = sorted(set(sinks))
         with self._database.writing("registering sinks") as connection:
             connection.execute("DELETE FROM sinks")
@@ -178,7 +178,7 @@ class Outbox:
                 )
 
     def pending(self, sink: str, limit: int = 16, after: int = 0) -> list[OutboxRow]:
-        """The oldest rows beyond row `after` that this sink is not done with, in the order of their presses."""
+        """The oldest rows after row `after` that this sink has not acknowledged or refused, in order."""
         with self._database.reading("reading the outbox") as connection:
             rows = connection.execute(
                 "SELECT row_id, created_ns, topic, payload, qos, retain, content_type, expiry_s FROM outbox "
@@ -192,7 +192,7 @@ class Outbox:
         ]
 
     def acknowledge(self, row_id: int, sink: str) -> None:
-        """This sink has the row; it leaves the outbox if all have it. Harmless when repeated or when it is gone."""
+        """This sink has the row; it leaves the outbox when all sinks have it. Harmless when repeated."""
         with self._database.writing("acknowledging") as connection:
             self._settle(connection, row_id, sink, None)
             connection.execute(
@@ -202,19 +202,19 @@ class Outbox:
             )
 
     def refuse(self, row_id: int, sink: str, why: str) -> None:
-        """This sink will not have the row: it is kept, out of the way, until `offer_refused` or the bounds."""
+        """This sink refuses the row: it is kept and not sent until `offer_refused`, or dropped by the limits."""
         with self._database.writing("noting a refusal") as connection:
             self._settle(connection, row_id, sink, why)
 
     def offer_refused(self, sink: str) -> int:
-        """Put what this sink refused back in the queue; gives the number of rows."""
+        """Queue the rows that this sink refused again; returns their number."""
         with self._database.writing("offering refused rows again") as connection:
             return connection.execute(
                 "DELETE FROM settled WHERE sink = ? AND refusal IS NOT NULL", (sink,)
             ).rowcount
 
     def newest(self) -> int:
-        """The id of the newest row ever put in, 0 before the first."""
+        """The id of the newest row that was ever added, 0 before the first."""
         with self._database.reading("reading the outbox") as connection:
             row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'outbox'").fetchone()
         return 0 if row is None else int(row[0])

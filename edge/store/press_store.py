@@ -1,4 +1,4 @@
-"""The store: a press is one transaction, so that its verdict, its count and its messages stand or fall together.
+"""The store: a press is one transaction, so that its verdict, count and messages are all stored or none of them.
 
 One SQLite file holds the presses, the gel ledger and the outbox. The gateway writes through a `Store`; the publisher
 reads and acknowledges through an `Outbox` on the same file.
@@ -24,7 +24,7 @@ __all__ = ["GelRecord", "MakeMessages", "Press", "Recorded", "Store"]
 
 VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
-# Rows of the press history that are kept; about 200 bytes each, so 200 MB. The ledger's counts do not depend on them.
+# Rows kept in the press history; about 200 bytes each, so 200 MB. The ledger's counts do not depend on them.
 KEPT_PRESSES: Final = 1_000_000
 
 
@@ -32,8 +32,8 @@ KEPT_PRESSES: Final = 1_000_000
 class Recorded:
     """A press's place in the database.
 
-    gel: the record of its gel, this press included. sequence: 1 for the first press of this database, then one more
-    each; neither a restart nor a change of gel or sensor resets it, so a subscriber who misses a number missed a press.
+    gel: the record of its gel, this press included. sequence: counts the presses of this database from 1. No restart
+    and no change of gel or sensor resets it, so a missing number tells a subscriber that a press was missed.
     """
 
     gel: GelRecord
@@ -41,12 +41,12 @@ class Recorded:
 
 
 MakeMessages = Callable[[Recorded], Sequence[Message]]
-"""From a press's place to what is published. Called inside the transaction: quick and pure."""
+"""From a press's place to its messages. Called inside the transaction: quick and pure."""
 
 
 @dataclass(frozen=True)
 class Press:
-    """One press as it is recorded.
+    """One press to record.
 
     press_id: a ULID. time_ns: wall clock. serial: of the sensor. verdict: pass, fail, unsure, rejected, or error for
     a press that could not be scored. wear_index: optical wear just before this press, None if not measured.
@@ -72,10 +72,10 @@ class Press:
 
 
 class Store:
-    """The gateway's side of the database. Any thread may use it; they take turns.
+    """The gateway's side of the database. Any thread may use it, one at a time.
 
-    bounds: of the outbox. limit_presses, warn_fraction: of a gel that nobody registered, and of every gel's warning.
-    Errors of every method: StoreError; what was committed before stays.
+    bounds: of the outbox. limit_presses, warn_fraction: limit of a gel that is not registered, warning of every gel.
+    Errors of every method: StoreError; earlier commits stay.
     """
 
     def __init__(
@@ -97,9 +97,9 @@ class Store:
     def record_press(self, press: Press, make_messages: MakeMessages) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
 
-        Recording the same press again changes nothing and gives its number and the gel as it is now, so that a caller
-        who saw an error may simply repeat. Errors: StoreError, also when the id belongs to another press; whatever
-        `make_messages` raises, and then nothing is recorded.
+        Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
+        repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
+        `make_messages`, and then nothing is recorded.
         """
         with self._database.writing(f"recording press {press.press_id}") as connection:
             known = connection.execute(
@@ -121,7 +121,7 @@ class Store:
         return recorded
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
-        """The gel mounted on this sensor; one is mounted for a sensor never seen before."""
+        """The gel mounted on this sensor; an unknown sensor gets its first gel."""
         with self._database.writing(f"reading the gel of sensor {serial}") as connection:
             self._mount_first(connection, serial, time_ns)
             return self._mounted(connection, serial)
@@ -140,9 +140,9 @@ class Store:
         note: str = "",
         make_messages: Callable[[GelRecord], Sequence[Message]] | None = None,
     ) -> GelRecord:
-        """Record that a new gel was mounted; its count starts at 0 and the old gel's stays as history.
+        """Record that a new gel was mounted; its count starts at 0, and that of the old gel stays as history.
 
-        gel_id None numbers it `<serial>-<n>`. Errors: StoreError for an id this sensor already had.
+        gel_id None makes the id `<serial>-<n>`. Errors: StoreError for an id that this sensor already had.
         """
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
@@ -162,17 +162,17 @@ class Store:
         return [(Press(*row[:8]), row[8]) for row in rows]
 
     def check(self) -> None:
-        """Read the whole file and compare its indexes. Errors: StoreError naming what is damaged."""
+        """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged."""
         with self._database.reading("checking") as connection:
             found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
-            damage = " ".join(str(found).split())  # SQLite says it in several lines
+            damage = " ".join(str(found).split())  # SQLite reports it in several lines
             raise StoreError(
-                f"database {self.path} is damaged ({damage}); move it away to keep it for repair; a new one is started"
+                f"database {self.path} is damaged ({damage}); move it away to keep it for repair; a new one is made"
             )
 
     def close(self) -> None:
-        """Give the file back; harmless when repeated."""
+        """Close the file; harmless when repeated."""
         self._database.close()
 
     def __enter__(self) -> Self:
@@ -195,7 +195,7 @@ class Store:
 
 
 def _insert(connection: sqlite3.Connection, press: Press, gel_id: str) -> int:
-    """Add the press to the history and give its number, which SQLite's AUTOINCREMENT never gives twice."""
+    """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
     number = connection.execute(
         "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold) "
         "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",

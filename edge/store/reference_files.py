@@ -1,6 +1,6 @@
-"""Pictures of the free gel, kept beside the database: the first of each gel, to see wear, and the last, to start from.
+"""No-contact references, in files: the first of each gel, to measure wear, and the last, to start from.
 
-They are aids, not records: a damaged or missing one is learnt again, and nothing counted depends on them.
+They are not records: a damaged or missing one is learnt again, and no count depends on them.
 """
 
 import logging
@@ -21,13 +21,13 @@ Which = Literal["first", "last"]
 
 
 class ReferenceFolder:
-    """One folder, `<serial>/<gel id>.<first|last>.npy` in it: float32 (h, w, 3), RGB."""
+    """A folder of `<serial>/<gel id>.<first|last>.npy`: float32 (h, w, 3), RGB."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def load(self, serial: str, gel_id: str, which: Which) -> Reference | None:
-        """The picture, or None where there is none that can be read."""
+        """The picture, or None when there is none or it cannot be read."""
         path = self._path(serial, gel_id, which)
         try:
             view = np.load(path, allow_pickle=False)
@@ -36,19 +36,21 @@ class ReferenceFolder:
             return Reference(view, frames=1, learnt_ns=0)
         except FileNotFoundError:
             return None
-        except (OSError, EOFError, ValueError) as error:  # EOFError: left empty by a power cut
-            log.warning("the free-gel picture %s cannot be used and is learnt again: %s", path, error)
+        except (OSError, EOFError, ValueError) as error:  # EOFError: an empty file after a power cut
+            log.warning("the no-contact reference %s cannot be used and is learnt again: %s", path, error)
             return None
 
     def save(self, serial: str, gel_id: str, reference: Reference) -> None:
-        """Keep this picture as the last of its gel, and as the first where there is none yet."""
+        """Keep this picture as the last of its gel, and as the first if it has none."""
         try:
             self._write(self._path(serial, gel_id, "last"), reference)
             first = self._path(serial, gel_id, "first")
             if not first.exists():
                 self._write(first, reference)
         except OSError as error:
-            log.warning("the free-gel picture of %s was not kept: %s", gel_id, error.strerror or error)
+            log.warning(
+                "the no-contact reference of gel %s was not kept: %s", gel_id, error.strerror or error
+            )
 
     def forget(self, serial: str, gel_id: str) -> None:
         """What was kept of this gel proved to be no free gel; it is learnt again."""
@@ -72,5 +74,5 @@ class ReferenceFolder:
 
 
 def _as_name(text: str) -> str:
-    """A file name for any id: whatever is not a letter, a digit, `-` or `_` becomes its code."""
+    """A file name for any id: a character that is not a letter, a digit, `-` or `_` is replaced by its code."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else f"%{ord(c):x}" for c in text)

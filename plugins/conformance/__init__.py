@@ -1,8 +1,8 @@
-"""Checks that every plugin passes: the built-in ones in this product's tests, others in their authors' tests.
+"""Checks that every plugin passes: built-in plugins in the tests of gelgate, others in the tests of their authors.
 
-Each check is a function whose docstring states a fact; `check_detector`, `check_device` and `check_sink` run all of
-a kind and raise one exception group with every fact that does not hold. The unpleasant cases are among them: the cable
-pulled, the receiver away, a message refused, features that are not finite, no presses, closing twice.
+Each check is a function whose docstring states a fact. `check_detector`, `check_device` and `check_sink` run all checks
+of a kind and raise one exception group with every fact that is not true. Faults are included: a pulled cable, an absent
+receiver, a refused message, features that are not finite, no presses, closing twice.
 
 Prior art: the check functions of trio.testing.
 """

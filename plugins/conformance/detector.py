@@ -1,4 +1,4 @@
-"""What every detector must do, on features that are invented here."""
+"""What every detector must do, on synthetic features."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -18,12 +18,12 @@ from plugins.conformance.running import raises, require, run_all
 
 __all__ = ["DETECTOR_CHECKS", "DetectorCase", "check_detector"]
 
-# A small frame, and the taps of the backbone that ships: (channels, pixels per cell). Other taps are like layer2.
+# A small frame, and the taps of the shipped backbone: (channels, pixels per cell). Other taps are as layer2.
 FRAME: Final = (64, 64)
 TAPS: Final = {"layer1": (64, 4), "layer2": (128, 8), "layer3": (256, 16)}
 PRESSES: Final = 8
 DTYPES: Final = ("float32", "int64", "bool")
-# Of the largest value: float32 sums through some thousand additions and a square root.
+# Relative to the largest value: float32 sums of some thousand terms and a square root.
 PARITY: Final = 1e-4
 # Between the methods that compare places (1.6 and more on these features) and those that do not (1.1 at most).
 MOVED: Final = 1.3
@@ -48,7 +48,7 @@ class DetectorCase:
         return Grid(self.frame, {tap: (c, h // cell, w // cell) for tap, (c, cell) in sizes.items()}, 15.77)
 
     def presses(self, n: int, seed: int) -> Features:
-        """n presses of one part: what all share, and deviations of 30 %; no negatives, as behind a ReLU."""
+        """n presses of one part: a common pattern and deviations of 30 %; not negative, as after a ReLU."""
         part, own = np.random.default_rng(77), np.random.default_rng(seed)
         return {
             tap: np.maximum(part.normal(0.5, 1, shape) + own.normal(0, 0.3, (n, *shape)), 0).astype(
@@ -64,7 +64,7 @@ class DetectorCase:
         return self.detector.fit(Nominal(features), self.grid, self.chosen, rng, progress)
 
     def score(self, features: Features, bank: Bank) -> ScoreMaps:
-        """By the graph, as the gateway would: map and score of each press."""
+        """Map and score of each press by the graph, as in the gateway."""
         session = open_session(self.detector.head(self.grid, bank, self.chosen), 1, "head.onnx")
         wanted = [one.name for one in session.get_inputs()]
         feed = {name: features[name] if name in features else bank.arrays[name] for name in wanted}
@@ -78,7 +78,7 @@ def check_detector(detector: Detector, parameters: Any = None) -> None:
 
 
 def check_it_is_a_detector(case: DetectorCase) -> None:
-    """It has everything that `edge.core.detector.Detector` asks for."""
+    """It has all members of `edge.core.detector.Detector`."""
     require(isinstance(case.detector, Detector), f"{type(case.detector).__name__} lacks a part of Detector")
 
 
@@ -91,7 +91,7 @@ def check_parameters(case: DetectorCase) -> None:
 
 
 def check_fit_can_be_repeated(case: DetectorCase) -> None:
-    """The same presses and seed give the same bank; features stay as they are; progress is between 0 and 1."""
+    """The same presses and seed give the same bank; features are not changed; progress is between 0 and 1."""
     features, seen = case.presses(PRESSES, 1), list[float]()
     before = {tap: maps.copy() for tap, maps in features.items()}
     one, two = case.fit(features, progress=seen.append), case.fit(features)
@@ -102,7 +102,7 @@ def check_fit_can_be_repeated(case: DetectorCase) -> None:
 
 
 def check_bank(case: DetectorCase) -> None:
-    """Arrays are float32, int64 or bool and finite, packing names existing ones, facts are plain JSON."""
+    """Arrays are float32, int64 or bool and finite, packing names existing arrays, facts are plain JSON."""
     bank = case.fit(case.presses(PRESSES, 1))
     require(bool(bank.arrays), "the bank has no arrays")
     for name, array in bank.arrays.items():
@@ -113,7 +113,7 @@ def check_bank(case: DetectorCase) -> None:
 
 
 def check_head(case: DetectorCase) -> None:
-    """The graph may be in a bundle, reads taps and bank arrays, and gives float32 maps (n, h, w) and scores (n,)."""
+    """The graph is allowed in a bundle, reads taps and bank arrays, gives float32 maps (n, h, w) and scores (n,)."""
     bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
     graph = case.detector.head(case.grid, bank, case.chosen)
     check_graph(graph)
@@ -124,15 +124,17 @@ def check_head(case: DetectorCase) -> None:
     require(inputs <= case.grid.taps.keys() | bank.arrays.keys(), f"it reads {sorted(inputs)}")
     found = case.score(asked, bank)
     require(
-        str(found.score_map.dtype) == str(found.score.dtype) == "float32", "maps or scores are no float32"
+        str(found.score_map.dtype) == str(found.score.dtype) == "float32", "maps or scores are not float32"
     )
     require(found.score_map.shape == (3, *case.frame), f"maps are {found.score_map.shape}")
     require(found.score.shape == (3,), f"scores are {found.score.shape}")
-    require(bool(np.isfinite(found.score_map).all() and np.isfinite(found.score).all()), "scores not finite")
+    require(
+        bool(np.isfinite(found.score_map).all() and np.isfinite(found.score).all()), "scores are not finite"
+    )
 
 
 def check_a_press_is_scored_by_itself(case: DetectorCase) -> None:
-    """A press has the same map and score alone and among others."""
+    """A press has the same map and score alone and in a batch."""
     bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
     among = case.score(asked, bank)
     alone = case.score({tap: maps[1:2] for tap, maps in asked.items()}, bank)
@@ -140,15 +142,15 @@ def check_a_press_is_scored_by_itself(case: DetectorCase) -> None:
 
 
 def check_damage_scores_higher(case: DetectorCase) -> None:
-    """A press with one strange place scores above every nominal one."""
+    """A press with one abnormal cell scores above every nominal one."""
     train, asked = case.presses(PRESSES, 1), case.presses(3, 2)
     found = case.score(with_damage(asked), case.fit(train)).score
     sound = case.score(asked, case.fit(train)).score
-    require(bool(found.min() > sound.max()), f"damaged presses score {found}, sound ones {sound}")
+    require(bool(found.min() > sound.max()), f"damaged presses score {found}, nominal ones {sound}")
 
 
 def check_it_compares_places_if_it_says_so(case: DetectorCase) -> None:
-    """A press moved by half a frame scores well above one in place if `compares_places` says so, else alike."""
+    """A press moved by half a frame scores well above one in place if `compares_places` is true, else the same."""
     bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
     moved = {tap: np.roll(m, (m.shape[2] // 2, m.shape[3] // 2), (2, 3)) for tap, m in asked.items()}
     ratio = float(case.score(moved, bank).score.mean() / case.score(asked, bank).score.mean())
@@ -157,14 +159,14 @@ def check_it_compares_places_if_it_says_so(case: DetectorCase) -> None:
 
 
 def check_reference(case: DetectorCase) -> None:
-    """Where there is a float64 oracle, the graph agrees with it."""
+    """If there is a float64 oracle, the graph agrees with it."""
     if isinstance(case.detector, HasReference):
         bank, asked = case.fit(case.presses(PRESSES, 1)), with_damage(case.presses(2, 2))
         compare(case.score(asked, bank), case.detector.reference_score(asked, case.grid, bank, case.chosen))
 
 
 def check_no_presses(case: DetectorCase) -> None:
-    """Nothing can be learnt from nothing: FitError, and no empty bank."""
+    """A fit without presses is a FitError, not an empty bank."""
     raises(FitError, "no presses", lambda: case.fit(case.presses(0, 1)))
 
 
@@ -185,7 +187,7 @@ def check_features_that_are_not_finite(case: DetectorCase) -> None:
 
 
 def check_a_press_that_is_not_finite_does_not_pass(case: DetectorCase) -> None:
-    """A map that is not finite is refused by the gateway; a finite one of such a press is not below sound ones."""
+    """For a press with a NaN the map is not finite (then refused), or its score is not below a nominal one."""
     bank = case.fit(case.presses(PRESSES, 1))
     sound = case.score(case.presses(1, 2), bank)
     found = case.score(spoilt(case, 1, np.nan), bank)
@@ -220,7 +222,7 @@ def compare(found: ScoreMaps, expected: ScoreMaps) -> None:
 
 
 def with_damage(features: Features) -> Features:
-    """The same presses with one strange cell in the middle of every tap."""
+    """The same presses with one abnormal cell in the middle of every tap."""
     changed = {tap: maps.copy() for tap, maps in features.items()}
     for maps in changed.values():
         maps[:, ::2, maps.shape[2] // 2, maps.shape[3] // 2] += np.float32(5 * maps.max())
@@ -228,7 +230,7 @@ def with_damage(features: Features) -> Features:
 
 
 def spoilt(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray[np.float32]]:
-    """n presses of which the first has one such value in every tap."""
+    """n presses; the first has this value once in every tap."""
     features = {tap: maps.copy() for tap, maps in case.presses(n, 3).items()}
     for maps in features.values():
         maps[0, :, 1, 1] = value

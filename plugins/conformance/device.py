@@ -1,4 +1,4 @@
-"""What every device must do. Its author brings a bench that lets it play given frames and pulls its plug."""
+"""What every device must do. The author supplies a bench that plays given frames and can unplug the device."""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -14,7 +14,7 @@ SIZE: Final = (64, 48)
 """(width, height) of the frames that a bench is given."""
 
 PERIOD_S: Final = 0.05
-"""From one frame to the next, where a bench plays in real time."""
+"""From one frame to the next, if a bench plays in real time."""
 
 
 class DeviceBench(Protocol):
@@ -26,17 +26,17 @@ class DeviceBench(Protocol):
         ...
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
-        """The device, about to deliver these JPEG frames, each as soon as it is asked for or each PERIOD_S."""
+        """The device, ready to deliver these JPEG frames: each on request, or one per PERIOD_S."""
         ...
 
     def unplug(self) -> None:
-        """Take away what the device reads from, as a pulled cable does."""
+        """Remove the source of the device, as a pulled cable does."""
         ...
 
 
 @cache
 def picture(seed: int) -> bytes:
-    """A JPEG of noise in SIZE; every seed gives other bytes."""
+    """A JPEG of noise in SIZE; each seed gives different bytes."""
     import cv2
     import numpy as np
 
@@ -59,7 +59,7 @@ def check_it_knows_who_it_is(bench: DeviceBench) -> None:
 
 
 def check_frames_are_untouched(bench: DeviceBench) -> None:
-    """Payloads come byte for byte and in order; sequence numbers rise, times never go back."""
+    """Payloads arrive unchanged and in order; sequence numbers rise, times do not decrease."""
     sent = [picture(seed) for seed in range(5)]
     device = bench.open(sent)
     frames = [device.read(_soon(bench)) for _ in sent]
@@ -71,7 +71,7 @@ def check_frames_are_untouched(bench: DeviceBench) -> None:
 
 
 def check_the_deadline_is_kept(bench: DeviceBench) -> None:
-    """No frame by the deadline is DeviceStalled, not earlier; the frame is not lost by it."""
+    """No frame by the deadline is DeviceStalled, not earlier; no frame is lost by it."""
     device = bench.open([picture(0), picture(1)], real_time=True)
     device.read(_soon(bench))
     deadline = bench.clock.monotonic_ns() + round(PERIOD_S * 1e9 / 2)
@@ -82,17 +82,17 @@ def check_the_deadline_is_kept(bench: DeviceBench) -> None:
 
 
 def check_a_frame_comes_once(bench: DeviceBench) -> None:
-    """A frame that comes again is left out, and counted where the device counts."""
+    """A repeated frame is left out, and counted if the device counts."""
     device = bench.open([picture(0), picture(0), picture(0), picture(1)])
     found = [device.read(_soon(bench)).payload for _ in range(2)]
     require(found == [picture(0), picture(1)], "a frame was delivered twice")
     if isinstance(device, CountsStale):
-        require(device.stale == 2, f"it counts {device.stale} frames that came again, 2 did")
+        require(device.stale == 2, f"it counts {device.stale} repeated frames, expected 2")
     device.close()
 
 
 def check_a_damaged_frame(bench: DeviceBench) -> None:
-    """A JPEG that ends early is FrameCorrupt, and the next frame is good."""
+    """A truncated JPEG is FrameCorrupt, and the next frame is good."""
     device = bench.open([picture(0), picture(1)[:-40], picture(2)])
     device.read(_soon(bench))
     raises(FrameCorrupt, "half a JPEG", lambda: device.read(_soon(bench)))
@@ -101,7 +101,7 @@ def check_a_damaged_frame(bench: DeviceBench) -> None:
 
 
 def check_unplugged(bench: DeviceBench) -> None:
-    """Without its source every read is DeviceLost; closing it then is harmless."""
+    """Without its source every read is DeviceLost; closing is then harmless."""
     device = bench.open([picture(seed) for seed in range(5)])
     device.read(_soon(bench))
     bench.unplug()
@@ -120,7 +120,7 @@ def check_closed_twice(bench: DeviceBench) -> None:
 
 
 def check_after_the_last_frame(bench: DeviceBench) -> None:
-    """When nothing more comes, no frame is delivered again: RecordingEnded or DeviceStalled, as often as one asks."""
+    """After the last frame no frame is delivered again: every read is RecordingEnded or DeviceStalled."""
     device = bench.open([picture(0)])
     device.read(_soon(bench))
     for _ in range(2):
@@ -145,5 +145,5 @@ DEVICE_CHECKS: Final[tuple[Callable[[DeviceBench], None], ...]] = (
 
 
 def _soon(bench: DeviceBench) -> int:
-    """A deadline that a frame which is there does not miss."""
+    """A deadline that an available frame does not miss."""
     return bench.clock.monotonic_ns() + round(20 * PERIOD_S * 1e9)

@@ -1,4 +1,4 @@
-"""Running checks, and the two things that they ask: is it so, and is it refused as it should be."""
+"""Running checks, and their two questions: is this true, and is that refused with the right error."""
 
 from collections.abc import Callable, Iterable
 from typing import TypeVar
@@ -9,13 +9,13 @@ CaseT = TypeVar("CaseT")
 
 
 def require(is_so: bool, found: str) -> None:
-    """Errors: AssertionError that says what was found."""
+    """Errors: AssertionError with what was found."""
     if not is_so:
         raise AssertionError(found)
 
 
 def raises(expected: type[Exception], what: str, call: Callable[[], object]) -> None:
-    """The call ends with this error. Errors: AssertionError where it returns, or ends with another error."""
+    """The call ends with this error. Errors: AssertionError when it returns or ends with another error."""
     try:
         result = call()
     except expected:
@@ -28,13 +28,13 @@ def raises(expected: type[Exception], what: str, call: Callable[[], object]) -> 
 
 
 def run_all(name: str, checks: Iterable[Callable[[CaseT], None]], make: Callable[[], CaseT]) -> None:
-    """Run every check on a case of its own. Errors: ExceptionGroup with each failure and the fact it is about."""
+    """Run every check on a new case. Errors: ExceptionGroup with each failure and its fact."""
     failures: list[Exception] = []
     facts = list(checks)
     for check in facts:
         try:
             check(make())
-        except Exception as error:  # noqa: BLE001 - whatever a plugin raises is what its author wants to see
+        except Exception as error:  # noqa: BLE001 - the author wants to see any error of the plugin
             error.add_note(f"{check.__name__}: {check.__doc__}")
             failures.append(error)
     if failures:

@@ -1,4 +1,4 @@
-"""What every sink must do. Its author brings a bench that knows what the receiver has, and can take it away."""
+"""What every sink must do. The author supplies a bench that knows what the receiver has and can make it unreachable."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +13,7 @@ __all__ = ["ROOT", "SINK_CHECKS", "SinkBench", "check_sink"]
 
 ROOT: Final = "gelgate/plant/line1/station1/gel/v1"
 STATION: Final = Station(ROOT, "station1")
-# How often a message is offered again to a receiver that comes back; the bench lets time pass in between.
+# How often a message is sent again to a receiver that returns; the bench waits in between.
 _ATTEMPTS: Final = 400
 
 
@@ -21,15 +21,15 @@ class SinkBench(Protocol):
     """One receiver with its sink under test."""
 
     def open(self, station: Station) -> Sink:
-        """The sink, by its plugin."""
+        """The sink, opened by its plugin."""
         ...
 
     def received(self, n: int) -> Sequence[tuple[str, bytes]]:
-        """The first n messages that the receiver was sent, waiting until they are there: (full topic, payload)."""
+        """The first n messages at the receiver, after waiting for them: (full topic, payload)."""
         ...
 
     def take_away(self) -> bool:
-        """Make the receiver unreachable; False where it cannot be."""
+        """Make the receiver unreachable; False if that is not possible."""
         ...
 
     def bring_back(self) -> None:
@@ -37,11 +37,11 @@ class SinkBench(Protocol):
         ...
 
     def wait(self) -> None:
-        """Let as much time pass as a retry needs."""
+        """Wait as long as a retry needs."""
         ...
 
     def unwanted(self) -> Message | None:
-        """A message that this receiver refuses, None where it takes everything."""
+        """A message that this receiver refuses, None if it takes everything."""
         ...
 
 
@@ -51,7 +51,7 @@ def check_sink(make_bench: Callable[[], SinkBench]) -> None:
 
 
 def check_messages_arrive(bench: SinkBench) -> None:
-    """What `send` returned for is there: below the station's root, in order, byte for byte."""
+    """When `send` returns the message is at the receiver: below the station's root, in order, unchanged."""
     sink = bench.open(STATION)
     require(isinstance(sink, Sink), f"{type(sink).__name__} lacks a part of Sink")
     sent = [Message("result", b'{"n":1}'), Message("heatmap/1", b"\x89PNG", content_type="image/png")]
@@ -59,12 +59,12 @@ def check_messages_arrive(bench: SinkBench) -> None:
     for message in sent:
         sink.send(message)
     found, expected = list(bench.received(3)), [(f"{ROOT}/{one.topic}", one.payload) for one in sent]
-    require(found == expected, f"the receiver has {found}, sent was {expected}")
+    require(found == expected, f"the receiver has {found}, expected {expected}")
     sink.close()
 
 
 def check_any_payload(bench: SinkBench) -> None:
-    """An empty payload, a broken one and one of any bytes are delivered or refused, and the next message passes."""
+    """An empty payload, invalid JSON and arbitrary bytes are delivered or refused, and the next message passes."""
     sink = bench.open(STATION)
     for payload in (b"", b"{", bytes(range(256))):
         try:
@@ -76,7 +76,7 @@ def check_any_payload(bench: SinkBench) -> None:
 
 
 def check_threads(bench: SinkBench) -> None:
-    """Messages that several threads send at once all arrive."""
+    """Messages of several threads all arrive."""
     sink = bench.open(STATION)
     messages = [Message("result", b'{"n":%d}' % n) for n in range(40)]
     with ThreadPoolExecutor(4) as pool:
@@ -87,7 +87,7 @@ def check_threads(bench: SinkBench) -> None:
 
 
 def check_a_receiver_that_is_away(bench: SinkBench) -> None:
-    """Sending is SinkUnavailable, and passes again once the receiver is back."""
+    """Without a receiver sending is SinkUnavailable, and passes when it is back."""
     sink = bench.open(STATION)
     sink.send(Message("result", b'{"n":1}'))
     if bench.take_away():
@@ -98,7 +98,7 @@ def check_a_receiver_that_is_away(bench: SinkBench) -> None:
 
 
 def check_a_receiver_that_is_away_at_the_start(bench: SinkBench) -> None:
-    """Opening is no error then; sending is SinkUnavailable until the receiver is there."""
+    """Opening without a receiver is no error; sending is SinkUnavailable until the receiver is reachable."""
     if bench.take_away():
         sink = bench.open(STATION)
         raises(SinkUnavailable, "send to nobody", lambda: sink.send(Message("result", b'{"n":1}')))
@@ -108,7 +108,7 @@ def check_a_receiver_that_is_away_at_the_start(bench: SinkBench) -> None:
 
 
 def check_a_message_that_is_refused(bench: SinkBench) -> None:
-    """It is SinkRejected, which is not tried again, and the next message passes."""
+    """A refused message is SinkRejected, which is not tried again, and the next message passes."""
     message = bench.unwanted()
     if message is not None:
         sink = bench.open(STATION)
@@ -118,7 +118,7 @@ def check_a_message_that_is_refused(bench: SinkBench) -> None:
 
 
 def check_closed_twice(bench: SinkBench) -> None:
-    """Closing twice is harmless; a message after that is delivered or a SinkError, never lost without a word."""
+    """Closing twice is harmless; a later message is delivered or a SinkError, never lost in silence."""
     sink = bench.open(STATION)
     sink.send(Message("result", b'{"n":1}'))
     sink.close()
@@ -127,7 +127,7 @@ def check_closed_twice(bench: SinkBench) -> None:
         sink.send(Message("result", b'{"n":2}'))
     except SinkError:
         return
-    require(len(bench.received(2)) == 2, "a message sent after `close` is gone")
+    require(len(bench.received(2)) == 2, "a message sent after `close` is lost")
 
 
 SINK_CHECKS: Final[tuple[Callable[[SinkBench], None], ...]] = (

@@ -1,7 +1,7 @@
-"""A recording played straight from its folder: no USB, no packets; the quickest way to see old frames again.
+"""A recording played directly from its folder, without USB: the quickest way to replay frames.
 
-It delivers the recorded bytes at the recorded intervals, or (pace 0) as fast as they are read with the recorded times.
-It does not simulate a bus, a driver or a fault; use `usb_mock` for those.
+It delivers the recorded bytes at the recorded intervals or, with pace 0, as fast as they are read. It does not simulate
+a bus, a driver or a fault; use `usb_mock` for those.
 """
 
 from pathlib import Path
@@ -27,14 +27,14 @@ class RecordedOptions(BaseModel):
     pace: float = Field(
         default=1.0,
         ge=0,
-        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read; the frames then "
-        "carry the recorded times, so that contact is told as in real time and no frame is dropped",
+        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read; with 0 frames "
+        "have the recorded times, so contact is found as in real time and no frame is dropped",
     )
-    loop: bool = Field(default=False, description="start over at the end")
+    loop: bool = Field(default=False, description="start again at the end")
 
 
 class RecordedSensor:
-    """A recording as a `Device`. `stale` counts frames equal to the one before, which are left out."""
+    """A recording as a `Device`. `stale` counts the frames that repeat the one before; they are left out."""
 
     def __init__(self, recording: Recording, clock: Clock, *, pace: float, loop: bool) -> None:
         self.identity = recording.header.identity
@@ -82,7 +82,7 @@ class RecordedSensor:
         return self._start_ns + round((self._times_ns[self._position] - self._times_ns[0]) / self._pace)
 
     def _stamp_ns(self) -> int:
-        """When the frame just taken arrived; on demand, when it would have arrived in real time."""
+        """When the last frame arrived; on demand, when it would have arrived in real time."""
         if self.on_demand:
             return self._start_ns + self._times_ns[self._position - 1] - self._times_ns[0]
         return self._clock.monotonic_ns()
@@ -90,7 +90,7 @@ class RecordedSensor:
     def _rewind(self) -> None:
         if not self._loop or not self._times_ns:
             raise RecordingEnded(
-                f"recording {self._recording.folder} is over after {len(self._recording)} frames"
+                f"recording {self._recording.folder} has ended after {len(self._recording)} frames"
             )
         self._position = 0
         length_ns = self._times_ns[-1] - self._times_ns[0] if self.on_demand else 0

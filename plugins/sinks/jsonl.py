@@ -1,8 +1,8 @@
-"""Appends messages to files: one JSON line each, pictures into a folder beside it.
+"""Appends messages to a file: one JSON line each, and pictures as files of their own.
 
 A line is `{"topic": ..., "retain": ..., "payload": {...}}`, or `"file": "heatmap/<press id>.png"` for a picture. A
-line is on the disk before `send` returns. What it does not do: it never rotates or deletes, knows no subscribers, and
-serves no commands; a retained topic is a line like any other, the last one counts.
+line is on the disk before `send` returns. What it does not do: it never rotates or deletes files, has no subscribers
+and takes no commands. A retained topic is an ordinary line, and the last one counts.
 """
 
 import errno
@@ -24,11 +24,11 @@ _SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 class JsonlOptions(BaseModel):
-    """Every message becomes a line of a file."""
+    """Options of the file sink."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    folder: Path = Field(description="made at first use; holds `messages.jsonl` and the pictures")
+    folder: Path = Field(description="the folder of `messages.jsonl` and the pictures, made at first use")
 
 
 class JsonlSink:
@@ -40,7 +40,7 @@ class JsonlSink:
         self._lock = threading.Lock()
 
     def send(self, message: Message) -> None:
-        """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for broken JSON."""
+        """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for invalid JSON."""
         line: dict[str, object] = {"root": self._root, "topic": message.topic, "retain": message.retain}
         try:
             with self._lock:
@@ -52,7 +52,7 @@ class JsonlSink:
                 self._append(line)
         except ValueError as error:
             raise SinkRejected(
-                f"the message on {message.topic} is no JSON ({error}); it was not written"
+                f"the message on {message.topic} is not JSON ({error}); it was not written"
             ) from error
         except OSError as error:
             raise SinkUnavailable(
@@ -80,7 +80,7 @@ class JsonlSink:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(file.fileno())
             except OSError:
-                file.truncate(start)  # half a line would spoil the next one too
+                file.truncate(start)  # an incomplete line would damage the next one too
                 raise
 
 
@@ -90,7 +90,7 @@ class Jsonl(SinkPlugin[JsonlOptions]):
     Options = JsonlOptions
 
     def open(self, options: JsonlOptions, station: Station) -> JsonlSink:
-        """The folder's sink. Birth messages are not written: they say nothing that the log does not."""
+        """The folder's sink. Birth messages are not written: the log has the same facts."""
         return JsonlSink(options.folder, station.root)
 
 

@@ -1,6 +1,6 @@
 """Keeps messages in memory: for tests, and for programs that embed the gateway.
 
-What it does not do: it keeps nothing across a restart, bounds nothing, connects to nothing, and never refuses.
+What it does not do: it loses everything at a restart, has no limit, connects to nothing, and never refuses.
 """
 
 import threading
@@ -37,7 +37,7 @@ class MemorySink:
             self._messages.append(message)
 
     def close(self) -> None:
-        """Nothing to give back; the messages stay readable."""
+        """Nothing to close; the messages stay readable."""
 
 
 class Memory(SinkPlugin[MemoryOptions]):
@@ -46,7 +46,7 @@ class Memory(SinkPlugin[MemoryOptions]):
     Options = MemoryOptions
 
     def open(self, options: MemoryOptions, station: Station) -> MemorySink:
-        """An empty sink, which hears the station's birth messages at once."""
+        """A sink that holds the station's birth messages."""
         sink = MemorySink()
         for message in station.birth():
             sink.send(message)

@@ -1,11 +1,11 @@
-"""Publishes to an MQTT broker, at level 5 or, where the broker does not speak it, 3.1.1.
+"""Publishes to an MQTT broker, at level 5 or, if the broker does not support it, 3.1.1.
 
-The connection is kept by a thread of its own, so a broker that is down at start, or goes away, is normal: `send` says
-SinkUnavailable until it is back. On every connection the commands are subscribed, then the station's birth messages are
-published, and only then do other messages pass. The last will says that the station is lost.
+A separate thread keeps the connection, so a broker that is absent is normal: `send` raises SinkUnavailable until the
+broker is back. On every connection the sink first subscribes to the commands and publishes the birth messages of the
+station; only then do other messages pass. The last will says that the station is lost.
 
-What it does not do: it stores nothing (the outbox does), never uses QoS 2 (results carry an id), and speaks no
-websockets. At level 3.1.1 a broker acknowledges messages that its access rules then discard: only level 5 tells.
+What it does not do: it stores nothing (the outbox does), never uses QoS 2 (results carry an id), and has no websockets.
+At level 3.1.1 a broker acknowledges messages that its access rules then discard; only level 5 reports this.
 
 Ref: MQTT 5.0 and 3.1.1 (OASIS). Seen with mosquitto 2.0.11 and amqtt 0.12.1.
 """
@@ -32,60 +32,61 @@ __all__ = ["Mqtt", "MqttOptions", "MqttSink", "TlsOptions", "plugin"]
 
 log = logging.getLogger(__name__)
 
-# A level 3.1.1 broker has no words for "too large": it closes the connection. Three closings in a row, each while the
-# same message waited for its acknowledgement on a connection that had come up well, are taken as that.
+# A level 3.1.1 broker cannot report "too large": it closes the connection. Three closings in a row, each while the same
+# message waited for its acknowledgement on an established connection, are taken as that report.
 STRIKES: Final = 3
 
-# LoopCalls that may wait while one is answered; more than a person or a line controller sends at once.
+# Requests that may wait while one is answered; a person or a line controller sends fewer at once.
 WAITING_COMMANDS: Final = 16
 
 
 class TlsOptions(BaseModel):
-    """The files of an encrypted connection; an empty table means encryption with the system's authorities."""
+    """The files of an encrypted connection; an empty table trusts the system's certificate authorities."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     ca: Path | None = Field(
-        default=None, description="PEM of the authorities to trust, the system's if left out"
+        default=None,
+        description="PEM of the certificate authorities to trust; those of the system by default",
     )
-    cert: Path | None = Field(default=None, description="PEM of this gateway's own, for mutual TLS")
-    key: Path | None = Field(default=None, description="PEM of its key, if not in `cert`")
+    cert: Path | None = Field(default=None, description="PEM of this gateway's certificate, for mutual TLS")
+    key: Path | None = Field(default=None, description="PEM of the key, if it is not in `cert`")
 
     @model_validator(mode="after")
     def _key_with_cert(self) -> Self:
         if self.key is not None and self.cert is None:
-            raise ValueError("a key needs its cert")
+            raise ValueError("key needs cert; name both files")
         return self
 
 
 class MqttOptions(BaseModel):
-    """Where the broker is. The password stands in a file of its own, so that the configuration can be shown."""
+    """Where the broker is. The password is in a separate file, so that the configuration can be shown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     host: str = Field(default="localhost", min_length=1, description="the broker's name or address")
-    port: int | None = Field(default=None, ge=1, le=65535, description="1883, or 8883 with TLS, if left out")
+    port: int | None = Field(default=None, ge=1, le=65535, description="by default 1883, or 8883 with TLS")
     protocol: Literal["auto", "5", "3.1.1"] = Field(
-        default="auto", description="MQTT level; auto: 5, or 3.1.1 where the broker does not speak it"
+        default="auto", description="MQTT level; auto: 5, or 3.1.1 if the broker does not support it"
     )
     client_id: str | None = Field(
-        default=None, min_length=1, description="unique in the plant; from the station if left out"
+        default=None,
+        min_length=1,
+        description="unique in the plant; made from the station's names by default",
     )
-    username: str | None = Field(default=None, description="user name at the broker")
-    password_file: Path | None = Field(default=None, description="file that holds the password alone")
-    tls: TlsOptions | None = Field(default=None, description="encrypt the connection; a table of its own")
+    username: str | None = Field(default=None, description="user name for the broker")
+    password_file: Path | None = Field(default=None, description="file that holds only the password")
+    tls: TlsOptions | None = Field(default=None, description="encrypt the connection; a separate table")
     keepalive_s: int = Field(
-        default=15, ge=1, le=3600, description="a silent broker is noticed within 1.5 times this"
+        default=15, ge=1, le=3600, description="a broker that is silent for 1.5 times this is lost"
     )
-    acknowledge_s: float = Field(
-        default=10.0, gt=0, description="how long one message may wait for its PUBACK"
-    )
+    acknowledge_s: float = Field(default=10.0, gt=0, description="longest wait for the PUBACK of a message")
     retry_s: float = Field(default=30.0, ge=1, description="the longest pause between attempts to connect")
 
     @model_validator(mode="after")
     def _password_with_name(self) -> Self:
         if self.password_file is not None and self.username is None:
-            raise ValueError("a password_file needs a username")
+            raise ValueError("password_file needs username; give both")
         return self
 
     def address(self) -> tuple[str, int]:
@@ -121,7 +122,7 @@ class MqttSink:
         self._worked: Level | None = None  # the level of the last connection
         self._why_down = f"not yet connected to broker {broker}"
         self._struck: tuple[Message | None, int] = (None, 0)
-        # What the birth of this connection has put on each topic: the publisher has it to say too, and once is enough.
+        # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
         self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
         self._threads = [
@@ -133,14 +134,14 @@ class MqttSink:
 
     @property
     def level(self) -> str | None:
-        """The protocol level spoken now, None while there is no connection."""
+        """The protocol level in use, None while there is no connection."""
         connection = self._connection
         return None if connection is None else connection.level
 
     def send(self, message: Message) -> None:
         """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected.
 
-        What the birth of this connection has just published on that topic is not published again.
+        A message that the birth of this connection has just published is not published again.
         """
         self._tried.wait(self._broker.timeout_s)
         connection = self._connection
@@ -157,7 +158,7 @@ class MqttSink:
             self._struck = (None, 0)
 
     def close(self) -> None:
-        """Say goodbye to the broker, so that it does not publish the will; harmless when repeated."""
+        """Disconnect from the broker, so that it does not publish the will; harmless when repeated."""
         self._closing.set()
         connection = self._connection
         if connection is not None:
@@ -174,11 +175,13 @@ class MqttSink:
             lost = threading.Event()
             try:
                 connection = self._connect(lost)
-            except Exception as error:  # the thread's edge: without it the sink would be down for ever
+            except (
+                Exception
+            ) as error:  # the thread's outermost level: otherwise the sink would stay down for ever
                 if not isinstance(error, SinkError):
-                    log.exception("connecting to broker %s failed in an unforeseen way", self._broker)
+                    log.exception("connecting to broker %s failed with an unexpected error", self._broker)
                 if isinstance(error, LevelRefused):
-                    self._worked = None  # another broker stands there now: search for its level anew
+                    self._worked = None  # perhaps another broker now: find its level again
                 self._down(str(error))
                 self._tried.set()
                 self._closing.wait(self._backoff.failed())
@@ -192,7 +195,7 @@ class MqttSink:
             lost.wait()
             self._connection = None
             self._down(
-                f"the connection to broker {self._broker} is lost ({connection.why_lost or 'it was cut'})"
+                f"the connection to broker {self._broker} is lost ({connection.why_lost or 'it was closed'})"
             )
 
     def _connect(self, lost: threading.Event) -> Connection:
@@ -247,7 +250,7 @@ class MqttSink:
     def _received(self, request: Received) -> None:
         if request.retain:
             log.warning(
-                "a retained request on %s is ignored: it would run on every connection", request.topic
+                "a retained request on %s is ignored: it would run at every connection", request.topic
             )
             return
         try:
@@ -270,7 +273,7 @@ class MqttSink:
                 if connection is not None:
                     connection.publish(response)
             except SinkError as error:
-                log.warning("a response was not delivered: %s", error)
+                log.warning("a response is not delivered: %s", error)
 
 
 class Mqtt(SinkPlugin[MqttOptions]):
@@ -279,7 +282,7 @@ class Mqtt(SinkPlugin[MqttOptions]):
     Options = MqttOptions
 
     def open(self, options: MqttOptions, station: Station) -> MqttSink:
-        """A sink that begins to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
+        """A sink that starts to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
         backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
         return MqttSink(options.broker(station.client_id), station, backoff)
 
