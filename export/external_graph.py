@@ -107,9 +107,9 @@ def wrap_files(
     black = np.zeros_like(presses.frames[0])
     is_refused = refuses(colours, black)
     said += black_warnings(scorer.score(black).anomaly_score, threshold, is_refused, apart)
-    whole = facts(threshold, tolerance).model_copy(
+    manifest_facts = facts(threshold, tolerance).model_copy(
         update={"cost": cost_card(scorer, presses.frames, recipe.threads, {})}
     )
-    fitted = Fitted(*bundle_files(whole, graphs, golden=golden))
+    fitted = Fitted(*bundle_files(manifest_facts, graphs, golden=golden))
     Scorer(fitted.bundle(), recipe.threads).check_golden()
     return fitted

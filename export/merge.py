@@ -52,10 +52,10 @@ def merged_graph(bundle: Bundle) -> bytes:
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
         raise BundleMismatch(f"bundle {bundle.where} is already a single graph; copy its detector.onnx")
     head = onnx.load_from_string(bundle.graphs.head)
-    whole = bundle.graphs.trunk
+    trunk_graph = bundle.graphs.trunk
     if bundle.grid is not None and bundle.grid.tiles is not None:
-        whole = mosaic_trunk(whole, bundle.grid.tiles)
-    trunk = onnx.load_from_string(whole)
+        trunk_graph = mosaic_trunk(trunk_graph, bundle.grid.tiles)
+    trunk = onnx.load_from_string(trunk_graph)
     wanted = {i.name for i in head.graph.input}
     taps = [o.name for o in trunk.graph.output if o.name in wanted]
     for name in sorted(wanted - set(taps)):

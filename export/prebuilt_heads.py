@@ -23,13 +23,13 @@ from edge.model.session import open_session
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.detectors.prebuilt_heads import FORMAT, INDEX, identity, written_grid, written_parameters
 
-__all__ = ["Authored", "Situation", "authored", "invented", "main", "prebuilt", "prebuilt_grid"]
+__all__ = ["NewHead", "Situation", "main", "new_heads", "prebuilt", "prebuilt_grid", "synthetic_features"]
 
 HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "prebuilt_heads"
 # Enough presses that their number limits no size in a graph.
 _PRESSES = 4
 
-Authored = tuple[dict[str, Any], bytes]
+NewHead = tuple[dict[str, Any], bytes]
 """An entry of the index without its file, and the graph."""
 
 
@@ -58,7 +58,7 @@ class Situation:
 SITUATIONS = (Situation(None, False), Situation(0.25, False), Situation(0.25, True), Situation(None, True))
 
 
-def invented(grid: Grid, presses: int, situation: Situation) -> Nominal:
+def synthetic_features(grid: Grid, presses: int, situation: Situation) -> Nominal:
     """Nominal features of noise."""
     rng = np.random.default_rng(0)
 
@@ -78,14 +78,14 @@ def _disc(frame: tuple[int, int], part: float) -> NDArray[np.bool_]:
     return disc
 
 
-def authored(method: str, frame: tuple[int, int]) -> Iterator[Authored]:
+def new_heads(method: str, frame: tuple[int, int]) -> Iterator[NewHead]:
     """The different heads of one method's default settings on one frame."""
     detector = registry.detector(method)
     parameters = detector.parameters()
     grid = prebuilt_grid(frame, detector.taps(parameters))
-    seen: list[Authored] = []
+    seen: list[NewHead] = []
     for situation in SITUATIONS:
-        nominal = invented(grid, _PRESSES, situation)
+        nominal = synthetic_features(grid, _PRESSES, situation)
         bank = detector.fit(nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
         graph = detector.head(grid, bank, parameters)
         entry = {
@@ -122,7 +122,7 @@ def main(home: Path = HOME) -> None:
     home.mkdir(exist_ok=True)
     for method, frames in prebuilt().items():
         for frame in frames:
-            for number, (entry, graph) in enumerate(authored(method, frame)):
+            for number, (entry, graph) in enumerate(new_heads(method, frame)):
                 name = f"{method}_{frame[1]}x{frame[0]}_{number + 1}.onnx"
                 (home / name).write_bytes(graph)
                 sha256 = hashlib.sha256(graph).hexdigest()

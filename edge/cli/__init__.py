@@ -45,14 +45,29 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.GelgateError, 1),
 )
 
+# `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
+_ORDER: Final = (
+    "demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run", "watch", "gel",
+    "inspect", "verify", "export", "wrap", "topics", "docs", "install-service", "train-backbone", "evaluate-backbone",
+)  # fmt: skip
+
 # Errors of a disk that is full, read-only or faulty; such an error names no file.
 _DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+
+
+class _Verbs(typer.core.TyperGroup):
+    """The verbs in the order of work."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
+        known = super().list_commands(ctx)
+        return [*(name for name in _ORDER if name in known), *sorted(set(known) - set(_ORDER))]
 
 
 def build() -> typer.Typer:
     """The application with every registered verb: a function becomes a command, a `Typer` becomes a group."""
     app = typer.Typer(
         name="gelgate",
+        cls=_Verbs,
         help="Touch inspection at the edge: score GelSight Mini presses, publish verdicts, count gel wear.",
         no_args_is_help=True,
         epilog="Exit codes: " + " · ".join(f"{code} {meaning}" for code, meaning in EXIT_MEANINGS.items()),

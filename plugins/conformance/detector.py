@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final, cast
 
 import numpy as np
@@ -183,14 +183,15 @@ def check_equal_presses(case: DetectorCase) -> None:
 def check_features_that_are_not_finite(case: DetectorCase) -> None:
     """One value that is not a number among the nominal presses is a FitError."""
     for value in (np.nan, np.inf):
-        raises(FitError, f"a feature of {value}", lambda value=value: case.fit(spoilt(case, PRESSES, value)))  # type: ignore[misc]
+        presses = with_value(case, PRESSES, value)
+        raises(FitError, f"a feature of {value}", partial(case.fit, presses))
 
 
 def check_a_press_that_is_not_finite_does_not_pass(case: DetectorCase) -> None:
     """For a press with a NaN the map is not finite (then refused), or its score is not below a nominal one."""
     bank = case.fit(case.presses(PRESSES, 1))
     sound = case.score(case.presses(1, 2), bank)
-    found = case.score(spoilt(case, 1, np.nan), bank)
+    found = case.score(with_value(case, 1, np.nan), bank)
     is_seen = not (np.isfinite(found.score_map).all() and np.isfinite(found.score).all())
     require(bool(is_seen or found.score[0] > sound.score[0]), f"a press with a NaN scores {found.score[0]}")
 
@@ -229,7 +230,7 @@ def with_damage(features: Features) -> Features:
     return changed
 
 
-def spoilt(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray[np.float32]]:
+def with_value(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray[np.float32]]:
     """n presses; the first has this value once in every tap."""
     features = {tap: maps.copy() for tap, maps in case.presses(n, 3).items()}
     for maps in features.values():

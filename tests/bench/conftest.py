@@ -1,7 +1,7 @@
 """What every measurement says besides: the kind of processor that it is of."""
 
 import pytest
-from haswell import processor_kind
+from emulated_processor import processor_kind
 
 
 @pytest.fixture(scope="session", autouse=True)

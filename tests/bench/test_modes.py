@@ -6,7 +6,7 @@ thirteen taps are not among them; it reads layer1 to layer3 instead.
 
 import numpy as np
 import pytest
-from chosen import Chosen
+from fixed_parameters import FixedParameters
 
 from calibration.benchmark.evaluation import scored_columns
 from calibration.benchmark.presses import PARTS, part_trial
@@ -32,7 +32,7 @@ def test_published_and_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     for method, changes in POINTS:
         for mode in ("paper", "corrected"):
             detector = load("detectors", method)
-            chosen = Chosen(detector, "paper", changes) if mode == "paper" else detector
+            chosen = FixedParameters(detector, "paper", changes) if mode == "paper" else detector
             with monkeypatch.context() as patch:
                 patch.setattr(registry, "detector", lambda name, chosen=chosen: chosen)
                 rows = [scored_columns(trunks, trial, [method], 0)["shipped", method] for trial in trials]

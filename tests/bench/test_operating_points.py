@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chosen import Chosen
+from fixed_parameters import FixedParameters
 
 from calibration.benchmark.evaluation import random_trunk, scored_columns
 from calibration.benchmark.presses import development_trial
@@ -63,7 +63,7 @@ def test_operating_point(
 ) -> None:
     """Prints the line of one setting."""
     method, changes = POINTS[name]
-    chosen = Chosen(registry.detector(method), "corrected", changes)
+    chosen = FixedParameters(registry.detector(method), "corrected", changes)
     monkeypatch.setattr(registry, "detector", lambda name: chosen)
     rows = [scored_columns(trunks, trial, [method], 0) for trial in trials]
     found = []

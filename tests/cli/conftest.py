@@ -1,11 +1,11 @@
-"""A sound station in a new folder, which is also the working folder."""
+"""A working station in a new folder, which is also the working folder."""
 
 from pathlib import Path
 
 import pytest
 import tiny
+from breakable_station import Bench
 from small_recordings import write_recording
-from spoilable_station import Bench
 
 
 @pytest.fixture

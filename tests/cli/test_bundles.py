@@ -37,7 +37,7 @@ def test_inspect_tells_what_is_in_it(folder: Path) -> None:
         "8,4,32x32",
         "float32 3x4x4, 192 bytes, stored as int8 in",
         "0.05 (set by hand)",
-        "not known: frames of another sensor are scored",
+        "unknown: frames of another sensor are not refused",
         "2026-01-01",
     ):
         assert said in text
@@ -55,7 +55,7 @@ def test_verify_accepts_a_sound_bundle(folder: Path) -> None:
     """It says what was checked."""
     code, text = run("verify", folder)
     assert code == 0
-    assert "every SHA-256 agrees" in text
+    assert "every SHA-256 is correct" in text
     assert "is sound" in text
 
 
@@ -68,7 +68,7 @@ def test_verify_fails_with_exit_code_5(folder: Path) -> None:
 
 
 def test_verify_scores_the_golden_frames(tmp_path: Path) -> None:
-    """A bundle whose hashes agree but whose frames score otherwise is not sound."""
+    """A bundle with correct hashes and different scores of its frames is not sound."""
     peaks = tuple((9.0,) * 8 for _ in range(8))
     _, files = tiny.tiny_files(golden=[GoldenFrame(tiny.presses(1)[0], "a press", 9.0, peaks)])
     code, text = run("verify", write_bundle(tmp_path / "bolt.zip", files))

@@ -82,7 +82,7 @@ def test_what_was_recorded_before_a_loss_is_kept(tmp_path: Path) -> None:
 
 
 def test_record_from_images(tmp_path: Path) -> None:
-    """The reference may lie among the presses; it is not taken for one."""
+    """The reference may be among the press images; it is not taken as a press."""
     images = tmp_path / "images"
     images.mkdir()
     for seed, name in enumerate(("free", "a", "b")):

@@ -1,4 +1,4 @@
-"""`gelgate fit`: from a folder of pictures to a verified bundle, with a visitor's detector and backbone."""
+"""`gelgate fit`: from a folder of pictures to a verified bundle, with the detector and backbone of another package."""
 
 import sys
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from edge.model.bundle import Bundle
 
 
 @pytest.fixture(autouse=True)
-def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The tiny detector and backbone as another distribution installs its own: through entry points."""
-    info = tmp_path / "site" / "visitor-1.0.dist-info"
+    info = tmp_path / "site" / "other_package-1.0.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: visitor\nVersion: 1.0\n")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
         "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
     )
@@ -49,7 +49,7 @@ def fit(pictures: Path, out: Path, *more: object) -> Result:
 
 
 def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
-    """A visitor's method is fitted, told about and verified without a line of gelgate that knows it."""
+    """A method of another package is fitted, inspected and verified; gelgate's source does not name it."""
     result = fit(pictures, tmp_path / "bolt.zip", "--set", "gain=2.5", "--set", "packing='int8'")
     assert result.exit_code == 0, result.output
     for said in ("6 nominal presses, tiny (corrected) on tiny", "1/7", "warning:", "threshold", "written to"):
@@ -77,7 +77,7 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
     pictures: Path, tmp_path: Path, more: tuple[str, ...], reason: str
 ) -> None:
-    """Each wrong word is named with what would be right."""
+    """Each wrong name is reported with the right ones."""
     result = fit(pictures, tmp_path / "bolt", *more)
     assert isinstance(result.exception, GelgateError)
     assert reason in str(result.exception)
@@ -85,7 +85,7 @@ def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
 
 
 def test_an_existing_bundle_is_kept_unless_told(pictures: Path, tmp_path: Path) -> None:
-    """Nothing is overwritten by chance."""
+    """Nothing is overwritten by mistake."""
     assert fit(pictures, tmp_path / "bolt").exit_code == 0
     assert isinstance(fit(pictures, tmp_path / "bolt").exception, ConfigError)
     assert fit(pictures, tmp_path / "bolt", "--overwrite", "--part", "nut").exit_code == 0
@@ -95,7 +95,7 @@ def test_an_existing_bundle_is_kept_unless_told(pictures: Path, tmp_path: Path) 
 def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
     pictures: Path, tmp_path: Path
 ) -> None:
-    """`--no-trunk` leaves it out; the installed backbone of that name, whole or cut, gives it back by its hash."""
+    """`--no-trunk` leaves it out; the installed backbone of that name, complete or cut, supplies it by its hash."""
     assert fit(pictures, tmp_path / "bolt", "--no-trunk").exit_code == 0
     assert not (tmp_path / "bolt" / "trunk.onnx").exists()
     assert run("verify", tmp_path / "bolt").exit_code == 0
@@ -111,7 +111,7 @@ def test_a_press_is_left_out_by_name(pictures: Path, tmp_path: Path) -> None:
 
 
 def test_a_press_to_leave_out_that_is_not_there_is_refused(pictures: Path, tmp_path: Path) -> None:
-    """The sentence names the presses that come nearest; nothing is written."""
+    """The sentence names the nearest presses; nothing is written."""
     result = fit(pictures, tmp_path / "bolt", "--leave-out", "good/9.png", "--leave-out", "good/1.png")
     assert isinstance(result.exception, GelgateError)
     assert "no press is named 'good/9.png'" in str(result.exception)

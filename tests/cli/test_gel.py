@@ -26,7 +26,7 @@ def database(tmp_path: Path) -> Path:
 
 
 def test_show_prints_each_gel_on_a_line(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The mounted one has a star."""
+    """The mounted one is marked with *."""
     show(database=database)
 
     out = capsys.readouterr().out

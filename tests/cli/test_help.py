@@ -12,7 +12,7 @@ from command_line import gelgate
 
 from edge.cli import EXIT_MEANINGS, build
 
-# An eighth of this is usual; what a gateway's slow processor takes is still no wait.
+# An eighth of this is usual; a gateway's slow processor takes more, but not long.
 CPU_S = 0.9
 
 
@@ -44,7 +44,7 @@ def test_help_names_every_option_and_argument(path: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: "gelgate " + " ".join(path))
 def test_every_command_option_and_argument_has_a_help_text(path: tuple[str, ...]) -> None:
-    """Nothing has to be guessed."""
+    """Nothing is undocumented."""
     command = ALL[path]
 
     assert command.help
@@ -52,10 +52,30 @@ def test_every_command_option_and_argument_has_a_help_text(path: tuple[str, ...]
 
 
 def test_the_first_page_tells_the_exit_codes() -> None:
-    """A script's author finds them where the verbs are."""
+    """The author of a script finds them next to the verbs."""
     words = " ".join(gelgate("--help").out.split())
 
     assert [code for code, meaning in EXIT_MEANINGS.items() if f"{code} {meaning}" not in words] == []
+
+
+def listed(*path: str) -> dict[str, str]:
+    """Verb to its line, as the help of `gelgate` or of a group lists them."""
+    lines = gelgate(*path, "--help").out.partition("Commands:\n")[2].partition("\n\n")[0].splitlines()
+    return {line.split()[0]: line for line in lines}
+
+
+def test_no_line_of_a_verb_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each verb's line is complete on a terminal of the usual width, in the help of a group too."""
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = {(*path, verb): line for path in ALL for verb, line in listed(*path).items()}
+
+    assert set(lines) == {path for path in ALL if path}
+    assert [line for line in lines.values() if line.endswith("...")] == []
+
+
+def test_the_verbs_are_in_the_order_of_work() -> None:
+    """From the demo to the running station, then the rest."""
+    assert list(listed())[:8] == ["demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run"]
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -76,12 +96,3 @@ def test_help_loads_nothing_heavy() -> None:
         == set()
     )
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
-
-
-@pytest.mark.parametrize("verb", ["simulate", "evaluate-backbone", "train-backbone", "watch", "docs"])
-def test_the_list_of_verbs_shows_the_complete_line(verb: str) -> None:
-    """In a terminal of 80 columns the first sentence of a verb fits behind the longest name."""
-    line = next(line for line in gelgate("--help").out.splitlines() if line.split()[:1] == [verb])
-
-    assert line.endswith(".")
-    assert not line.endswith("...")

@@ -28,7 +28,7 @@ def test_the_version_names_what_decides_a_score(option: str) -> None:
 
 
 def test_the_shell_completes_verbs() -> None:
-    """The shell's own request for what may follow `gelgate re` gives `record`."""
+    """The shell's request for completions of `gelgate re` gives `record`."""
     asked = {"_GELGATE_COMPLETE": "complete_bash", "COMP_WORDS": "gelgate re", "COMP_CWORD": "1"}
     done = subprocess.run(
         [Path(sys.executable).parent / "gelgate"],
@@ -49,7 +49,7 @@ def test_the_manual_is_listed_and_printed() -> None:
 
 
 def test_a_page_that_does_not_exist_is_refused_with_the_nearest() -> None:
-    """One sentence, with a page that does."""
+    """One sentence, with a page that exists."""
     ended = gelgate("docs", "sensor")
 
     assert ended.code == 3
@@ -98,7 +98,7 @@ def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_written_are_one_sentence() -> None:
-    """Without the rights, or where nothing can be written: the path, why, and what to check."""
+    """Without the rights or on a read-only disk: the path, the reason, and what to check."""
     ended = gelgate("install-service", "--root", "/proc/no")
 
     assert ended.code == 1

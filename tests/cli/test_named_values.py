@@ -1,4 +1,4 @@
-"""`--set` and `--option` read their values alike."""
+"""`--set` and `--option` read their values in the same way."""
 
 import pytest
 

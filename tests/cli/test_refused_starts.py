@@ -1,4 +1,4 @@
-"""`gelgate run` and `gelgate check` with one part spoilt: a sentence, the documented exit code, no traceback.
+"""`gelgate run` and `gelgate check` with one part broken: a sentence, the documented exit code, no traceback.
 
 Each sentence names the thing, what was found, what was expected, and what to do.
 """
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import tiny
+from breakable_station import JSONL, Bench
 from command_line import gelgate
 from small_recordings import write_recording
-from spoilable_station import JSONL, Bench
 
 from edge.store.database import APPLICATION_ID
 from plugins.devices.uvc.lock import SensorLock
@@ -141,7 +141,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
 
 @pytest.fixture
 def no_such_host(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A name server that knows no `.invalid` names (RFC 6761), whether there is one here or not."""
+    """A name server without `.invalid` names (RFC 6761), also on a machine that has none."""
     look_up = socket.getaddrinfo
 
     def answered(host: object, *rest: object, **more: object) -> object:
@@ -155,12 +155,12 @@ def no_such_host(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_such_host")
-@pytest.mark.parametrize(("spoil", "code", "words"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize(("break_part", "code", "words"), REFUSED.values(), ids=REFUSED)
 def test_a_start_is_refused_in_a_sentence(
-    bench: Bench, spoil: Callable[[Bench], Path], code: int, words: tuple[str, ...]
+    bench: Bench, break_part: Callable[[Bench], Path], code: int, words: tuple[str, ...]
 ) -> None:
     """One fault, one sentence that says what to do, one exit code, and nothing was inspected."""
-    ended = gelgate("run", "--config", spoil(bench))
+    ended = gelgate("run", "--config", break_part(bench))
 
     assert ended.code == code, ended.err
     sentence = ended.sentence()
@@ -203,7 +203,7 @@ def test_a_broker_that_is_away_is_no_fault(bench: Bench, options: str, words: st
 
 
 def test_a_sound_station_passes(bench: Bench) -> None:
-    """What all these tests spoil was sound before."""
+    """The station of these tests works before a part is broken."""
     ended = gelgate("check", "--config", bench.config())
 
     assert (ended.code, ended.err) == (0, "")

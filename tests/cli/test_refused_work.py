@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from breakable_station import Bench
 from command_line import gelgate
 from small_recordings import write_recording
-from spoilable_station import Bench
 
 from edge import cli, registry
 from edge.core.errors import ConfigError
@@ -144,7 +144,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     "a new gel for a sensor never seen": (
         known_sensor, 3, ("no gel of a sensor 'TEST0010' is in the ledger", "did you mean 'TEST0001'?"),
     ),
-    "gels of nobody": (lambda _: ["gel", "show"], 3, ("--database or --config",)),
+    "gels of an unknown gateway": (lambda _: ["gel", "show"], 3, ("--database or --config",)),
     "watch without a broker": (
         lambda _: ["watch", "--host", "127.0.0.1", "--port", "1", "--timeout", "1"],
         4, ("no broker answers at 127.0.0.1:1", "correct host and port"),
@@ -157,12 +157,12 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("spoil", "code", "words"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize(("command", "code", "words"), REFUSED.values(), ids=REFUSED)
 def test_bad_input_is_a_sentence(
-    bench: Bench, spoil: Callable[[Bench], list[object]], code: int, words: tuple[str, ...]
+    bench: Bench, command: Callable[[Bench], list[object]], code: int, words: tuple[str, ...]
 ) -> None:
     """One sentence that names the thing, what was found and what to do; one exit code."""
-    ended = gelgate(*spoil(bench))
+    ended = gelgate(*command(bench))
 
     assert ended.code == code, ended.err
     sentence = ended.sentence()
@@ -195,7 +195,7 @@ def test_a_demo_without_a_broker_says_so_before_it_works(
     ],
 )
 def test_a_wrong_command_line_ends_with_2(arguments: list[str], words: str) -> None:
-    """Usage faults are told apart from faults of the input."""
+    """Usage faults have another exit code than faults of the input."""
     ended = gelgate(*arguments)
 
     assert ended.code == 2
@@ -226,7 +226,7 @@ def ending_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_how_else_a_verb_may_end(
     error: BaseException, code: int, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C, a path that refuses and a full disk are told in a line, whatever the verb."""
+    """Ctrl-C, a path that refuses and a full disk are reported in one line, for every verb."""
     ending_with(error, monkeypatch)
     ended = gelgate("topics")
 
@@ -235,7 +235,7 @@ def test_how_else_a_verb_may_end(
 
 
 def test_a_fault_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is not the operator's, the machine's or the broker's doing is not dressed up as such."""
+    """A fault of gelgate is not reported as one of the operator, the machine or the broker."""
     ending_with(OSError(errno.EINVAL, "Invalid argument"), monkeypatch)
 
     with pytest.raises(OSError, match="Invalid argument"):
@@ -246,7 +246,7 @@ def test_a_fault_of_ours_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_plugin_that_cannot_be_imported_says_what_to_install(
     value: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An entry point that leads nowhere is a sentence, not an ImportError or an AttributeError."""
+    """An entry point without its target is a sentence, not an ImportError or an AttributeError."""
     from importlib.metadata import EntryPoint
 
     broken = EntryPoint("lamp", value, "gelgate.devices")

@@ -10,13 +10,13 @@ import time
 from pathlib import Path
 
 import pytest
-from spoilable_station import Bench
+from breakable_station import Bench
 
 GELGATE = Path(sys.executable).parent / "gelgate"
 START_TIMEOUT_S = 60.0
 
 
-def told(bench: Bench, topic: str) -> list[dict[str, object]]:
+def payloads(bench: Bench, topic: str) -> list[dict[str, object]]:
     """The payloads of a topic so far."""
     log = bench.folder / "out" / "messages.jsonl"
     lines = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
@@ -25,16 +25,16 @@ def told(bench: Bench, topic: str) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
 def test_a_running_gateway_ends_in_good_order(bench: Bench, number: signal.Signals) -> None:
-    """Told to stop, it says `stopped`, prints its summary and ends with 0; no traceback."""
+    """Stopped by a signal, it publishes `stopped`, prints its summary and ends with 0; no traceback."""
     config = bench.config()
     config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
     running = subprocess.Popen(
         [GELGATE, "run", "--config", config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     deadline = time.monotonic() + START_TIMEOUT_S
-    while not told(bench, "gel") and running.poll() is None and time.monotonic() < deadline:
+    while not payloads(bench, "gel") and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert told(bench, "gel"), "no frame arrived in time"
+    assert payloads(bench, "gel"), "no frame arrived in time"
     running.send_signal(number)
     out, err = running.communicate(timeout=START_TIMEOUT_S)
 
@@ -43,7 +43,7 @@ def test_a_running_gateway_ends_in_good_order(bench: Bench, number: signal.Signa
     assert presses == "0 presses: none"
     assert re.fullmatch(r"\d+ frames: \d+ dropped, \d+ late, \d+ repeated, \d+ corrupt", frames)
     assert "Traceback" not in err
-    assert told(bench, "state")[-1]["state"] == "stopped"
+    assert payloads(bench, "state")[-1]["state"] == "stopped"
 
 
 def test_the_installed_command_refuses_with_its_exit_code(bench: Bench) -> None:

@@ -1,4 +1,4 @@
-"""`gelgate watch`: one line a verdict, each press once, heatmaps on disk."""
+"""`gelgate watch`: one line per verdict, each press once, heatmaps on disk."""
 
 import json
 import re
@@ -95,7 +95,7 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
 
 def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
     """Garbage on the result topic does not end the watch, and a cleared alarm is no news."""
-    told: list[str] = []
+    messages: list[str] = []
     run = speak(
         broker,
         ("result", b"\xff"),
@@ -106,14 +106,14 @@ def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
         ("result", result(3)),
     )
 
-    heard = listen(broker, run, count=1, tell=told.append)
+    heard = listen(broker, run, count=1, tell=messages.append)
 
     assert [kind for kind, _ in heard] == ["state", "alarm", "result"]
-    assert len([sentence for sentence in told if "cannot be read" in sentence]) == 3
+    assert len([sentence for sentence in messages if "cannot be read" in sentence]) == 3
 
 
 def test_a_heatmap_can_only_be_saved_under_a_press_id(tmp_path: Path, broker: LocalBroker) -> None:
-    """A topic that is no press id names no file, whatever it contains."""
+    """A topic that is not a press id never becomes a file name."""
     run = speak(
         broker,
         ("heatmap/../../escape", b"x"),
@@ -133,12 +133,12 @@ def test_no_broker_is_a_sentence() -> None:
 
 
 def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
-    """The watch tells it, returns, and goes on; a press heard before is not given again."""
-    told: list[str] = []
+    """The watch reports it, reconnects and continues; a press received before is not repeated."""
+    messages: list[str] = []
     address = Broker(broker.host, broker.port, "watcher", level=None if broker.speaks_mqtt5 else "3.1.1")
     speak(broker)()
     heard = []
-    for seen in watch(address, station_filter("gelgate"), count=1, timeout_s=60, tell=told.append):
+    for seen in watch(address, station_filter("gelgate"), count=1, timeout_s=60, tell=messages.append):
         heard.append(seen.kind)
         if heard == ["state"]:
             broker.kill()
@@ -148,8 +148,8 @@ def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
             speak(broker, ("result", result(0, heatmap_topic=None)))()
 
     assert heard[-1] == "result"
-    assert any("is lost" in sentence for sentence in told)
-    assert any("again" in sentence for sentence in told)
+    assert any("is lost" in sentence for sentence in messages)
+    assert any("again" in sentence for sentence in messages)
 
 
 def test_a_line_says_what_a_person_wants_to_know() -> None:

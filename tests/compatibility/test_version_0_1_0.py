@@ -45,7 +45,7 @@ def test_the_recording_gives_its_presses() -> None:
 
 
 def test_the_database_keeps_its_history(database: Path) -> None:
-    """Presses, the count of the gel, and the order of the presses are as they were left."""
+    """Presses, the count of the gel, and the order of the presses are unchanged."""
     with Store(database) as store:
         store.check()
         (gel,) = store.gels()
@@ -57,7 +57,7 @@ def test_the_database_keeps_its_history(database: Path) -> None:
 
 
 def test_what_waits_in_the_database_is_still_offered(database: Path) -> None:
-    """Messages that no broker has taken wait for the sink of the same name."""
+    """Unsent messages wait for the sink of the same name."""
     with Store(database), Outbox(database) as outbox:
         outbox.register(["mqtt", "jsonl"])
         waiting = outbox.pending("mqtt", limit=100)

@@ -37,7 +37,7 @@ def test_mvtec_folders(tmp_path: Path) -> None:
 
 
 def test_real_screws(real_tactile: Path) -> None:
-    """The optical screws beside the tactile frames read with as many masks as defective pictures."""
+    """The optical screws of the tactile data set have as many masks as defective pictures."""
     root = real_tactile.parent / "real_ad" / "mvtec_screw_subset"
     if not root.is_dir():
         pytest.skip(f"SKIPPED, NOT TESTED: no screws at {root}")
@@ -89,7 +89,7 @@ def test_cvat_xml(cvat: Path) -> None:
         ("<box ", "<polyline ", "has no area"),
         ('xtl="0"', "", "xtl"),
         ("<annotations>", "<!DOCTYPE a [<!ENTITY b 'c'>]><annotations>", "declares a document type"),
-        ("</annotations>", "", "no whole XML file"),
+        ("</annotations>", "", "not a complete XML file"),
         ('name="PZ3/1/PZ3_1_s001', 'name="../../PZ3_1_s001', "outside the dataset"),
     ],
 )
@@ -128,7 +128,7 @@ def test_a_pixel_belongs_by_its_centre() -> None:
 
 
 def test_shapes_refuse_nonsense() -> None:
-    """Two points, NaN and negative runs are no shapes."""
+    """Two points, NaN and negative runs are refused."""
     with pytest.raises(ValueError, match="three points"):
         Polygon(((0.0, 0.0), (1.0, 1.0)))
     with pytest.raises(ValueError, match="finite"):

@@ -88,11 +88,11 @@ def test_absent_low_resolution_masks_are_pooled(root: Path) -> None:
 
 
 def test_pooling_keeps_a_single_pixel_and_refuses_fractions() -> None:
-    """One defect pixel marks its whole block; a size that is no whole multiple is refused."""
+    """One defect pixel marks its whole block; a size that is not an integer multiple is refused."""
     fine = np.zeros((6, 8), bool)
     fine[5, 7] = True
     assert pool_mask(fine, (2, 2)).tolist() == [[False, False], [False, True]]
-    with pytest.raises(ValueError, match="8x6 is no whole multiple of 3x2"):
+    with pytest.raises(ValueError, match="8x6 is not an integer multiple of 3x2"):
         pool_mask(fine, (2, 3))
 
 
@@ -120,14 +120,14 @@ def test_all_faults_in_one_error(root: Path) -> None:
         "rgb_320x240/notes.txt: expected a picture",
         "fault/rgb_320x240/PZ1_1_s004_p01.png: has no mask of the same name",
         "fault/mask_320x240/PZ1_1_s009_p01.png: is a mask without a frame",
-        "fault/mask_320x240/PZ1_1_s005_p01.png: is 300x240, expected 320x240 or a whole multiple",
+        "fault/mask_320x240/PZ1_1_s005_p01.png: is 300x240, expected 320x240 or an integer multiple",
     ):
         assert expected in text
     assert "has 8 files at fault" in text
 
 
 def test_specimens_csv_overrides_names(root: Path) -> None:
-    """A listed file has the listed specimen; an unlisted one keeps the one in its name; a stranger is a fault."""
+    """A listed file has the listed specimen; an unlisted one keeps the one in its name; an unknown file is a fault."""
     table = root / "specimens.csv"
     table.write_text(
         "file,specimen\nPZ1_1_s001_p01.png,axle-7\nPZ1/1/rgb_320x240/PZ1_1_s001_p02.png,axle-8\n"

@@ -25,7 +25,7 @@ def test_parts_without_the_large_pictures_are_left_out_of_them(tmp_path: Path) -
 
 
 def test_a_set_without_any_large_picture_is_refused_at_that_resolution(tmp_path: Path) -> None:
-    """Nothing is left out silently where nothing is there: every missing file is named."""
+    """If no part has the resolution, every missing file is named."""
     put(tmp_path / "PZ1/pos1/rgb_320x240/PZ1_pos1_s001_p01.png", (320, 240))
     with pytest.raises(DatasetError, match="PZ1_pos1_s001_p01"):
         open_dataset(tmp_path, "hr")

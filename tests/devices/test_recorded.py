@@ -1,4 +1,4 @@
-"""The recorded device: recorded intervals, and what it says of its folder."""
+"""The recorded device: recorded intervals, and faults of its folder."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +22,7 @@ def test_pace(tmp_path: Path, pace: float, expected_ns: float) -> None:
 
 
 def test_on_demand_a_frame_has_its_recorded_time(tmp_path: Path) -> None:
-    """No time passes, and the frames still lie a period apart; so do the end and the next beginning of a loop."""
+    """No time passes, and the frames are still a period apart, also from the end to the start of a loop."""
     clock = FakeClock()
     options = RecordedOptions(recording=write_recording(tmp_path / "r", 3), pace=0, loop=True)
     device = plugin.open(options, clock)

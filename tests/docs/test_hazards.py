@@ -10,7 +10,7 @@ ROWS = [
 
 
 def test_every_file_is_listed_under_its_number() -> None:
-    """Each `test_hNN_*.py` stands in a row of hazard NN, and no row names a file that is not there."""
+    """Each `test_hNN_*.py` is in a row of hazard NN, and no row names a missing file."""
     listed = {
         (int(number), file)
         for row in ROWS

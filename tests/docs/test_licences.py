@@ -89,7 +89,7 @@ def test_every_package_of_a_plain_install_has_a_licence_on_the_page() -> None:
 
 
 def test_the_page_names_no_package_that_is_not_installed() -> None:
-    """A dependency that goes takes its row along; packages for other systems or Python versions may be listed."""
+    """A row without its dependency is a fault; packages for other systems or Python versions may be listed."""
     assert set(BASE) - base(with_markers=False) == set()
 
 
@@ -123,7 +123,7 @@ def test_the_product_declares_its_own_licence() -> None:
 
 
 def test_the_newest_version_in_the_changes_is_the_products() -> None:
-    """CHANGELOG.md begins with what is being built."""
+    """CHANGELOG.md starts with the version of the package."""
     versions = re.findall(r"^## (\S+?),? ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
 
     assert versions[0] == PROJECT["version"]

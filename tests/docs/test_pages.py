@@ -1,4 +1,4 @@
-"""Documentation that cannot lie: printed pages are the program's, and what has a name is explained in docs/."""
+"""Documentation is tested: printed pages are those of the program, and every name is explained in docs/."""
 
 import importlib.util
 import re
@@ -39,7 +39,7 @@ PRINTED = {name: (DOCS / name).read_text(encoding="utf-8") for name in GENERATE.
 
 @pytest.mark.parametrize("name", GENERATE.PAGES)
 def test_a_printed_page_is_the_programs(name: str) -> None:
-    """Whoever changes a command, key, error or topic prints the pages again: `make docs`."""
+    """After a change of a command, key, error or topic the pages are printed again: `make docs`."""
     assert PRINTED[name] == GENERATE.PAGES[name](), "run `make docs`"
 
 
@@ -99,7 +99,7 @@ def models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def test_every_key_says_what_it_means() -> None:
-    """No cell of a table of keys is empty where the meaning stands."""
+    """No meaning is empty in a table of keys."""
     rows = [line for line in PRINTED["config.md"].splitlines() if line.startswith("| `")]
 
     assert len(rows) > 30
@@ -107,7 +107,7 @@ def test_every_key_says_what_it_means() -> None:
 
 
 def test_every_topic_is_in_the_manual() -> None:
-    """Topics stand in one table in the program and in one on the page."""
+    """The page's table of topics is that of the program."""
     assert [topic for topic, *_ in TOPICS if f"`{topic}`" not in PRINTED["mqtt.md"]] == []
 
 

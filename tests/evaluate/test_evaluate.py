@@ -84,7 +84,7 @@ def test_a_press_fails_where_the_gateway_would_fail_it(tmp_path: Path, dataset: 
 
 
 def test_a_name_in_train_and_test_means_the_one_in_train(tmp_path: Path, dataset: Path) -> None:
-    """MVTec folders count from 000 in both; what was fitted lies in train, and the one in test is scored."""
+    """MVTec folders count from 000 in both; the file in train was fitted, and the one in test is scored."""
     rng = np.random.default_rng(1)
     for place in ("train", "test"):
         frame(dataset / place / "good" / "000.png", False, rng)
@@ -202,7 +202,7 @@ def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
 def test_a_report_that_cannot_be_written_is_refused_before_anything_is_scored(
     tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A folder that is not there is told at once, not after minutes of scoring."""
+    """A missing folder is reported at once, not after minutes of scoring."""
     words = [
         "gelgate",
         "evaluate",
@@ -215,6 +215,6 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_is_scored(
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 3
-    told = capsys.readouterr().err
-    assert "name a file in a folder that exists" in told
-    assert "scoring presses" not in told
+    stderr = capsys.readouterr().err
+    assert "name a file in an existing folder" in stderr
+    assert "scoring presses" not in stderr

@@ -84,14 +84,14 @@ def test_a_pickle_is_never_run(tmp_path: Path) -> None:
 
 
 def test_what_is_no_checkpoint_is_named(tmp_path: Path) -> None:
-    """Missing, empty, text, a picture, an ONNX graph, a whole model, a list: each one sentence with the path."""
+    """Missing, empty, text, a picture, an ONNX graph, a pickled model, a list: each one sentence with the path."""
     onnx_file = tmp_path / "x.pth"
     node = onnx.helper.make_node("Relu", ["a"], ["b"])
     value = [onnx.helper.make_tensor_value_info(name, 1, [1]) for name in "ab"]
     onnx.save(onnx.helper.make_model(onnx.helper.make_graph([node], "g", value[:1], value[1:])), onnx_file)
-    with pytest.raises(ConfigError, match="is an ONNX graph already"):
+    with pytest.raises(ConfigError, match="is already an ONNX graph"):
         read_checkpoint(onnx_file)
-    with pytest.raises(ConfigError, match="no checkpoint at"):
+    with pytest.raises(ConfigError, match="does not exist"):
         read_checkpoint(tmp_path / "absent.pth")
     for name, content in (
         ("empty", b""),

@@ -80,7 +80,7 @@ def test_a_single_graph_has_nothing_to_merge(bundle: Bundle, tmp_path: Path) -> 
 
 
 def test_a_graph_that_scores_otherwise_is_not_written(bundle: Bundle, tmp_path: Path) -> None:
-    """A head with unseeded noise stands for any difference between the two: no file, and a sentence."""
+    """A head with unseeded noise represents any difference between the two: no file, and a sentence."""
     model = onnx.parser.parse_model("""
         < ir_version: 8, opset_import: ["" : 17] >
         head (float[n, 3, 4, 4] layer1) => (float[n, H, W] score_map, float[n] score)
@@ -95,6 +95,6 @@ def test_a_graph_that_scores_otherwise_is_not_written(bundle: Bundle, tmp_path: 
         }
     """)
     graphs = dataclasses.replace(tiny.tiny_graphs(), head=model.SerializeToString())
-    with pytest.raises(BundleCorrupt, match="nothing was written"):
+    with pytest.raises(BundleCorrupt, match="nothing is written"):
         merge_bundle(Bundle.in_memory(*tiny.tiny_files(graphs=graphs)), tmp_path / "detector.onnx")
     assert list(tmp_path.iterdir()) == []

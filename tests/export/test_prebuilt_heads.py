@@ -14,7 +14,7 @@ from edge import registry
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
-from export.prebuilt_heads import Situation, authored, invented, prebuilt, prebuilt_grid
+from export.prebuilt_heads import Situation, new_heads, prebuilt, prebuilt_grid, synthetic_features
 from plugins.detectors import prebuilt_heads
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES, load_index, prebuilt_head
 
@@ -38,7 +38,7 @@ def assert_same_head(found: bytes, expected: bytes) -> None:
 def test_what_ships_is_what_the_detector_writes(method: str) -> None:
     """File for file and entry for entry; after a change to a detector `make heads` writes them again."""
     stored = {(head.file, str(head.grid)): head for head in load_index() if head.file.startswith(method)}
-    written = [(entry, graph) for frame in PREBUILT_FRAMES for entry, graph in authored(method, frame)]
+    written = [(entry, graph) for frame in PREBUILT_FRAMES for entry, graph in new_heads(method, frame)]
     assert len(stored) == len(written), "run `make heads`"
     for head, (entry, graph) in zip(stored.values(), written, strict=True):
         assert dict(head.parameters) == entry["parameters"], "run `make heads`"
@@ -65,10 +65,10 @@ def bank_of(method: str, nominal: Nominal, grid: Grid) -> Bank:
 def test_a_head_that_fits_is_the_head_of_that_bank(
     method: str, presses: int, touched: float | None, has_free_gel: bool
 ) -> None:
-    """Whatever the presses a shipped head is found, and the detector would have written the same for this bank."""
+    """For any presses a shipped head is found, equal to the head that the detector writes for this bank."""
     detector = registry.detector(method)
     grid = prebuilt_grid(PREBUILT_FRAMES[0], detector.taps(detector.parameters()))
-    bank = bank_of(method, invented(grid, presses, Situation(touched, has_free_gel)), grid)
+    bank = bank_of(method, synthetic_features(grid, presses, Situation(touched, has_free_gel)), grid)
     found = prebuilt_head(detector, grid, bank, detector.parameters())
     assert found is not None
     assert_same_head(found, detector.head(grid, bank, detector.parameters()))
@@ -79,7 +79,7 @@ def test_another_frame_setting_trunk_or_plugin_has_no_prebuilt_head() -> None:
     padim = registry.detector("padim")
     p = padim.parameters()
     grid = prebuilt_grid(PREBUILT_FRAMES[0], padim.taps(p))
-    bank = bank_of("padim", invented(grid, 4, Situation(0.25, True)), grid)
+    bank = bank_of("padim", synthetic_features(grid, 4, Situation(0.25, True)), grid)
     assert prebuilt_head(padim, grid, bank, p) is not None
     assert prebuilt_head(padim, grid, bank, p.model_copy(update={"ridge": 2 * p.ridge})) is None
     assert prebuilt_head(padim, replace(grid, pixels_per_mm=63.0), bank, p) is None
@@ -105,7 +105,7 @@ def test_without_an_index_every_head_is_written(monkeypatch: pytest.MonkeyPatch)
         subspace = registry.detector("subspace")
         p = subspace.parameters()
         grid = prebuilt_grid((64, 64), subspace.taps(p))
-        bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
+        bank = bank_of("subspace", synthetic_features(grid, 2, Situation(None, False)), grid)
         assert load_index() == ()
         assert head_of(subspace, grid, bank, p) == subspace.head(grid, bank, p)
     finally:
@@ -172,7 +172,7 @@ def test_a_missing_package_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     subspace = registry.detector("subspace")
     p = subspace.parameters(sigma=1.0)
     grid = prebuilt_grid((64, 64), subspace.taps(p))
-    bank = bank_of("subspace", invented(grid, 2, Situation(None, False)), grid)
+    bank = bank_of("subspace", synthetic_features(grid, 2, Situation(None, False)), grid)
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(FitError, match=r"the package onnx is missing; pip install 'gelgate\[export\]'"):
         head_of(subspace, grid, bank, p)

@@ -1,4 +1,4 @@
-"""A third party's graph becomes a bundle: its mathematics, our threshold, the same checks."""
+"""A third party's graph becomes a bundle: its method, a threshold by gelgate, the same checks."""
 
 import dataclasses
 from pathlib import Path

@@ -25,7 +25,7 @@ def lines(folder: Path) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("name", ["jsonl", "memory", "mqtt"])
 def test_each_is_found_by_its_name(name: str) -> None:
-    """Through the same door as a visitor's plugin: options, and open."""
+    """Like a plugin of another package: by entry point, options, and open."""
     plugin = registry.sink(name)
 
     assert plugin.Options.model_config["extra"] == "forbid"
@@ -44,7 +44,7 @@ def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
 
 
 def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
-    """JSON stays JSON, an empty payload is null, a picture lies beside under its topic."""
+    """JSON stays JSON, an empty payload is null, a picture is a file named by its topic."""
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path / "log"), STATION)
     sink.send(Message("result", '{"part":"Bügel"}'.encode()))
     sink.send(Message("heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV", b"png", content_type="image/png"))

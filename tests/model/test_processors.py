@@ -7,11 +7,11 @@ before Zen 4), where onnxruntime lets the sum saturate by default. Such a proces
 from importlib.resources import files
 from pathlib import Path
 
-import haswell
+import emulated_processor
 import numpy as np
 import onnx
 import pytest
-from haswell import needs_emulator, run_on_haswell
+from emulated_processor import needs_emulator, run_on_haswell
 from onnx import TensorProto, helper, numpy_helper
 
 from edge.model import session as runtime
@@ -83,7 +83,7 @@ def test_int8_sums_do_not_saturate_on_a_processor_without_vnni(tmp_path: Path) -
 
 def test_a_measurement_says_which_kind_of_processor_it_is_of(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice the time of an int8 trunk is the processor's, and the reader of a figure sees it."""
-    monkeypatch.setattr(haswell, "saturates", lambda: True)
-    assert "without VNNI" in haswell.processor_kind()
-    monkeypatch.setattr(haswell, "saturates", lambda: False)
-    assert "with VNNI" in haswell.processor_kind()
+    monkeypatch.setattr(emulated_processor, "saturates", lambda: True)
+    assert "without VNNI" in emulated_processor.processor_kind()
+    monkeypatch.setattr(emulated_processor, "saturates", lambda: False)
+    assert "with VNNI" in emulated_processor.processor_kind()

@@ -1,4 +1,4 @@
-"""Every built-in plugin passes the checks that are published for plugins by others."""
+"""Every built-in plugin passes the published checks."""
 
 import json
 from collections.abc import Callable

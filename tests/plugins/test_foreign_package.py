@@ -1,4 +1,4 @@
-"""The package that docs/plugins.md shows, installed as somebody else's, does what the page says."""
+"""The package of docs/plugins.md, installed as one of another author, works as the page says."""
 
 import json
 import os
@@ -153,7 +153,7 @@ class FolderBench:
 
 
 class SavingClock(FakeClock):
-    """Tells the time to somebody whenever it passes."""
+    """Reports the time whenever it changes."""
 
     def __init__(self, now_ns: int, passed: object) -> None:
         super().__init__(now_ns)

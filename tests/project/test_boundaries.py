@@ -47,7 +47,7 @@ def is_in(module: str, package: str) -> bool:
 
 @pytest.mark.parametrize("package", MAY_IMPORT)
 def test_a_package_imports_what_it_may(package: str) -> None:
-    """Nothing of ours beside itself and the packages of its line."""
+    """Of our packages only itself and those in its row."""
     allowed = (package, *MAY_IMPORT[package])
     narrower = [other for other in MAY_IMPORT if other != package and is_in(other, package)]
     files = [

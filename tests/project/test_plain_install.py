@@ -1,4 +1,4 @@
-"""Every verb in an environment made by `pip install .` alone: it works, or says at its start what it needs.
+"""Every verb in an environment made by `pip install .` alone: it works, or names at its start what it needs.
 
 Run by `make test-plain`; the environment takes half a minute where pip has the wheels already.
 """
@@ -77,7 +77,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with presses, a dataset of two pictures, somebody's graph and a station's configuration."""
+    """A folder with presses, a dataset of two pictures, a foreign graph and a station's configuration."""
     folder = tmp_path_factory.mktemp("desk")
     press_recording(folder / "nominal", 12, seed=1)
     (folder / "theirs.onnx").write_bytes(onnx.parser.parse_model(THEIRS).SerializeToString())

@@ -1,4 +1,4 @@
-"""Names to plugins: one shape of entry point, and a sentence for whatever has another."""
+"""Names to plugins: one shape of entry point, and a sentence for any other."""
 
 import tomllib
 from importlib.metadata import EntryPoint
@@ -49,7 +49,7 @@ def test_every_entry_point_names_a_value_in_a_module(group: str) -> None:
 def test_an_object_of_another_shape_is_refused_with_what_it_lacks(
     group: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A module, as sinks once were, is no plugin."""
+    """A module is not a plugin."""
     install(monkeypatch, group, "odd", "types:SimpleNamespace")
     get, _ = PROTOCOLS[group]
 
@@ -66,7 +66,7 @@ def test_a_verb_is_something_that_can_be_called(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_name_that_two_packages_claim_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which of them would run is not left to chance."""
+    """None of the two is loaded."""
     install(monkeypatch, "sinks", "lamp", "plugins.sinks.memory:plugin", "plugins.sinks.jsonl:plugin")
 
     with pytest.raises(

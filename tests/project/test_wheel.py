@@ -78,7 +78,7 @@ def test_only_the_packages_can_be_imported(wheel_names: set[str]) -> None:
 
 
 def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
-    """Every page lies below `share/doc/gelgate` of the environment, where `gelgate docs` finds it."""
+    """Every page is below `share/doc/gelgate` of the environment, where `gelgate docs` finds it."""
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     pages |= {path.name for path in (ROOT / "firmware_notes").glob("*.md")} | {"README.md", "CHANGELOG.md"}
     shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}
@@ -87,7 +87,7 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
 
 
 def test_the_installed_program_finds_its_manual_and_its_service_files(built: Path, tmp_path: Path) -> None:
-    """Far from the source tree, where only the wheel is."""
+    """Outside the source tree, with the wheel alone."""
     wheel = next(built.glob("*.whl"))
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--ignore-installed"]
     subprocess.run([*pip, "--prefix", str(tmp_path), str(wheel)], check=True, capture_output=True)

@@ -13,6 +13,16 @@ ROOMS = [
     *(f"calibration/{room}" for room in ("simulator", "training", "benchmark", "metrics")),
     *("plugins/devices/uvc", "plugins/devices/v4l2", "plugins/devices/virtual", "plugins/backbones"),
     *("edge/core/imaging", "edge/model", "edge/recording", "firmware_notes", "docs/decisions"),
+    *("edge/cli", "edge/store", "edge/pictures", "plugins/sinks", "plugins/conformance", "export"),
+    *("calibration/dataset", "calibration/evaluate", "calibration/demo.py", "calibration/progress.py"),
+    *(
+        "edge/config.py",
+        "edge/registry.py",
+        "plugins/devices/recorded.py",
+        "docs/plugins.md",
+        "docs/architecture.md",
+    ),
+    *("CHANGELOG.md", "docs/cli.md", "docs/config.md"),
     *("README.md", "docs/glossary.md", "docs/bundle.md", "docs/sensors.md", "docs/simulator.md"),
 ]
 

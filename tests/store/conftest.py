@@ -1,4 +1,4 @@
-"""Presses and their messages, as the gateway would record them."""
+"""Presses and their messages, as the gateway records them."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

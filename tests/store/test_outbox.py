@@ -67,7 +67,7 @@ def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(
 
 
 def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox, make_press: MakePress) -> None:
-    """A row that is gone leaves no trace in the settled table."""
+    """A row that has left has no entry in the table `settled`."""
     outbox.register(["mqtt"])
     record(store, make_press(1), Message("result", b"1"))
 
@@ -98,7 +98,7 @@ def test_a_refused_row_is_out_of_the_way_but_kept(
 def test_a_retained_topic_keeps_its_newest_message_alone(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """After an outage `last` and `gel` are sent once, behind every result: they cannot go back in time."""
+    """After an outage `last` and `gel` are sent once, after every result: they never show an older press."""
     for n in (1, 2, 3):
         store.record_press(make_press(n), messages_of(make_press(n)))
 
@@ -113,7 +113,7 @@ def test_a_retained_topic_keeps_its_newest_message_alone(
 def test_a_refused_retained_message_never_overtakes_a_newer_one(
     store: Store, outbox: Outbox, make_press: MakePress
 ) -> None:
-    """What was refused is replaced by the next message of its topic, so offering it again cannot go back."""
+    """A refused message is replaced by the next one of its topic, so the topic never shows an older one."""
     outbox.register(["mqtt"])
     record(store, make_press(1), Message("last", b"1", retain=True))
     outbox.refuse(1, "mqtt", "not authorized")
@@ -148,7 +148,7 @@ def test_row_ids_are_never_used_again(store: Store, outbox: Outbox, make_press: 
     ],
 )
 def test_which_message_is_dropped_first(message: Message, verdict: str, priority: DropPriority) -> None:
-    """Pictures least, passes next, everything a person must see most, and one retained row per topic always."""
+    """Pictures first, passes next, the rest last; the one retained row per topic never."""
     assert drop_priority_of(message, verdict) is priority
 
 
@@ -206,7 +206,7 @@ def test_old_rows_go_by_age(path: Path, make_press: MakePress) -> None:
 
 
 def test_a_clock_that_jumps_from_1970_drops_nothing(path: Path, make_press: MakePress) -> None:
-    """A gateway without a clock battery records in 1970 until the network tells the time; those rows have no age."""
+    """A gateway without a clock battery records in 1970 until the network gives the time: those rows have no age."""
     early = make_press(1)
     early = Press(early.press_id, 5 * 10**9, early.serial, early.part, "fail", score=2.0, threshold=1.0)
     with Store(path, Bounds(max_age_s=DAY_S)) as store, Outbox(path) as outbox:
@@ -234,7 +234,7 @@ def test_the_counted_size_is_that_of_the_rows(
 
 
 def test_bounds_refuse_nonsense() -> None:
-    """No room and no time are not bounds."""
+    """Bounds of 0 are refused."""
     with pytest.raises(ValueError, match="positive"):
         Bounds(max_bytes=0)
     with pytest.raises(ValueError, match="positive"):

@@ -1,4 +1,4 @@
-"""The publisher: in order, at least once, each sink for itself, and never giving up."""
+"""The publisher: in order, at least once, each sink independently, and without end."""
 
 import json
 import random
@@ -23,7 +23,7 @@ MessagesOf = Callable[..., MakeMessages]
 
 
 class HandClock:
-    """Time that moves when the test says so."""
+    """Time that the test sets."""
 
     def __init__(self) -> None:
         self.now_ns = 10**18
@@ -39,7 +39,7 @@ class HandClock:
 
 
 class ScriptedSink:
-    """Takes messages, unless told to be away, to lose the acknowledgement, or to refuse a topic."""
+    """Takes messages; a test can make it unreachable, lose an acknowledgement or refuse a topic."""
 
     def __init__(self) -> None:
         self.taken: list[Message] = []
@@ -120,7 +120,7 @@ def test_rows_are_sent_in_order_and_leave(
 def test_a_sink_that_is_away_loses_nothing(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """Away at first, and again in between: each result arrives, in order, and the change is told once each time."""
+    """Away at first, and again in between: each result arrives, in order, and each change is reported once."""
     sink, changes = ScriptedSink(), []
     outbox.register(["mqtt"])
     one = worker(outbox, sink, changes=changes)
@@ -159,7 +159,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
     messages_of: MessagesOf,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Acknowledgements that find no room are noted later; the pauses grow, the log says it once, the state is told.
+    """Acknowledgements that find no room are noted later; the pauses grow, one log line, and the state is reported.
 
     Without the memory of what was taken, a result went out again at every attempt, as long as the disk was full.
     """
@@ -269,7 +269,7 @@ def test_each_sink_goes_at_its_own_pace(
 def test_retained_topics_never_go_back_in_time(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """Through an outage in the middle of a batch, what `last` and `gel` say only ever gets newer."""
+    """Through an outage in the middle of a batch, `last` and `gel` only become newer."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     one = worker(outbox, sink)
@@ -314,7 +314,7 @@ def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
 
 
 def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outbox) -> None:
-    """A state that changed twice while the sink was away is said once, as it is now."""
+    """A state that changed twice while the sink was away is published once, with its present value."""
     retained_state, sink = RetainedState(), ScriptedSink()
     one = worker(outbox, sink, retained_state=retained_state)
     sink.is_away = True
@@ -354,7 +354,7 @@ def test_a_refused_announcement_does_not_block_the_rows(
 
 
 def test_pauses_double_up_to_a_ceiling_with_a_random_half() -> None:
-    """Between half and all of 0.1, 0.2, 0.4 ... 5 s; success begins anew."""
+    """Between half and all of 0.1, 0.2, 0.4 ... 5 s; success starts again."""
     backoff = Backoff(random.Random(7), 0.1, 5.0)
     pauses = [backoff.failed() for _ in range(12)]
 
@@ -450,7 +450,7 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
     caplog: pytest.LogCaptureFixture,
     hangs_in: str,
 ) -> None:
-    """`stop` ends, says whom it waited for, and has closed the others; the rows wait for the next process."""
+    """`stop` ends, logs the sink it waited for, and has closed the others; the rows wait for the next process."""
     monkeypatch.setattr(edge.messaging.publisher, "CLOSE_S", 0.5)
     is_hanging, is_over = threading.Event(), threading.Event()
 
@@ -492,7 +492,7 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
 
 
 def test_a_second_publisher_of_the_same_database_is_refused(store: Store, path: Path) -> None:
-    """Two would overtake each other; when the first is gone the second may."""
+    """Two would change the order of messages; when the first has ended the second may start."""
     first = publisher(path, mqtt=ScriptedSink())
 
     with pytest.raises(StoreError, match="another gelgate process publishes"):

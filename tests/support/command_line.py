@@ -1,4 +1,4 @@
-"""The whole command line in this process: what `gelgate ...` prints, and the exit code it ends with."""
+"""The command line in this process: what `gelgate ...` prints, and the exit code it ends with."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""Synthetic feature maps, and a detector's graph beside its oracle."""
+"""Synthetic feature maps, and a detector's graph compared with its oracle."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""A gateway process that dies without a word at its n-th write after the first press settled.
+"""A gateway process that is killed at its n-th write after the first press settled.
 
 `main(config, n)` is a process's whole life; n = 0 lives. How many writes there were is left in `writes` beside the
 configuration.

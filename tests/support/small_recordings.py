@@ -1,4 +1,4 @@
-"""Small recordings of small frames, and a clock that only moves when somebody sleeps."""
+"""Small recordings of small frames, and a clock that moves only during a sleep."""
 
 import threading
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class FakeClock:
 
 @cache
 def jpeg(seed: int, size: tuple[int, int] = (64, 48), suffix: str = ".jpg") -> bytes:
-    """A noise picture of (width, height); every seed gives other bytes."""
+    """A noise picture of (width, height); each seed gives different bytes."""
     picture = np.random.default_rng(seed).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
     return cv2.imencode(suffix, picture)[1].tobytes()
 
@@ -43,7 +43,7 @@ def jpeg(seed: int, size: tuple[int, int] = (64, 48), suffix: str = ".jpg") -> b
 def write_recording(
     folder: Path, payloads: Sequence[bytes] | int, *, size: tuple[int, int] = (64, 48), product: str = PRODUCT
 ) -> Path:
-    """A recording of these payloads, or of so many noise pictures, at 18.75 fps."""
+    """A recording of these payloads, or of this number of noise pictures, at 18.75 fps."""
     frames = [jpeg(seed, size) for seed in range(payloads)] if isinstance(payloads, int) else payloads
     with RecordingWriter(folder, RecordingHeader(product, SERIAL, size, 25.0)) as writer:
         for position, payload in enumerate(frames):

@@ -1,4 +1,4 @@
-"""A whole station in a folder: recorded presses, a bundle fitted on them, and a configuration for the gateway."""
+"""A station in a folder: recorded presses, a bundle fitted on them, and a configuration for the gateway."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -103,7 +103,7 @@ def station_config(
     sinks: str = "",
     trigger: str = "automatic",
 ) -> Path:
-    """Write `gelgate.toml` into the folder; messages go to `out/` beside it unless `sinks` says otherwise."""
+    """Write `gelgate.toml` into the folder; messages go to `out/` in that folder unless `sinks` is given."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "gelgate.toml"
     text = CONFIG.format(

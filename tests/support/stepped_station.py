@@ -28,7 +28,7 @@ class SteppedStation:
         self.loop = StationLoop(self.parts, self.reports.append)
 
     def read(self, steps: int) -> None:
-        """So many steps of the reader: the first opens the sensor, each other one reads a frame."""
+        """This number of steps of the reader: the first opens the sensor, each other one reads a frame."""
         for _ in range(steps):
             try:
                 self.parts.acquisition.step()
@@ -44,7 +44,7 @@ class SteppedStation:
                 return
 
     def play(self, steps: int | None = None) -> None:
-        """Read and look in turn, to the recording's end unless so many steps are named."""
+        """Read and look in turn, to the recording's end or for this number of steps."""
         while not self.has_ended and steps != 0:
             self.read(1)
             self.look()

@@ -1,4 +1,4 @@
-"""The smallest honest detector: a trunk of pooled colours and the distance to the mean of the nominal presses.
+"""The smallest complete detector: a trunk of pooled colours and the distance to the mean of the nominal presses.
 
 For tests of everything around detectors (bundle, scorer, fit, gateway): it fits in a millisecond, its scores can be
 worked by hand, and it meets the contract of `edge.core.detector`.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from haswell import needs_emulator, run_on_haswell
+from emulated_processor import needs_emulator, run_on_haswell
 from numpy.typing import NDArray
 
 from calibration.training import package as packaging

@@ -20,7 +20,7 @@ MessagesOf = Callable[..., MakeMessages]
 
 
 def contents(path: Path) -> tuple[int, int, int]:
-    """(presses recorded, presses counted on gels, results waiting) as an outsider reads the file."""
+    """(presses recorded, presses counted on gels, results waiting) as another program reads the file."""
     with sqlite3.connect(path) as connection:
         recorded = connection.execute("SELECT count(*) FROM presses").fetchone()[0]
         counted = connection.execute("SELECT coalesce(sum(presses), 0) FROM gels").fetchone()[0]
@@ -87,7 +87,7 @@ def test_an_id_is_never_given_to_another_press(
 def test_nothing_is_recorded_when_the_messages_cannot_be_made(
     store: Store, path: Path, make_press: MakePress
 ) -> None:
-    """Both or neither, also for a fault of our own."""
+    """Both or neither, also for a fault in gelgate."""
 
     def broken(gel: object) -> Any:
         raise RuntimeError("no messages")
@@ -194,7 +194,7 @@ def test_a_database_held_by_another_program_is_a_store_error(
     other.execute("BEGIN IMMEDIATE")
     store._database._connection.execute("PRAGMA busy_timeout = 20")
 
-    with pytest.raises(StoreError, match="another program holds it"):
+    with pytest.raises(StoreError, match="another program has locked it"):
         store.record_press(make_press(1), messages_of(make_press(1)))
 
     other.execute("ROLLBACK")

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-__all__ = ["Chosen"]
+__all__ = ["FixedParameters"]
 
 
-class Chosen:
+class FixedParameters:
     """A detector that answers every request for parameters with one mode and some changes of it."""
 
     def __init__(self, detector: Any, mode: str, changes: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Faults that nobody foresaw, in what a station gives to its sink."""
+"""Unexpected errors in the functions that a station gives to its sink."""
 
 import time
 
@@ -12,17 +12,17 @@ from .conftest import ROOT
 
 
 def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever() -> None:
-    """The connection is given up and made again; the thread that makes it lives on."""
+    """The connection is made again; its thread continues."""
     births: list[int] = []
 
     def birth() -> list[Message]:
         births.append(1)
         if len(births) == 1:
-            raise RuntimeError("nobody foresaw this")
+            raise RuntimeError("unexpected")
         return []
 
     with LocalBroker() as broker:
-        station = Station(ROOT, client_id="unforeseen", birth=birth)
+        station = Station(ROOT, client_id="unexpected", birth=birth)
         sink = plugin.open(MqttOptions(host=broker.host, port=broker.port, retry_s=1.0), station)
         try:
             deadline = time.monotonic() + 20

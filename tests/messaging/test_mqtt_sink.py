@@ -40,7 +40,7 @@ def sent(sink: MqttSink, message: Message, timeout_s: float = 20.0) -> None:
 def test_a_message_arrives_with_its_bytes_at_each_level(
     any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:
-    """Any byte, below the station's root, once acknowledged; the level is what the broker speaks."""
+    """Any byte, below the station's root, once acknowledged; the level is the broker's."""
     broker, protocol = any_broker
     listener = listen(broker)
     sink = sink_to(broker, protocol=protocol)
@@ -97,7 +97,7 @@ def test_what_the_birth_has_said_is_not_said_twice(
 def test_the_will_is_published_when_the_process_dies(
     any_broker: tuple[LocalBroker, str], listen: Listen
 ) -> None:
-    """Killed without a word: the broker says `lost`."""
+    """Killed, it says nothing: the broker publishes `lost`."""
     broker, protocol = any_broker
     listener = listen(broker)
     program = f"""
@@ -121,7 +121,7 @@ time.sleep(60)
 
 
 def test_a_goodbye_publishes_no_will(mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen) -> None:
-    """What the station said last stays, and a send after the end is refused."""
+    """The last state stays retained, and a send after the end is refused."""
     listener = listen(mosquitto)
     sink = sink_to(mosquitto)
     sink.send(Message("state", b"stopped", retain=True))
@@ -201,7 +201,7 @@ def test_what_was_given_up_is_never_sent_later(tmp_path: Path, sink_to: SinkTo, 
 def test_a_message_that_is_too_large_is_refused_and_the_next_goes_through(
     sink_to: SinkTo, protocol: str, words: str
 ) -> None:
-    """Level 5 tells the limit beforehand; at 3.1.1 the broker only closes the connection, three times are proof."""
+    """Level 5 states the limit; at 3.1.1 the broker only closes the connection, and three times are proof."""
     require("mosquitto")
     with LocalBroker("mosquitto", extra="max_packet_size 2000") as broker:
         sink = sink_to(broker, protocol=protocol)
@@ -226,7 +226,7 @@ def test_a_topic_forbidden_by_access_rules_is_a_refusal_at_level_5(sink_to: Sink
 
 
 def test_wrong_credentials_keep_the_message_and_say_so(sink_to: SinkTo, tmp_path: Path) -> None:
-    """The message waits: credentials get repaired. The password is in no sentence."""
+    """The message waits until the credentials are right. The password is in no sentence."""
     require("mosquitto")
     secret = tmp_path / "password"
     secret.write_text("s3cret\n")

@@ -1,4 +1,4 @@
-"""The gel ledger: who is mounted, how often it was pressed, and what was before."""
+"""The gel ledger: which gel is mounted, how often it was pressed, and the gels before it."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
 
 
 def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., Press]) -> None:
-    """Two sensors on one gateway do not wear each other's gel."""
+    """Two sensors on one gateway have separate counts."""
     record(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
 
     assert {gel.gel_id: gel.presses for gel in store.gels()} == {"2BNN4ZE7-1": 2, "OTHER-1": 1}

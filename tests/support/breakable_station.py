@@ -1,4 +1,4 @@
-"""A station of the smallest size, whose parts a test can spoil one at a time."""
+"""A station of the smallest size, whose parts a test can break one at a time."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,5 +55,5 @@ class Bench:
         return write_bundle(self.folder / name, files)
 
 
-# Every cell of a black frame lies sqrt(3 * 0.5^2) from mid grey.
+# Every cell of a black frame is sqrt(3 * 0.5^2) from mid grey.
 BLACK_PEAKS = tuple((0.75**0.5,) * 8 for _ in range(8))
