@@ -143,12 +143,12 @@ def _config() -> Iterator[str]:
     yield (
         "# Configuration\n\n"
         "One TOML file describes a station. It is read once, at the start; an unknown key is refused with the nearest\n"
-        "known name, and every fault is told in one report (`gelgate check`). Relative paths, those in plugin options\n"
+        "known name, and every fault is in one report (`gelgate check`). Relative paths, those in plugin options\n"
         "too, are taken from the file's own folder. `gelgate check --example` prints this one:\n\n"
         f"```toml\n{EXAMPLE}```\n"
     )
     schema = Config.model_json_schema()
-    yield "## The whole file\n"
+    yield "## The complete file\n"
     yield from _table(schema, schema["$defs"], skip=_tables(schema))
     for name, model in _tables(schema).items():
         inner = schema["$defs"][model]

@@ -91,7 +91,7 @@ def check_a_receiver_that_is_away(bench: SinkBench) -> None:
     sink = bench.open(STATION)
     sink.send(Message("result", b'{"n":1}'))
     if bench.take_away():
-        raises(SinkUnavailable, "send to nobody", lambda: sink.send(Message("result", b'{"n":2}')))
+        raises(SinkUnavailable, "send without a receiver", lambda: sink.send(Message("result", b'{"n":2}')))
         bench.bring_back()
         _send_when_back(bench, sink)
     sink.close()
@@ -101,7 +101,7 @@ def check_a_receiver_that_is_away_at_the_start(bench: SinkBench) -> None:
     """Opening without a receiver is no error; sending is SinkUnavailable until the receiver is reachable."""
     if bench.take_away():
         sink = bench.open(STATION)
-        raises(SinkUnavailable, "send to nobody", lambda: sink.send(Message("result", b'{"n":1}')))
+        raises(SinkUnavailable, "send without a receiver", lambda: sink.send(Message("result", b'{"n":1}')))
         bench.bring_back()
         _send_when_back(bench, sink)
         sink.close()

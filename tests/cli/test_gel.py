@@ -57,7 +57,7 @@ def test_with_two_sensors_one_must_be_named(database: Path) -> None:
     with Store(database) as store:
         store.gel("OTHER123", T0)
 
-    with pytest.raises(ConfigError, match="known: 2BNN4ZE7, OTHER123; name it with --serial"):
+    with pytest.raises(ConfigError, match="known are 2BNN4ZE7, OTHER123; name one with --serial"):
         replace(database=database)
 
 

@@ -183,4 +183,4 @@ def test_too_few_verdicts_in_time_is_a_failure(
         watch_command(host=broker.host, port=broker.port, count=3, timeout=0.2)
 
     assert ended.value.exit_code == 1
-    assert "0 verdict(s) came in 0.2 s, 3 were wanted" in capsys.readouterr().err
+    assert "0 verdict(s) arrived in 0.2 s, expected 3" in capsys.readouterr().err
