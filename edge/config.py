@@ -91,7 +91,7 @@ class ContactTable(_Table):
         default=ContactSettings.light_levels,
         gt=0,
         le=100,
-        description="fine relief of so many levels counts as contact: lower finds lighter and softer presses",
+        description="fine relief of this many levels counts as contact: lower finds lighter and softer presses",
     )
 
     def settings(self, *, is_external: bool) -> ContactSettings:
