@@ -167,7 +167,7 @@ def score_presses(
     wrong = [p for p in presses if p.size != size]
     if wrong:
         raise DatasetError(
-            f"{len(wrong)} pictures are not {size[0]}x{size[1]}, the size of the bundle's profile "
+            f"{len(wrong)} pictures are not {size[0]}x{size[1]} as in the bundle's profile "
             f"'{scorer.bundle.profile.name}', such as '{wrong[0].path}' at {wrong[0].size[0]}x{wrong[0].size[1]}"
         )
     scored: list[ScoredPress] = []

@@ -61,7 +61,7 @@ def test_a_verb_is_something_that_can_be_called(monkeypatch: pytest.MonkeyPatch)
     """A value is refused by its name."""
     install(monkeypatch, "commands", "odd", "math:pi")
 
-    with pytest.raises(ConfigError, match=r"'odd' of gelgate.commands is no function"):
+    with pytest.raises(ConfigError, match=r"'odd' of gelgate.commands is not a function"):
         registry.command("odd")
 
 
