@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.contact.mask import squared_distance
 from edge.core.contact.reference import View
 
 __all__ = ["Relief", "ReliefOfReference", "fine_structure", "with_relief"]
@@ -37,7 +38,7 @@ def fine_structure(view: View) -> View:
 
 
 def _energy(structure: View) -> Energy:
-    return np.asarray(np.einsum("hwc,hwc->hw", structure, structure), np.float32)
+    return squared_distance(structure)
 
 
 def _nearby(energy: Energy) -> Energy:
