@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.fitting.bundle_measurements import free_gel_warnings
 from calibration.fitting.nominal_presses import MAX_NO_CONTACT, read_presses
 from edge.core.errors import DatasetError, FitError, RecordingError
 from edge.core.imaging.image_bytes import with_comment
@@ -217,3 +218,25 @@ def test_the_free_gel_of_a_fit_is_kept_for_the_start(recording: Path) -> None:
     assert presses.free_view.shape == (120, 160, 3)
     assert np.abs(presses.free_view.mean() - 110 - 10 - 10) < 3
     assert all(0.01 < relief < 0.3 for relief in presses.reliefs)
+
+
+def test_a_free_gel_of_another_light_is_a_warning(tmp_path: Path) -> None:
+    """The touched area is the light's, the same for each press; with the right picture nothing is said."""
+    for k in range(4):
+        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+    bgr = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR)
+    assert bgr is not None
+    lit = bgr.astype(np.float64) + 50 * np.clip(np.linspace(-1, 1, 160), 0, 1)[None, :, None] * [
+        1.0,
+        0.2,
+        -0.8,
+    ]
+    other = bytes(cv2.imencode(".png", np.clip(lit, 0, 255).astype(np.uint8))[1])
+    write(tmp_path / "other", "free.png", other)
+    write(tmp_path / "own", "free.png", gel(9))
+    wrong, right = (
+        read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / name])
+        for name in ("other", "own")
+    )
+    assert "most likely of another light" in free_gel_warnings(wrong)[0]
+    assert free_gel_warnings(right) == []

@@ -54,8 +54,10 @@ def inspected(config: Path) -> list[PressReport]:
     return reports
 
 
-def test_presses_of_another_sensor_are_rejected(tmp_path: Path, lenient: Path, strangers: Path) -> None:
-    """Two presses, two rejections with their reason published, no score, and never a pass."""
+def test_presses_of_another_sensor_are_rejected(
+    tmp_path: Path, lenient: Path, strangers: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Two presses, two rejections with their reason published, no score, never a pass; the start names the light."""
     config = station_config(tmp_path, strangers, lenient)
     results = [report.result for report in inspected(config)]
     lines = [json.loads(line) for line in (tmp_path / "out/messages.jsonl").read_text().splitlines()]
@@ -66,6 +68,7 @@ def test_presses_of_another_sensor_are_rejected(tmp_path: Path, lenient: Path, s
     for content in published:
         assert content["reason"].startswith("other_sensor: the colours ")
         assert content["score"] is None
+    assert "from the one that the bundle was fitted with: another light, gel or sensor" in caplog.text
 
 
 def test_a_bundle_without_colours_does_not_check(tmp_path: Path, lenient: Path, strangers: Path) -> None:

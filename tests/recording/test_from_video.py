@@ -82,6 +82,30 @@ def test_a_film_that_begins_pressed_is_named(tmp_path: Path) -> None:
     assert "seen in it: 0 presses" in said
 
 
+def test_a_reference_of_another_light_is_named(tmp_path: Path) -> None:
+    """Pictures of presses with a free gel that was taken under another light."""
+    size = (320, 240)
+    (tmp_path / "presses").mkdir()
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / "presses" / f"{k}.png"), gel(1.0, size, k))
+    lit = 60 * np.clip(np.linspace(-1, 1, 320), 0, 1)[None, :, None] * np.array([-0.8, 0.2, 1.0])
+    other = np.clip(gel(0.0, size, 9) + lit, 0, 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "free.png"), other)
+    images = ("--from-images", tmp_path / "presses", "--reference", tmp_path / "free.png")
+    said, error = gelgate("record", tmp_path / "out", *images, "--noise", "2", "--profile", "cropped_lr")
+    assert error is None, said
+    assert "most likely of another light" in said
+
+
+def test_a_black_picture_is_not_recorded(tmp_path: Path) -> None:
+    """It is named, with its level."""
+    cv2.imwrite(str(tmp_path / "a.png"), gel(1.0, (320, 240), 1))
+    cv2.imwrite(str(tmp_path / "b.png"), np.zeros((240, 320, 3), np.uint8))
+    _, error = gelgate("record", tmp_path / "out", "--from-images", tmp_path)
+    assert isinstance(error, DatasetError)
+    assert "b.png (black: its mean level is 0.0, at least 8 is expected)" in str(error)
+
+
 def test_other_sizes_are_cut_and_scaled_only_when_asked(tmp_path: Path) -> None:
     """640x400 is not 4:3: what happens to it is said, and nothing is squashed or scaled up."""
     wide = film(tmp_path / "wide.avi", (640, 400), presses=1)

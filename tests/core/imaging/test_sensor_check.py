@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from edge.core.imaging.quality import Reason
-from edge.core.imaging.sensor_check import NominalColours, check_sensor, colour_cells, colour_distance
+from edge.core.imaging.sensor_check import (
+    NominalColours,
+    check_sensor,
+    colour_cells,
+    colour_distance,
+    likely_cause,
+)
 
 CELLS = np.tile(np.array([150.0, 100.0, 50.0]), (8, 8, 1))
 NOMINAL = NominalColours(CELLS, 0.14)
@@ -81,3 +87,33 @@ def test_nonsense_is_refused(cells: np.ndarray, limit: float, what: str) -> None
     """Colours are valid levels, and a limit is positive."""
     with pytest.raises(ValueError, match=what):
         NominalColours(cells, limit)
+
+
+COLUMNS, ROWS = np.meshgrid(np.linspace(-1, 1, 8), np.linspace(-1, 1, 8))
+# Lamps on three sides: red from above, green from the right, blue from below.
+LIT = np.stack([120 - 60 * ROWS, 120 + 50 * COLUMNS, 120 + 60 * ROWS], axis=-1)
+
+
+def test_a_weak_lamp_is_named_as_the_light() -> None:
+    """A gain of its own for red explains all of it, and is stated."""
+    said = likely_cause(LIT * np.array([0.5, 1.0, 1.0]), NominalColours(LIT, 0.14))
+    assert said.startswith(
+        "most likely the light has changed (red 0.50, green 1.00, blue 1.00 of what was learnt)"
+    )
+    assert "all lamps burn" in said
+
+
+def test_another_gel_is_named_with_what_to_do() -> None:
+    """Colours in the same pattern, flatter and shifted: a gel or a unit of the same kind."""
+    other = 120 + 0.4 * (LIT - 120) + 25 * np.stack([COLUMNS * ROWS, -ROWS * COLUMNS, COLUMNS**2], axis=-1)
+    nominal = NominalColours(LIT, 0.05)
+    assert colour_distance(other, LIT) > nominal.limit
+    said = likely_cause(other, nominal)
+    assert said.startswith("most likely the gel was changed, or this is another unit")
+    assert "gelgate gel replace" in said
+
+
+def test_another_kind_of_sensor_is_named() -> None:
+    """Lamps elsewhere: the colours run otherwise over the gel."""
+    said = likely_cause(np.ascontiguousarray(LIT[..., ::-1]), NominalColours(LIT, 0.14))
+    assert said.startswith("most likely this is another kind of sensor")
