@@ -26,7 +26,7 @@ plugin = "gelsight_mini"      # `gelgate devices` lists what is plugged in
 # options = { serial = "2BNN4ZE7" }
 
 [inspection]
-bundle = "bundles/part"       # made by `gelgate fit`
+bundle = "bundles/pz1"        # made by `gelgate fit`
 threads = 2
 trigger = "automatic"         # or "command": only presses that cmd/trigger asks for
 

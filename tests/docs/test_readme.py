@@ -46,7 +46,7 @@ def shown(page: Path) -> list[str]:
 
 def fault(line: str) -> str | None:
     """Why the program has no such command, None if it has."""
-    words = shlex.split(line)
+    words = shlex.split(line.partition(" > ")[0])
     if words[0] == "make":
         return None if all(word in TARGETS for word in words[1:]) else "no such target"
     command: Any = APP
