@@ -11,8 +11,8 @@ that is the ceil((n + 1)(1 - alpha))-th smallest of n scores.
 
 The probability is over bundles: one bundle's own rate differs from it, see `rate_range`. With folds it is approximate
 (Vovk's cross-conformal scores have no exact bound). A fold knows fewer presses than the final bank and has that
-share of the bank's size (`Nominal.room`), so its scores are as high or higher; tests/bench/test_false_alarms.py
-measures what comes of it.
+share of the bank's size (`Nominal.room`), so its scores are higher as a rule, and equal where a method divides them by
+distances that it measured in the same fold (SPADE). tests/bench/test_false_alarms.py measures what comes of it.
 """
 
 import math
