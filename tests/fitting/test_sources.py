@@ -30,7 +30,7 @@ def press(root: Path, part: str, position: str, specimen: int, number: int, faul
     home = root / part / position / ("fault" if fault else "")
     if fault:
         picture(home / "mask_320x240" / name, 255)
-    return picture(home / "rgb_320x240" / name, 10 * specimen + number)
+    return picture(home / "rgb_320x240" / name, 40 + 10 * specimen + number)
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_the_nominal_presses_of_one_part_and_position(root: Path) -> None:
     assert (sources.part, sources.position, sources.held_out) == ("PZ1", "right", ())
     assert len(presses) == 10
     assert set(presses.specimens) == {f"PZ1_s00{k}" for k in range(5)}
-    assert sorted(presses.frames[:, 0, 0, 0].tolist()) == [10 * s + n for s in range(5) for n in (1, 2)]
+    assert sorted(presses.frames[:, 0, 0, 0].tolist()) == [40 + 10 * s + n for s in range(5) for n in (1, 2)]
 
 
 def test_the_only_part_and_position_need_no_name(root: Path) -> None:
