@@ -104,7 +104,7 @@ def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
     write(folder, "text.png", b"not a picture")
     with pytest.raises(DatasetError, match="3 of 4 pictures") as caught:
         read_presses([folder], PROFILE, REGION)
-    for said in ("small.png: is 20x10", "cut.png", "text.png: is neither a JPEG nor a PNG"):
+    for said in ("small.png: is 20x10", "cut.png", "text.png: is not a picture"):
         assert said in str(caught.value)
 
 
