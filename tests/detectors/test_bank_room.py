@@ -32,7 +32,7 @@ def numbers_kept(detector: Detector, nominal: Nominal, limits: dict[str, Any]) -
     ],
 )
 def test_half_the_room_is_half_the_bank(method: str, limits: dict[str, Any]) -> None:
-    """Where the limit rules, the room is a factor on it: a fold's bank is to its presses what the bank is to all."""
+    """The room is a factor on the limit: a fold's bank keeps the same share of its presses as the bank does of all."""
     detector = registry.detector(method)
     nominal = Nominal(heads.presses_of(24, taps={"layer1": GRID.taps["layer1"]}))
     whole, half = (numbers_kept(detector, replace(nominal, room=room), limits) for room in (1.0, 0.5))
@@ -49,7 +49,7 @@ def test_a_room_that_is_none_is_refused() -> None:
     ("n", "places", "most", "each"), [(40, 100, 350, 3), (5, 100, 4096, 5), (40, 100, 10, 1)]
 )
 def test_every_place_is_drawn_equally_often(n: int, places: int, most: int, each: int) -> None:
-    """No more of a place than there are presses, and no place left out."""
+    """At most one row per press of each place, and no place left out."""
     rows = np.stack(np.meshgrid(np.arange(n), np.arange(places), indexing="ij"), axis=2).astype(np.float32)
     found = of_every_place(rows, most, np.random.default_rng(0))
     assert np.bincount(found[:, 1].astype(int), minlength=places).tolist() == [each] * places
@@ -57,7 +57,7 @@ def test_every_place_is_drawn_equally_often(n: int, places: int, most: int, each
 
 
 def test_no_place_at_all_gives_no_rows() -> None:
-    """A part that fills the picture leaves no gel free."""
+    """A part that fills the picture leaves no free gel."""
     assert of_every_place(np.zeros((4, 0, 3), np.float32), 10, np.random.default_rng(0)).shape == (0, 3)
 
 

@@ -1,4 +1,4 @@
-"""Greedy k-centre: what the lazy search leaves out changes no pick."""
+"""Greedy k-centre: the rows that the lazy search skips change no pick."""
 
 from unittest import mock
 
@@ -22,7 +22,7 @@ from plugins.detectors.common.coreset import greedy_from_distances, k_centre
 def test_the_lazy_coreset_is_the_full_one(
     sizes: tuple[int, int], n: int, c: int, count: int, seed: int
 ) -> None:
-    """Whole numbers with many ties: the same rows in the same order as measuring everything, the lowest first, also
+    """Integers with many ties: the same rows in the same order as with all distances, the lowest first, also
     where the pool and the batch (`sizes`) hold few of the rows.
     """
     rng = np.random.default_rng(seed)

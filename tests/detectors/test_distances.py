@@ -1,4 +1,4 @@
-"""Nearest rows: exact where the product form fails, and indifferent to chunks and order."""
+"""Nearest rows: exact where the product form fails, and independent of chunks and order."""
 
 import numpy as np
 import onnxruntime
@@ -31,7 +31,7 @@ def test_nearest_is_brute_force(q: int, m: int, c: int, k: int, scale: float, se
 
 
 def test_chunks_do_not_matter() -> None:
-    """Any chunk size gives the same bits, a remainder included."""
+    """Any chunk size gives the same bits, also with a remainder."""
     rng = np.random.default_rng(0)
     queries, bank = rng.normal(size=(37, 6)), rng.normal(size=(11, 6))
     whole = nearest(queries, bank, 3)
@@ -50,7 +50,7 @@ def test_one_more_row_never_raises_a_distance() -> None:
 
 
 def test_the_lowest_row_wins_a_tie() -> None:
-    """Among equal rows the first of the bank is named."""
+    """Among equal rows the first of the bank is returned."""
     bank = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
     assert nearest(np.zeros((1, 2)), bank, 3).indices.tolist() == [[1, 2, 3]]
 
@@ -63,7 +63,7 @@ def test_an_empty_bank_is_refused() -> None:
 
 @pytest.mark.parametrize("rows", [1, 2, 31, 64, 65, 200])
 def test_a_halved_bank_is_brute_force(rows: int) -> None:
-    """The nearest of any number of rows, so few that they fill no run or no half included; one graph for all."""
+    """The nearest of any number of rows, also of fewer than a run or a half; one graph for all."""
     rng = np.random.default_rng(rows)
     queries, bank = rng.normal(size=(50, 16)), rng.normal(size=(rows, 16))
     graph = Graph("halved")
@@ -75,7 +75,7 @@ def test_a_halved_bank_is_brute_force(rows: int) -> None:
 
 
 def test_a_halved_bank_measures_a_rival_from_each_half() -> None:
-    """Two rows whose product cannot be told from each other, one in each half: the nearer one is found exactly."""
+    """Two rows with products that are equal in float32, one in each half: the nearer one is found exactly."""
     far = np.random.default_rng(0).normal(size=16)
     far *= 3e3 / np.linalg.norm(far)
     nudge = np.zeros(16)

@@ -45,7 +45,7 @@ def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
 
 @pytest.mark.parametrize("banks", ["cell", "location"])
 def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
-    """Cells cut off by the border have prototypes and scores of their own (a 720 line frame has 22.5 cells)."""
+    """Cells cut off by the border have their own prototypes and scores (a 720 line frame has 22.5 cells)."""
     taps = {"layer2": (4, 9, 6), "layer3": (5, 5, 3)}
     p = choices(banks=banks)
     oracle, map_error, _ = parity(
@@ -120,7 +120,7 @@ def _restless(n: int, seed: int, taps: dict[str, tuple[int, int, int]]) -> dict[
 
 
 def test_restless_cells_get_the_far_bank() -> None:
-    """The upper tenth of the cells by what their near bank leaves keeps twice as many prototypes; the rest near."""
+    """The tenth of the cells with rows farthest from their near bank keeps twice as many prototypes; the rest near."""
     nominal = presses_of(20, 0, TAPS, spread=0.01)
     for maps in nominal.values():
         half = maps.shape[2] // 2
@@ -139,7 +139,7 @@ def test_one_prototype_is_the_least() -> None:
 
 
 def test_the_prototypes_fit_into_the_bank() -> None:
-    """`auto` stores float16, int8 where that is too large, and fewer prototypes where even that is; it says so."""
+    """`auto` stores float16, int8 where that is too large, then fewer prototypes, with a warning."""
     taps = {"layer1": (64, 8, 8)}
     nominal = presses_of(40, 0, taps)
     whole = fit(fapm, fapm.parameters(), nominal, at(taps))
@@ -160,7 +160,7 @@ def test_the_prototypes_fit_into_the_bank() -> None:
 def test_hard_nominal_sets_keep_the_error_bound(
     n: int, scale: float, kind: str, mode: str, seed: int
 ) -> None:
-    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
     nominal = presses_of(n, seed, TAPS, scale=scale)
     for tap, maps in nominal.items():
         if kind == "same":

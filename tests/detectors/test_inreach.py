@@ -86,14 +86,14 @@ def test_the_maximum_is_where_the_foreign_patch_is() -> None:
 
 
 def test_channels_by_hand() -> None:
-    """Three presses of two patches: the third's second patch is nobody's mutual neighbour."""
+    """Three presses of two patches: the second patch of the third has no mutual neighbour."""
     rows = np.array([[[0.0], [10.0]], [[1.0], [11.0]], [[0.4], [0.6]]], np.float32)
     found = associate(rows, inreach.parameters())
     members = {}
     for key, press, patch in zip(*found, strict=True):
         members.setdefault(int(key), []).append((int(press), int(patch)))
     # Patch 0 of press 0 (key 0): joined by patch 0 of press 1 and patch 0 of press 2 (0.4 away; mutual).
-    # Patch 0 of press 1 (key 2): joined by patch 1 of press 2 (0.4 away; mutual). 10 and 11 find each other (key 1).
+    # Patch 0 of press 1 (key 2): joined by patch 1 of press 2 (0.4 away; mutual). 10 and 11 match each other (key 1).
     assert members == {0: [(0, 0), (1, 0), (2, 0)], 1: [(0, 1), (1, 1)], 2: [(1, 0), (2, 1)]}
 
 
@@ -108,7 +108,7 @@ def test_a_patch_joins_the_closest_mutual_realisation() -> None:
 
 
 def test_short_channels_depend_on_the_number_of_presses() -> None:
-    """Repair: the published rule (more than 3) leaves a small set without a bank; ours asks for a share."""
+    """Repair: the published rule (more than 3) leaves a small set without a bank; ours requires a share."""
     published, relative = parameters("paper"), parameters("corrected")
     assert [published.shortest(n) for n in (5, 22, 76)] == [4, 4, 4]
     assert [relative.shortest(n) for n in (5, 22, 40, 76)] == [2, 2, 2, 4]
@@ -131,7 +131,7 @@ def test_dispersion_is_a_multiplier() -> None:
 
 
 def test_wide_channels_are_dropped() -> None:
-    """Repair: a channel that spreads beyond the stray distance is no channel, though by its own measure it is even."""
+    """Repair: a channel wider than the stray distance is dropped, even if it is uniform by its own spread."""
     rng = np.random.default_rng(1)
     rows = rng.normal(size=(20, 40, 2)).astype(np.float32)
     rows[:, 0] *= 100
@@ -144,7 +144,7 @@ def test_wide_channels_are_dropped() -> None:
 
 
 def test_strays_among_the_presses_stay_out_of_the_bank() -> None:
-    """One nominal press with a foreign patch: the patch joins no channel, and is still anomalous afterwards."""
+    """One nominal press with a defective patch: the patch joins no channel, and is still anomalous afterwards."""
     nominal = presses_of(20, spread=0.05)
     spoiled = with_spot({tap: maps[4:5] for tap, maps in nominal.items()}, 0.5)
     for tap, maps in nominal.items():
@@ -173,7 +173,7 @@ def test_the_bank_is_thinned_by_k_centre() -> None:
 def test_hard_nominal_sets_keep_the_error_bound(
     n: int, scale: float, kind: str, mode: str, seed: int
 ) -> None:
-    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
     nominal = hard_presses(n, kind, seed, scale)
     asked = with_spot(presses_of(1, seed + 1, scale=scale))
     oracle, map_error, score_error = parity(

@@ -1,4 +1,4 @@
-"""PaDiM: the textbook's distances in float64, the same from the graph, and each repair seen to work."""
+"""PaDiM: the textbook's distances in float64, the same from the graph, and each repair."""
 
 import dataclasses
 from typing import Any
@@ -119,7 +119,7 @@ def test_stored_banks_stay_within_their_bound(packing: str, bound: float) -> Non
 
 @pytest.mark.parametrize("packing", ["none", "float16", "int8"])
 def test_the_bank_stays_within_its_megabytes(packing: str) -> None:
-    """The rank asked for is lowered until everything stored fits, and the manifest is told; the graph is unmoved."""
+    """The requested rank is lowered until the bank fits, which the manifest records; the graph is the same."""
     deep: dict[str, Any] = {"taps": DEEP, "grid_tap": "layer2", "block": 1, "rank": 32, "packing": packing}
     parameters = padim.parameters(bank_mb=0.03, **deep)
     bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
@@ -139,7 +139,7 @@ def test_the_bank_stays_within_its_megabytes(packing: str) -> None:
 
 
 def test_a_press_scores_the_same_alone_and_in_a_batch() -> None:
-    """Batch size moves no score by more than 1e-6 of it."""
+    """The batch size changes no score by more than 1e-6 of it."""
     parameters = padim.parameters()
     bank = fitted(padim, parameters, Nominal(features(20, seed=1), TOUCHED))
     head = padim.head(LIKE_RESNET, bank, parameters)
@@ -162,7 +162,7 @@ def test_one_head_serves_parts_touched_in_different_places() -> None:
 
 
 def test_the_maximum_is_where_the_features_were_changed() -> None:
-    """A deviation painted into one cell of layer1 is the peak of the map, at the pixel where that cell looks."""
+    """A deviation in one cell of layer1 is the peak of the map, at the pixel that the cell represents."""
     parameters = padim.parameters(grid_tap="layer1", neighbours=0, sigma=2.0, sigma_unit="px")
     bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
     odd = {tap: value[:1].copy() for tap, value in QUERY.items()}
@@ -171,7 +171,7 @@ def test_the_maximum_is_where_the_features_were_changed() -> None:
     assert np.unravel_index(score_map.argmax(), score_map.shape) == (16, 36)
 
 
-# --- what the corrected mode repairs, switch by switch
+# --- the repairs of the corrected mode, switch by switch
 
 
 def test_repair_ridge_once() -> None:
@@ -197,7 +197,7 @@ def test_repair_balanced_taps(scale: float) -> None:
 
 
 def test_repair_balance_between_taps() -> None:
-    """is_balanced: one tap at a thousand times the scale of the others does not silence them."""
+    """is_balanced: one tap at a thousand times the scale of the others does not hide them."""
     loud = {tap: value * (1000 if tap == "layer3" else 1) for tap, value in features(20, seed=1).items()}
     query = {tap: value * (1000 if tap == "layer3" else 1) for tap, value in QUERY.items()}
     odd = {tap: value.copy() for tap, value in query.items()}
@@ -223,7 +223,7 @@ def test_repair_physical_blur() -> None:
 
 
 def test_repair_sampled_cells() -> None:
-    """is_sampled: a cell of layer3 is drawn around the pixel where its convolution looks (16 i), not 7.5 px beside."""
+    """is_sampled: a cell of layer3 is drawn around the centre of its convolution (16 i), not 7.5 px off."""
     odd = {tap: value[:1].copy() for tap, value in QUERY.items()}
     odd["layer3"][0, :, 1, 1] += 20
 
@@ -241,7 +241,7 @@ def test_repair_sampled_cells() -> None:
 
 
 def test_repair_untouched_cells_need_no_bank() -> None:
-    """is_touched_only: cells that no press touches hold a mean and no eigenvectors, and still notice a stray touch."""
+    """is_touched_only: cells that no press touches hold a mean and no eigenvectors, and still detect a stray touch."""
     nominal = Nominal(features(30, seed=1), TOUCHED, features(3, seed=2))
     for block, covariances, cells in ((1, 2 * 3, 6), (2, 2 * 2, 16)):
         parameters = padim.parameters(margin_mm=0.0, block=block)
@@ -256,7 +256,7 @@ def test_repair_untouched_cells_need_no_bank() -> None:
 
 
 def test_neighbours_tolerate_a_shift() -> None:
-    """neighbours=1: presses shifted by one cell score lower than with a Gaussian per bare cell."""
+    """neighbours=1: presses shifted by one cell score lower than with a Gaussian per single cell."""
     train = features(30, seed=1)
     shifted = {tap: np.roll(value[:5], 1, axis=3) for tap, value in train.items()}
 
@@ -270,7 +270,7 @@ def test_neighbours_tolerate_a_shift() -> None:
     )
 
 
-# --- what is refused
+# --- refused values
 
 
 @pytest.mark.parametrize(
@@ -299,7 +299,7 @@ def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str
 
 
 def test_unfit_presses_are_refused() -> None:
-    """No press, a missing tap, a foreign shape, a value that is not finite, a foreign mask, no touch: FitError."""
+    """No press, a missing tap, a wrong shape, a value that is not finite, a wrong mask, no touch: FitError."""
     train = features(4, seed=1)
     spoilt = {tap: value.copy() for tap, value in train.items()}
     spoilt["layer2"][3, 0, 0, 0] = np.nan
@@ -330,7 +330,7 @@ def test_the_oracle_refuses_features_that_are_not_finite() -> None:
 
 def test_a_published_choice_of_channels_is_taken() -> None:
     """A list counted through all taps replaces the draw, whatever the seed: the bank keeps exactly those channels, and
-    scores are those of taps that have no others.
+    scores equal those of taps with only these channels.
     """
     listed = (39, 3, 8, 19, 0)
     parameters = padim.parameters("paper", channel_list=listed)
@@ -370,7 +370,7 @@ def test_the_fit_is_reproducible() -> None:
 
 
 def bare_neighbourhoods(block: int) -> tuple[Bank, PadimParameters, np.ndarray]:
-    """A bank of layer1's channels as they are, and the presses with their borders repeated."""
+    """A bank of layer1's channels unchanged, and the presses with their borders repeated."""
     parameters = padim.parameters(projection="all", is_balanced=False, rank=None, block=block)
     train = {"layer1": features(4, seed=1)["layer1"]}
     bank = fitted(padim, parameters, Nominal(train), Grid((48, 48), {"layer1": (8, 12, 12)}, 15.77))

@@ -42,7 +42,7 @@ def test_nonsense_is_one_sentence(method: str, overrides: dict[str, object], say
 
 
 def test_two_faults_are_one_report() -> None:
-    """Both names, so that nobody has to try twice."""
+    """Both names, so that one try is enough."""
     with pytest.raises(FitError, match=r"'ridge' is -1: .*; 'rank' is 0: "):
         registry.detector("padim").parameters(rank=0, ridge=-1)
 
@@ -50,7 +50,7 @@ def test_two_faults_are_one_report() -> None:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("mode", ["paper", "corrected"])
 def test_parameters_are_plain_values(method: str, mode: str) -> None:
-    """What a manifest holds gives the same parameters again; nobody can change them."""
+    """The parameters of a manifest give the same parameters again; they cannot be changed."""
     p = registry.detector(method).parameters(mode)
     assert isinstance(p, Parameters)
     assert p.mode == mode
@@ -72,7 +72,7 @@ def test_every_parameter_says_what_it_is(method: str) -> None:
 
 @pytest.mark.parametrize("method", OWN)
 def test_the_corrected_parameters_know_no_published_defect(method: str) -> None:
-    """The switches that re-create one are the published variant's alone, and off there unless named."""
+    """Only the published variant has the switches of published defects, and they are off unless named."""
     detector = registry.detector(method)
     corrected, published = type(detector.parameters()), type(detector.parameters("paper"))
     defects = published.model_fields.keys() - corrected.model_fields.keys()
@@ -86,7 +86,7 @@ def test_the_corrected_parameters_know_no_published_defect(method: str) -> None:
 
 @pytest.mark.parametrize("method", OWN)
 def test_a_method_reads_without_its_published_defects(method: str) -> None:
-    """No switch of a published defect is named in the method's folder but in paper.py."""
+    """In a method's folder only paper.py names a switch of a published defect."""
     detector = registry.detector(method)
     corrected, published = type(detector.parameters()), type(detector.parameters("paper"))
     defects = published.model_fields.keys() - corrected.model_fields.keys()

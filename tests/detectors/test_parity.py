@@ -1,7 +1,7 @@
 """Every method, in both modes, on every backbone: the graph against the float64 oracle, end to end from frames.
 
-Relative error below 1e-4 of the map's maximum with the bank as fitted. Trunks are held against their own float64
-reference in tests/backbones; here their taps are given, so that what differs is the head alone.
+Relative error below 1e-4 of the map's maximum with the bank as fitted. tests/backbones compares trunks with their own
+float64 reference; here their taps are given, so that only the head differs.
 """
 
 from functools import cache
@@ -20,8 +20,8 @@ from plugins.detectors.inreach.paper import PAPER_TAPS
 
 METHODS = ("fapm", "inreach", "padim", "patchcore", "spade", "subspace")
 TAPS = ("layer1", "layer2", "layer3", "avgpool")
-# InReaCh's published dispersion is one of trained features; those of random weights leave no channel below it. Its
-# published taps are not in ResNet-18.
+# InReaCh's published dispersion is for trained features; with random weights no channel is below it. ResNet-18 has not
+# its published taps.
 LOOSE: dict[str, object] = {"max_dispersion": 1e6}
 CHOICES: dict[tuple[str, str, str], dict[str, object]] = {
     ("inreach", "paper", "resnet18"): {**LOOSE, "taps": TAPS[:3], "grid_tap": "layer1"},
@@ -51,7 +51,7 @@ def seen(topology: str) -> tuple[Features, Features, Grid]:
 
 
 def test_every_method_is_compared() -> None:
-    """A new detector cannot be forgotten here."""
+    """Every registered detector is tested here."""
     assert set(METHODS) <= set(registry.names("detectors"))
     assert {"tiny", *METHODS} >= set(registry.names("detectors"))
 

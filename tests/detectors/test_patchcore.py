@@ -60,7 +60,7 @@ def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
 
 
 def test_the_binned_descriptor_is_the_published_one() -> None:
-    """Unfold, interpolate, average to 1024, lay end to end, average to 1024: in the published order, at float64."""
+    """Unfold, interpolate, average to 1024, concatenate, average to 1024: in the published order, at float64."""
     for taps in ({"a": (64, 5, 7), "b": (96, 3, 4)}, {"a": (20, 4, 4), "b": (200, 4, 4), "c": (17, 2, 2)}):
         features = {
             tap: np.random.default_rng(3).normal(size=(2, *shape)).astype(np.float32)
@@ -105,7 +105,7 @@ def test_the_closed_form_for_wide_resnet() -> None:
 
 
 def test_a_balanced_bank_is_not_ruled_by_one_tap() -> None:
-    """Repair: a tap a thousand times louder leaves the balanced map's shape as it was."""
+    """Repair: a tap a thousand times stronger does not change the balanced map's shape."""
 
     def loud(features: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {tap: maps * np.float32(1000 if tap == "layer3" else 1) for tap, maps in features.items()}
@@ -146,7 +146,7 @@ def test_the_exact_coreset_leaves_no_patch_far() -> None:
 
 
 def test_the_coreset_is_reproducible_and_limited() -> None:
-    """The same seed gives the same rows, what chance decided is in the facts, and most_rows is kept."""
+    """The same seed gives the same rows, the random choices are in the facts, and most_rows is kept."""
     p = patchcore.parameters(most_rows=7)
     one, two = (fit(patchcore, p, presses_of(6), grid(), seed=4) for _ in range(2))
     np.testing.assert_array_equal(one.arrays["bank"], two.arrays["bank"])
@@ -163,7 +163,7 @@ def test_the_coreset_is_reproducible_and_limited() -> None:
 def test_hard_nominal_sets_keep_the_error_bound(
     n: int, scale: float, kind: str, mode: str, seed: int
 ) -> None:
-    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
     nominal = hard_presses(n, kind, seed, scale)
     asked = with_spot(presses_of(1, seed + 1, scale=scale))
     p = patchcore.parameters(mode, coreset_fraction=0.3)
@@ -176,7 +176,7 @@ def test_hard_nominal_sets_keep_the_error_bound(
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 12), st.integers(2, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
 def test_turned_descriptors_never_seem_farther(n: int, c: int, dims: int, seed: int) -> None:
-    """Leading directions and the length of the rest: distances never exceed the true ones; kept whole, equal."""
+    """Leading directions and the length of the rest: distances at most the true ones, equal with all."""
     rng = np.random.default_rng(seed)
     learnt, asked = rng.normal(size=(n, c)), rng.normal(size=(6, c)) * 3
     turned = fit_rotation(learnt, dims)(asked)
@@ -197,7 +197,7 @@ def test_the_rest_shows_what_the_directions_hide() -> None:
 
 
 def test_the_place_can_be_part_of_the_descriptor() -> None:
-    """With a position weight the two added numbers are the row and column on the grid, in oracle and graph alike."""
+    """With a position weight the two added numbers are the row and column on the grid, in oracle and graph."""
     bank = PatchBank(Descriptor(("layer2", "layer3"), "layer2", "means", True), 4, True, 5.0)
     features = presses_of(2)
     arrays, rows = bank.learn(features, grid(), np.random.default_rng(0))

@@ -45,7 +45,7 @@ def test_upsampling_is_torchs(kind: str, cells: int, pixels: int) -> None:
 
 @given(st.integers(1, 40), st.integers(1, 90), st.floats(0, 20), st.sampled_from(["bilinear", "nearest"]))
 def test_a_constant_stays_constant(cells: int, pixels: int, sigma: float, kind: str) -> None:
-    """Every row of R sums to 1 and holds nothing negative: smoothing never makes a value that was not there."""
+    """Every row of R sums to 1 and has no negative number: smoothing never leaves the range of the values."""
     matrix = smoothing_matrix(cells, pixels, sigma, kind)  # type: ignore[arg-type]
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-12)
     assert matrix.min() >= 0
@@ -59,7 +59,7 @@ def test_a_physical_blur_is_the_same_on_the_part() -> None:
 
 
 def test_the_graph_gives_the_oracles_map() -> None:
-    """emit_scores: score_map and score equal float64 within 1e-6, raw_map is what came in."""
+    """emit_scores: score_map and score equal float64 within 1e-6, raw_map is the input."""
     smoothing = Smoothing((5, 7), (20, 30), 2.0)
     graph = Graph("smooth")
     raw = graph.input("raw", ("n", 5, 7))

@@ -64,9 +64,9 @@ def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
 
 
 def test_the_gallery_touches_the_same_places() -> None:
-    """Of a press and its mirror image, whose means over everything are one, the regions tell which is like the query.
+    """The means of a press and its mirror image are equal; the regions choose the one like the query.
 
-    The mirror image has the query's strength exactly, so the means of everything choose it.
+    The mirror image has exactly the query's strength, so the means over the complete picture choose it.
     """
     left = {
         tap: maps * (np.arange(maps.shape[3]) < maps.shape[3] // 2) for tap, maps in presses_of(1).items()
@@ -121,8 +121,8 @@ def test_both_modes_search_the_whole_gallery() -> None:
 
 @pytest.mark.parametrize("presses", [1, 2])
 def test_spade_pytorch_loses_the_last_columns(presses: int) -> None:
-    """Published by SPADE-pytorch: of 12x12 cells, or of two presses', whole chunks of 100 are searched, column by
-    column, so what the last columns of the last press hold is not found; the graph and the oracle lose the same.
+    """Published by SPADE-pytorch: of 12x12 cells, or of two presses', full chunks of 100 are searched, column by
+    column. So the last columns of the last press are not searched, by the graph and the oracle alike.
     """
     taps = {"layer1": (5, 12, 12)}
     at = grid(taps)
@@ -140,13 +140,13 @@ def test_spade_pytorch_loses_the_last_columns(presses: int) -> None:
 
 
 def test_chunks_need_a_search_without_window() -> None:
-    """Within windows nothing is scanned in chunks: asking for both is refused."""
+    """Windows are not scanned in chunks: both together are refused."""
     with pytest.raises(FitError, match="set window_mm=null"):
         spade.parameters(is_gallery_whole=False)
 
 
 def test_no_layer_rules_by_its_scale() -> None:
-    """Repair: features of one layer a thousand times larger leave the balanced map's shape as it was."""
+    """Repair: features of one layer a thousand times larger do not change the balanced map's shape."""
     spot = with_spot(presses_of(1, 9))
     changes = {}
     for is_balanced in (True, False):
@@ -177,7 +177,7 @@ def test_faint_features_are_still_told_apart() -> None:
 
 
 def test_the_score_comes_from_the_map() -> None:
-    """Repair: a small spot raises the map's maximum far more than the mean distance to five whole presses."""
+    """Repair: a small spot raises the map's maximum far more than the mean distance to five presses."""
     taps = {"layer1": (6, 32, 32)}
     clean = presses_of(1, 3, taps, spread=0.1)
     rise = {}
@@ -190,7 +190,7 @@ def test_the_score_comes_from_the_map() -> None:
 
 
 def test_squared_distances_are_a_choice() -> None:
-    """H12's side of SPADE: SPADE-fast averages squared distances; the switch says so and changes the score."""
+    """H12 for SPADE: SPADE-fast averages squared distances; the switch reproduces this and changes the score."""
     asked = presses_of(1, 3)
     scores = {}
     for is_squared in (False, True):
@@ -200,7 +200,7 @@ def test_squared_distances_are_a_choice() -> None:
 
 
 def test_cells_are_drawn_where_they_look() -> None:
-    """Repair: the cell at row 2, column 2 of stride 4 looks at pixel (8, 8); published, it is at (9.5, 9.5)."""
+    """Repair: the cell at row 2, column 2 of stride 4 has its centre at pixel (8, 8); published, at (9.5, 9.5)."""
     taps = {"layer1": (4, 8, 8)}
     spot = with_spot(presses_of(1, 0, taps), 0.25)
     for is_sampled, place in ((True, (8, 8)), (False, (10, 10))):
@@ -214,7 +214,7 @@ def test_cells_are_drawn_where_they_look() -> None:
 
 @pytest.mark.parametrize("packing", ["float16", "int8"])
 def test_the_bank_stays_within_its_size(packing: str) -> None:
-    """Presses are left out until the bank fits, scales of int8 included; the most different stay, and it says so."""
+    """Presses are left out until the bank fits, scales of int8 included; the most different stay, with a warning."""
     nominal = presses_of(20)
     p = spade.parameters(packing=packing, **LAYERED)
     room = 0.45 * stored_bytes(fit(spade, p, nominal, grid()))
@@ -246,7 +246,7 @@ def test_small_cells_are_averaged() -> None:
 def test_hard_nominal_sets_keep_the_error_bound(
     n: int, scale: float, kind: str, mode: str, seed: int
 ) -> None:
-    """Few, equal, constant and dead presses at any scale: finite, and the graph stays at the oracle to 1e-4."""
+    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
     nominal = hard_presses(n, kind, seed, scale)
     asked = with_spot(presses_of(1, seed + 1, scale=scale))
     oracle, map_error, score_error = parity(spade, spade.parameters(mode), nominal, asked, grid())

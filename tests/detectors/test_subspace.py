@@ -1,4 +1,4 @@
-"""The PCA subspace: its residual by the textbook, the same from the graph, and what it cannot see."""
+"""The PCA subspace: the textbook's residual, the same from the graph, and its limits."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def cells(maps: Features) -> np.ndarray:
 
 
 def test_the_published_form_is_a_pca_residual() -> None:
-    """Paper mode equals scikit-learn's PCA at 99 %: the length of what the components leave out."""
+    """Paper mode equals scikit-learn's PCA at 99 %: the length of the residual outside the components."""
     decomposition = pytest.importorskip(
         "sklearn.decomposition", reason="SKIPPED, NOT TESTED: scikit-learn is the original"
     )
@@ -60,7 +60,7 @@ def test_the_graph_equals_the_oracle(n: int, scale: float, choice: dict[str, Any
 
 
 def test_position_does_not_matter() -> None:
-    """Presses moved by whole cells of the coarsest tap score what they scored, moved along."""
+    """Presses moved by complete cells of the coarsest tap have the same scores, moved with them."""
     parameters = subspace.parameters(sigma=0.0, grid_tap="layer1")
     bank = fitted(subspace, parameters, Nominal(features(20, seed=1)))
     moved = {
@@ -72,7 +72,7 @@ def test_position_does_not_matter() -> None:
 
 
 def test_identical_descriptors_have_no_span() -> None:
-    """All cells alike: rank 0, a warning, and the distance to the one descriptor; itself at 0."""
+    """All cells equal: rank 0, a warning, and the distance to the one descriptor; itself at 0."""
     flat = {tap: np.full((3, *shape), 0.7, np.float32) for tap, shape in LIKE_RESNET.taps.items()}
     bank = fitted(subspace, subspace.parameters(), Nominal(flat))
     assert bank.facts["rank"] == 0
@@ -82,7 +82,7 @@ def test_identical_descriptors_have_no_span() -> None:
 
 
 def test_the_span_never_fills_the_space() -> None:
-    """With as many directions asked for as there are channels, one is left out, so that something can score."""
+    """With as many directions requested as there are channels, one is left out, so that scores are not all 0."""
     parameters = subspace.parameters(projection="random", channels=7, variance=1.0)
     bank = fitted(subspace, parameters, Nominal(features(30, seed=1)))
     assert bank.facts["rank"] == 6

@@ -1,4 +1,4 @@
-"""The nearest-neighbour methods on a mosaic of tiles: each tile as if it were alone, put together without seams."""
+"""The nearest-neighbour methods on a mosaic of tiles: each tile as if it were alone, joined without seams."""
 
 import numpy as np
 import pytest
@@ -45,8 +45,8 @@ def test_the_graph_is_the_oracle_on_tiles(detector: object, mode: str, choice: d
 
 @EACH
 def test_no_tile_sees_another(detector: object, mode: str, choice: dict[str, object]) -> None:
-    """A foreign tile changes its own part of the raw mosaic and not one cell of the others."""
-    settled = {  # SPADE's gallery follows the whole press: here it holds every press, whatever the order
+    """A defective tile changes its own part of the raw mosaic and no cell of the others."""
+    settled = {  # SPADE's gallery depends on the complete press: here it holds every press, whatever the order
         "spade": {"pixel_neighbours": 6},
         "fapm": {"weighting": "none"},
     }

@@ -1,10 +1,10 @@
-"""PatchCore's and InReaCh's banks are of what nominal presses touch, and of some gel that lies free.
+"""PatchCore's and InReaCh's banks hold the cells that nominal presses touch, and some free gel.
 
 Neither knows places, so free gel is compared with the same rows as everything else. Checked by removal: with rows of
-all cells instead of `touched` ones, or more free gel than `FREE_GEL_ROWS`, free gel fills the bank; with the mask not
-in the order of the tiles, or without its margin, the rows are of other cells; without `free_gel` restless gel raises
-alarms, and without its frames, or its cells of presses, gel does that only those show. A stray press is found without
-a guard of its own: that test fails when the map is set to zero beyond the touched cells.
+all cells instead of `touched` ones, or more free gel than `FREE_GEL_ROWS`, free gel fills the bank. With the mask not
+in the order of the tiles, or without its margin, the rows are of other cells. Without `free_gel` gel that varies raises
+alarms; without its frames, or its cells of presses, so does gel that only those show. A stray press needs no guard:
+its test fails when the map is set to zero beyond the touched cells.
 """
 
 from typing import Any
@@ -35,7 +35,7 @@ KEPT[:12, :12] = True
 NEAR, FAR = (16, 16), (188, 188)
 """A pixel that nominal presses touch, and one that they never do."""
 
-# Every direction as it is, so that a row of the bank can be told from the others by its bytes.
+# Every direction unchanged, so that a row of the bank is identified by its bytes.
 EXACT = {"dims": None, "is_balanced": False}
 EACH = pytest.mark.parametrize("detector", [patchcore, inreach], ids=lambda d: d.name)
 
@@ -45,8 +45,8 @@ def frames(
 ) -> Features:
     """n presses: gel with a little noise, and where it is touched a relief that differs by 0.2 from press to press.
 
-    Beyond what counts as touched the gel may be restless. moving: how far it goes, in the same two ways at every cell.
-    noise: how far every number goes on its own.
+    Elsewhere the gel may vary. moving: by how much, in the same two directions at every cell. noise: by how much each
+    number varies independently.
     """
     part, rng = np.random.default_rng(7), np.random.default_rng(seed)
     shape = (n, CHANNELS, SIDE, SIDE)
@@ -88,7 +88,7 @@ def touched_of_tiles(touched: np.ndarray) -> np.ndarray:
 
 
 def touched_rows(p: Any, bank: Bank, nominal: Features, grid: Grid, kept: np.ndarray) -> int:
-    """How many rows of the bank are of these cells (rows, columns) of the nominal presses."""
+    """The number of rows of the bank that are of these cells (rows, columns) of the nominal presses."""
     cells = split(kept[None, None], grid).ravel()
     rows = p.rows.rows(nominal, grid, bank.arrays, np.float32)[:, cells]
     known = {row.tobytes() for row in rows.reshape(-1, rows.shape[2])}
@@ -97,9 +97,9 @@ def touched_rows(p: Any, bank: Bank, nominal: Features, grid: Grid, kept: np.nda
 
 @EACH
 def test_free_gel_does_not_fill_the_bank(detector: Any) -> None:
-    """Nineteen twentieths of the gel lie free and differ as presses do: six tenths of the rows are of touched cells.
+    """95 % of the gel is free and varies like the presses: 60 % of the rows are of touched cells.
 
-    The bank says how many are not.
+    The facts have the number of the others.
     """
     features = frames(24, 0, noise=0.2)
     nominal = Nominal(features, TOUCHED, frames(3, 5, NOWHERE, noise=0.2))
@@ -123,7 +123,7 @@ def test_free_gel_does_not_fill_the_bank_of_tiles(detector: Any) -> None:
 
 @EACH
 def test_a_press_where_none_belongs_scores_high(detector: Any) -> None:
-    """A relief on gel that no nominal press touched is louder than anything nominal, also where the gel is restless."""
+    """A relief on gel that no nominal press touched scores above all nominal places, also where the gel varies."""
     for moving in (0.0, 0.3):
         free = frames(3, 5, NOWHERE, moving)
         p, bank = fitted(detector, Nominal(frames(24, 0, moving=moving), TOUCHED, free))
@@ -146,7 +146,7 @@ def test_restless_gel_raises_no_alarm(detector: Any, moving: float, is_shown: bo
 
 @EACH
 def test_frames_of_the_free_gel_count_where_every_place_is_touched(detector: Any) -> None:
-    """With presses that touch the whole frame, a place that is left alone is foreign unless such frames were shown."""
+    """With presses that touch the complete frame, an untouched place is anomalous unless the fit had such frames."""
     # The corner that is touched, repeated over the frame.
     nominal, asked = (np.tile(frames(n, n)["layer1"][:, :, :8, :8], (1, 1, 7, 7)) for n in (24, 1))
     free = frames(3, 5, NOWHERE)
@@ -174,7 +174,7 @@ def test_the_graph_is_the_oracle(detector: Any, moving: float) -> None:
 
 @EACH
 def test_the_published_mode_knows_no_touch(detector: Any) -> None:
-    """`paper` takes its rows from every cell alike, whatever is touched."""
+    """`paper` takes its rows from every cell, touched or not."""
     choice = {"patchcore": {"layers": ("layer1",)}, "inreach": {"taps": ("layer1",), "is_fallback": True}}
     features = {"layer1": frames(4, 0)["layer1"][:, :, ::4, ::4]}
     grid = Grid(FRAME, {"layer1": features["layer1"].shape[1:]}, 15.77)
@@ -190,6 +190,6 @@ def test_the_published_mode_knows_no_touch(detector: Any) -> None:
 
 @EACH
 def test_nothing_touched_is_refused(detector: Any) -> None:
-    """Presses that touch nothing leave nothing to learn from: a FitError that says so."""
+    """Presses that touch nothing are refused with a FitError that says so."""
     with pytest.raises(FitError, match="no nominal press touches"):
         fitted(detector, Nominal(frames(3, 0), NOWHERE))

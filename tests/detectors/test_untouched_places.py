@@ -1,7 +1,7 @@
 """Places that no nominal press touches keep no rows of presses: they are compared with the free gel.
 
-Checked by removal: with `gel_weight` fixed at 1 restless gel raises alarms; without the gel's mean in
-`emit_gel_distances` graph and oracle part; without `absent` in the window's search SPADE's do.
+Checked by removal: with `gel_weight` fixed at 1 gel that varies raises alarms; without the gel's mean in
+`emit_gel_distances` graph and oracle differ; without `absent` in the window's search SPADE's do.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ EACH = pytest.mark.parametrize(("detector", "choice"), METHODS.values(), ids=MET
 def frames(n: int, seed: int, touched: np.ndarray = TOUCHED, restless: float = 1.0) -> Features:
     """n presses: still gel with a little noise, and where it is touched a relief that varies from press to press.
 
-    restless: how many times more the gel moves beyond what counts as touched.
+    restless: the factor of the gel's noise outside the touched places.
     """
     part, rng = np.random.default_rng(7), np.random.default_rng(seed)
     found = {}
@@ -91,7 +91,7 @@ def test_the_graph_is_the_oracle(detector: Any, choice: dict[str, object]) -> No
 
 @EACH
 def test_the_bank_shrinks(detector: Any, choice: dict[str, object]) -> None:
-    """Two thirds of the gel are touched by no press: six tenths of the bytes are left at most."""
+    """No press touches two thirds of the gel: the bank has at most 60 % of the bytes."""
     whole, small = (fitted(detector, choice, touched)[1] for touched in (None, TOUCHED))
     assert not any("gel" in name for name in whole.arrays)
     assert stored_bytes(small) < 0.6 * stored_bytes(whole)
@@ -99,7 +99,7 @@ def test_the_bank_shrinks(detector: Any, choice: dict[str, object]) -> None:
 
 @EACH
 def test_a_press_where_none_belongs_scores_high(detector: Any, choice: dict[str, object]) -> None:
-    """A relief like the part's, on gel that no nominal press touched, is louder than anything nominal."""
+    """A relief like the part's, on gel that no nominal press touched, scores above all nominal places."""
     p, bank = fitted(detector, choice)
     far = np.zeros(FRAME, bool)
     far[96:, 96:] = True
@@ -133,7 +133,7 @@ def test_without_frames_of_the_free_gel(detector: Any, choice: dict[str, object]
 
 @EACH
 def test_the_published_mode_knows_no_touch(detector: Any, choice: dict[str, object]) -> None:
-    """`paper` keeps rows everywhere, whatever is touched."""
+    """`paper` keeps rows everywhere, touched or not."""
     p = detector.parameters("paper", layers=("layer1", "layer2"))
     nominal = Nominal(frames(6, 0), TOUCHED, frames(2, 1))
     bank = detector.fit(nominal, GRID, p, np.random.default_rng(0), lambda done: None)
@@ -142,14 +142,14 @@ def test_the_published_mode_knows_no_touch(detector: Any, choice: dict[str, obje
 
 @EACH
 def test_nothing_touched_is_refused(detector: Any, choice: dict[str, object]) -> None:
-    """Presses that touch nothing leave nothing to learn from: a FitError that says so."""
+    """Presses that touch nothing are refused with a FitError that says so."""
     with pytest.raises(FitError, match="no nominal press touches"):
         fitted(detector, choice, np.zeros(FRAME, bool))
 
 
 @pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
 def test_untouched_places_of_tiles(detector: Any) -> None:
-    """On a mosaic the touched places of each tile are its own: the graph is the oracle, and the bank is smaller."""
+    """On a mosaic each tile has its own touched places: the graph equals the oracle, and the bank is smaller."""
     rng = np.random.default_rng(0)
     nominal, asked = (
         {"layer1": rng.normal(1, 0.1, (n, *TILED.taps["layer1"])).astype(np.float32)} for n in (30, 2)
@@ -169,7 +169,7 @@ def test_untouched_places_of_tiles(detector: Any) -> None:
 
 @pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
 def test_a_small_touch_on_a_large_grid(detector: Any) -> None:
-    """A search laid out in parts for a whole grid finds most of its parts empty where little is touched."""
+    """A search in parts of a complete grid works when most parts are empty because little is touched."""
     grid = Grid((224, 224), {"layer1": (64, 56, 56)}, 15.77)
     rng = np.random.default_rng(0)
     nominal, asked = (

@@ -1,4 +1,4 @@
-"""Every test in this folder carries the marker `hazards`: `pytest -m hazards` runs H1 to H20 and nothing else."""
+"""Every test in this folder carries the marker `hazards`: `pytest -m hazards` runs only H1 to H20."""
 
 from pathlib import Path
 

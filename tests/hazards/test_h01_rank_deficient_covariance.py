@@ -1,8 +1,8 @@
 """H1: fewer presses than channels leave a covariance without full rank.
 
-Guard: the low-rank form with its ridge in the bank, the residual off the span formed explicitly. Checked by removal:
-with |delta|^2 - |along|^2 in place of the squared residual in `padim.head._sum`, the last test finds NaN (a negative
-under the root); with the ridge left out of `weights` in `_fit_local`, the comparison with dense inversion fails.
+Guard: the low-rank form with its ridge in the bank, and an explicit residual off the span. Checked by removal:
+with |delta|^2 - |along|^2 instead of the squared residual in `padim.head._sum`, the last test finds NaN (a negative
+under the root). With the ridge left out of `weights` in `_fit_local`, the comparison with dense inversion fails.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ def dense(train: Features, query: Features, ridge: float) -> np.ndarray:
 
 @pytest.mark.parametrize("n", [2, 3, D - 1, D, D + 1, 3 * D])
 def test_below_at_and_above_full_rank(n: int) -> None:
-    """N = 2, 3, d-1, d, d+1, 3d: the oracle is dense inversion, the graph the oracle; rank and ridge are facts."""
+    """N = 2, 3, d-1, d, d+1, 3d: oracle, graph and dense inversion are equal; rank and ridge are facts."""
     parameters = padim.parameters("paper", channels=D, sigma=0.0)
     train, query = features(n, seed=1), features(2, seed=2)
     bank = fitted(padim, parameters, Nominal(train))

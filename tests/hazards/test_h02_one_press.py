@@ -1,9 +1,8 @@
 """H2: a single nominal press has no covariance, and NaN slips silently through a maximum.
 
-Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and nothing is divided by N-1 = 0), features
-must be finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first
-test fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the
-third.
+Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and no division by N-1 = 0), features must be
+finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first test
+fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the third.
 """
 
 import numpy as np
@@ -47,7 +46,7 @@ def test_a_fit_refuses_what_is_not_finite(detector: object, bad: float) -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
 def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> None:
-    """One bad feature anywhere leaves a map that is not finite, which the scorer refuses; the other press is whole."""
+    """One bad feature anywhere leaves a map that is not finite, which the scorer refuses; the other press is scored."""
     parameters = detector.parameters(taps=("layer1", "layer2"))  # type: ignore[attr-defined]
     touched = np.zeros((48, 48), bool)
     touched[20:30, 20:30] = True

@@ -28,7 +28,7 @@ def test_the_basis_is_orthonormal_or_nothing(n: int, d: int) -> None:
 
 @pytest.mark.parametrize("copies", [2, 5, 40])
 def test_repeated_presses_add_no_direction(copies: int) -> None:
-    """Three presses, each given many times: two directions, the same ones."""
+    """Three presses, each repeated many times: the same two directions."""
     three = np.random.default_rng(1).normal(size=(1, 3, 20))
     values, basis = spectrum(np.repeat(three, copies, axis=1), ddof=0)[1:]
     once = spectrum(three, ddof=0)
@@ -51,7 +51,7 @@ def test_many_presses_give_the_leading_directions() -> None:
     ids=["corrected", "paper"],
 )
 def test_identical_presses_score_finitely(parameters: object) -> None:
-    """Presses that are all the same: no direction, themselves at 0, others at a finite distance, graph as oracle."""
+    """Equal presses: no direction, they score 0, others a finite distance, and the graph equals the oracle."""
     same = {tap: np.repeat(value, 5, axis=0) for tap, value in features(1, seed=1).items()}
     bank = fitted(padim, parameters, Nominal(same))
     query = features(2, seed=7)
@@ -63,7 +63,7 @@ def test_identical_presses_score_finitely(parameters: object) -> None:
 
 @pytest.mark.parametrize("frame", [0.0, 3.0], ids=["dead channels", "constant frames"])
 def test_dead_channels_and_constant_frames(frame: float) -> None:
-    """Channels that never move, or whole presses without structure, leave finite scores equal to the oracle's."""
+    """Constant channels, or presses without structure, give finite scores equal to the oracle's."""
     train = {tap: value.copy() for tap, value in features(6, seed=1).items()}
     train["layer2"][:, :5] = frame
     train["layer3"][:] = frame

@@ -1,8 +1,8 @@
 """H4: |a|^2 + |b|^2 - 2ab loses a small distance between large vectors, and can go below zero.
 
-Guards of the oracle in `common/distances.py`: the bank's mean is taken off both sides, and the winners are computed
-again as sums of squared differences. Checked by removal: without centring the last test fails at the largest offset.
-What float32 does to the graphs is in `test_h04_cancellation_in_groups.py`.
+Guards of the oracle in `common/distances.py`: the bank's mean is subtracted from both sides, and the nearest distances
+are computed again as sums of squared differences. Checked by removal: without centring the last test fails at the
+largest offset. `test_h04_cancellation_in_groups.py` has the float32 graphs.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from plugins.detectors.common.distances import nearest
 
 
 def test_a_hundredth_between_vectors_of_a_thousand() -> None:
-    """Features around 100 in 128 channels, true distance 0.01: found within 1 %, where the product form sees noise."""
+    """Features around 100 in 128 channels, true distance 0.01: within 1 %, where the product form gives noise."""
     rng = np.random.default_rng(0)
     bank = 100 + rng.normal(size=(300, 128))
     step = rng.normal(size=(50, 128))

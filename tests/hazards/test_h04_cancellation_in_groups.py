@@ -1,10 +1,10 @@
 """H4, searched in groups: the product form makes the shortlist and never the score.
 
-Guards: `batched_nearest.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search measure their winners
-again as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal: with the
-distance read back from the product the first test fails for each of the first three (the last for InReaCh and
-PatchCore) and the second for the window; with the mean left in `pca.emit_rotation` the last fails for SPADE, InReaCh
-and PatchCore, and for FAPM with a thousandth of its groups' means left in.
+Guards: `batched_nearest.emit_group_nearest`, `emit_closest`, `HalvedBank` and the window's search compute the nearest
+distances again as sums of squared differences, and every head subtracts the bank's mean before. Checked by removal:
+with the distance taken from the product the first test fails for each of the first three (the last for InReaCh and
+PatchCore) and the second for the window. With the mean left in `pca.emit_rotation` the last fails for SPADE, InReaCh
+and PatchCore, and for FAPM with 0.1 % of its groups' means left in.
 """
 
 from collections.abc import Callable
@@ -65,7 +65,7 @@ def test_a_small_distance_between_long_vectors(search: Callable[..., str]) -> No
 
 def test_a_small_distance_within_a_window() -> None:
     """Two presses on two tiles of 6x5 cells, vectors of length 100, a gallery row 0.01 away in one of three presses:
-    found within a percent, and zero is zero.
+    found within a percent, and a distance of zero is exactly zero.
     """
     rng = np.random.default_rng(0)
     blocks, width, presses = Blocks((6, 5), 1, 2), 64, 3
@@ -90,7 +90,7 @@ def test_a_small_distance_within_a_window() -> None:
 
 @pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
 def test_features_far_from_zero_score_as_near_zero(detector: object) -> None:
-    """All features raised by 300, a thousand times what they vary: the graph keeps the oracle's map to 0.1 %."""
+    """All features raised by 300, a thousand times their variation: the graph keeps the oracle's map to 0.1 %."""
     nominal, asked = _raised(presses_of(12)), _raised(presses_of(2, 1))
     switches = {"is_normalised": False} if detector is spade else {}
     p = detector.parameters(**switches)  # type: ignore[attr-defined]

@@ -1,9 +1,9 @@
-"""H4, stored: where features are large and differ little, half precision of their mean is larger than what is scored.
+"""H4, stored: for large features that differ little, float16 rounding of their mean exceeds the scored differences.
 
-Guard: PaDiM stores means and projections as float32 where halves would move a press by 5 % of what nominal presses
-differ by (`padim.fit._loses_in_halves`), and says so where a tap differs by less than the floor of its deviation
-(`embedding.learn_embedding`). Checked by removal: with halves always the first test finds 17 to 47 % of the peak; with
-the warnings left out the third fails.
+Guard: PaDiM stores means and projections as float32 where float16 would change a press by 5 % of the difference between
+nominal presses (`padim.fit._loses_in_halves`). It warns where a tap differs by less than the floor of its deviation
+(`embedding.learn_embedding`). Checked by removal: with float16 always the first test finds 17 to 47 % of the peak;
+without the warnings the third fails.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ def test_a_stored_bank_keeps_features_far_from_zero(offset: float) -> None:
 
 @pytest.mark.parametrize("detector", [padim, subspace], ids=lambda d: d.name)
 def test_the_graph_is_the_oracle_far_from_zero(detector: object) -> None:
-    """All features raised by 300, a thousand times what they vary: the graph keeps the oracle's map to 0.1 %."""
+    """All features raised by 300, a thousand times their variation: the graph keeps the oracle's map to 0.1 %."""
     p = detector.parameters()  # type: ignore[attr-defined]
     bank = fitted(detector, p, Nominal(raised(features(20, seed=1), 300)))
     asked = raised(features(2, seed=7), 300)

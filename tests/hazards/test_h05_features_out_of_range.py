@@ -1,9 +1,9 @@
 """H5, at the fit: squares below float32's smallest number are 0, squares above its largest infinite; and one press far
-stronger than the others decides the directions, prototypes and int8 steps of all.
+stronger than the others sets the directions, prototypes and int8 steps of all.
 
 Guard: `validation._check_strength` refuses values below 1e-15 or above 1e12, and a press 100 times as strong as usual.
 Checked by removal: without the first limit a defect scores 0 at 1e-30 (SPADE, FAPM, all of `paper`) and PaDiM ends in
-LinAlgError at 1e-40; without the last, a stored bank is wrong by 6 to 79 times the peak (SPADE, FAPM, InReaCh,
+LinAlgError at 1e-40. Without the last, a stored bank is wrong by 6 to 79 times the peak (SPADE, FAPM, InReaCh,
 PatchCore).
 """
 
@@ -52,7 +52,7 @@ def test_a_defect_stands_out_at_any_scale_that_is_taken(detector: object, scale:
 @pytest.mark.parametrize("times", [1e3, 1e4, 1e6])
 @pytest.mark.parametrize("detector", ALL, ids=lambda d: d.name)
 def test_a_nominal_press_far_stronger_than_the_others_is_named(detector: object, times: float) -> None:
-    """One of twelve presses a thousand times brighter and more: refused by its number."""
+    """One of twelve presses a thousand times brighter or more: refused by its number."""
     nominal = presses_of(12)
     for maps in nominal.values():
         maps[5] *= np.float32(times)
@@ -62,7 +62,7 @@ def test_a_nominal_press_far_stronger_than_the_others_is_named(detector: object,
 
 @pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
 def test_a_press_thirty_times_brighter_spoils_no_stored_bank(detector: object) -> None:
-    """What is not refused is harmless: the stored bank keeps the oracle's map of sound presses within 5 %."""
+    """Accepted presses do no harm: the stored bank keeps the oracle's map of sound presses within 5 %."""
     nominal, asked = presses_of(12), presses_of(2, 1)
     for maps in nominal.values():
         maps[5] *= np.float32(30)
@@ -90,7 +90,7 @@ def taps_of(detector: object, mode: str) -> dict[str, object]:
 
 
 def stored(bank: Bank) -> Bank:
-    """The bank as it comes back from storage in its packing."""
+    """The bank after storage in its packing."""
     ways = {name: bank.packing.get(name, "none") for name in bank.arrays}
     arrays = {name: unpack(pack(array, ways[name]), ways[name]) for name, array in bank.arrays.items()}
     return Bank(arrays, bank.packing, bank.facts)

@@ -1,8 +1,8 @@
-"""H5: a half holds 65504 at most; squared distances, large means and far outliers do not fit.
+"""H5: float16 holds 65504 at most; squared distances, large means and far outliers do not fit.
 
-Guards: halves are storage alone (with a power of two taken out), everything in a graph is float32. Checked by
-removal: with the exponent in `packing.py` fixed at 0 the first test fails (overflow at 1e6, 4 % error at 1e-6);
-with the squared distances cast to float16 before the root in `padim.head` both fail (NaN and 0).
+Guards: float16 is for storage alone (divided by a power of two), everything in a graph is float32. Checked by
+removal: with the exponent in `packing.py` fixed at 0 the first test fails (overflow at 1e6, 4 % error at 1e-6).
+With the squared distances cast to float16 before the root in `padim.head` both fail (NaN and 0).
 """
 
 import pytest
@@ -26,7 +26,7 @@ def test_a_bank_of_large_or_tiny_features_survives_storage(scale: float, packing
 
 @pytest.mark.parametrize("outlier", [1e3, 3e4, 1e6])
 def test_a_far_outlier_has_a_finite_score(outlier: float) -> None:
-    """A press a million times brighter than any nominal one: a distance far beyond 256 (whose square is no half)."""
+    """A press a million times brighter than any nominal one: a distance far beyond 256 (its square exceeds float16)."""
     parameters = padim.parameters()
     bank = stored(fitted(padim, parameters, Nominal(features(20, seed=1))))
     query = features(2, seed=7, scale=outlier)

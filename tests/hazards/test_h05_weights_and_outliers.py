@@ -1,8 +1,8 @@
-"""H5, nearest neighbours' side: exp of a distance above 88, and distances whose squares leave a half's range.
+"""H5, nearest neighbours: exp of a distance above 88, and distances whose squares exceed float16's range.
 
-Guards: FAPM's weight subtracts the largest distance before exp (`is_softmax_stable`), distances are float32 throughout,
-and halves are storage alone. Checked by removal: without the subtraction, in graph or oracle, the first test fails;
-with squared distances held under a half's 65504 in `emit_group_nearest` the first and the third fail.
+Guards: FAPM's weight subtracts the largest distance before exp (`is_softmax_stable`), distances are always float32, and
+float16 is for storage alone. Checked by removal: without the subtraction, in graph or oracle, the first test fails;
+with squared distances limited to float16's 65504 in `emit_group_nearest` the first and the third fail.
 """
 
 import numpy as np
@@ -45,7 +45,7 @@ def test_the_stable_weight_is_the_same_number() -> None:
 @pytest.mark.parametrize("detector", [spade, fapm, inreach, patchcore], ids=lambda d: d.name)
 @pytest.mark.parametrize("outlier", [1e3, 3e4, 1e6])
 def test_a_far_outlier_against_a_bank_in_halves(detector: object, outlier: float) -> None:
-    """A bank stored as float16 and a press up to a million times brighter: finite, and at the oracle to 1e-4."""
+    """A bank stored as float16 and a press up to a million times brighter: finite, and equal to the oracle to 1e-4."""
     p = detector.parameters(packing="float16")  # type: ignore[attr-defined]
     bank = fit(detector, p, presses_of(12), grid())  # type: ignore[arg-type]
     stored = {}

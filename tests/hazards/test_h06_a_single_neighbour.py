@@ -14,7 +14,7 @@ from plugins.detectors.fapm import fapm
 
 @pytest.mark.parametrize("weighting", ["largest", "nearest"])
 def test_one_neighbour_leaves_the_distance_as_the_score(weighting: str) -> None:
-    """k = 1: published score 0 whatever the press; ours is the largest distance, in oracle and graph."""
+    """k = 1: the published score is 0 for every press; ours is the largest distance, in oracle and graph."""
     asked = presses_of(2, 1)
     for is_unweighted in (True, False):
         p = fapm.parameters(weighting=weighting, neighbours=1, is_single_unweighted=is_unweighted)

@@ -1,9 +1,9 @@
 """H7: equal distances: patches of constant gel, duplicated rows, equal scores.
 
 Guards: the lowest row wins everywhere (`argmin`, ONNX TopK); InReaCh prefers its own place among equals
-(`is_tie_local`); k-centre stops when every row is at a pick; AUROC gives half credit to ties. Checked by removal:
-without the preference the first test finds one channel in place of 16; without the early end in `k_centre` the second
-finds row 0 again and again.
+(`is_tie_local`); k-centre stops when every row equals a pick; AUROC gives half credit to ties. Checked by removal:
+without the preference the first test finds one channel instead of 16; without the early end in `k_centre` the second
+finds row 0 repeatedly.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from plugins.detectors.spade import spade
 
 
 def test_constant_patches_keep_their_channels() -> None:
-    """Four presses of sixteen equal patches: published, one mutual pair per realisation survives the tie; ours all."""
+    """Four presses of sixteen equal patches: published, one mutual pair per realisation remains; ours keeps all."""
     rows = np.ones((4, 16, 3), np.float32)
     sizes = {}
     for is_local in (True, False):

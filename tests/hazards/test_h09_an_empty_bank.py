@@ -14,7 +14,7 @@ from plugins.detectors.inreach import inreach
 
 
 def test_one_press_is_its_own_bank() -> None:
-    """N = 1 has no channels at all: the bank is its patches, said in a warning, and the map is finite."""
+    """N = 1 has no channels: the bank is its patches, with a warning, and the map is finite."""
     p = inreach.parameters()
     bank = fit(inreach, p, presses_of(1), grid())
     assert len(bank.arrays["bank"]) == 64
@@ -26,7 +26,7 @@ def test_one_press_is_its_own_bank() -> None:
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_the_published_rule_refuses_few_presses(n: int) -> None:
-    """Without the fallback nothing remains, which is an error that names the cause, never an empty bank."""
+    """Without the fallback an empty bank is an error that names the cause."""
     p = inreach.parameters("paper", taps=("layer1", "layer2", "layer3"), grid_tap="layer1")
     with pytest.raises(FitError, match=f"{n} presses has 4 elements"):
         fit(inreach, p, presses_of(n), grid())

@@ -1,7 +1,7 @@
-"""H10: a scan in chunks that forgets the remainder ignores up to 8 % of a gallery, and nobody notices.
+"""H10: a scan in chunks without the remainder ignores up to 8 % of a gallery, without an error.
 
-Guards: searches run to the last row whatever the chunk (`common/distances.py`, `Spade` and `PatchBank` with
-`range(0, cells, step)`). Checked by removal: with `cells // step` whole steps in `spade.head._emit_whole_search` the
+Guards: searches run to the last row for every chunk size (`common/distances.py`, `Spade` and `PatchBank` with
+`range(0, cells, step)`). Checked by removal: with `cells // step` full steps in `spade.head._emit_whole_search` the
 second test fails on the shape; with the slice of SPADE-pytorch always on the first two fail.
 """
 

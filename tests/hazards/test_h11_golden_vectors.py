@@ -1,8 +1,8 @@
 """H11: a library reduces another axis in its next version; everything still runs, and the maps are wrong.
 
-Guard: distances worked by hand, on features where each axis has another length, so that no other reduction gives the
-same numbers. Checked by removal: with axis 1 in place of 3 in the reduction of `emit_group_nearest` SPADE, PatchCore
-and InReaCh fail; with a maximum in place of the mean where SPADE describes a press, SPADE does.
+Guard: distances computed by hand, on features with a different length for each axis, so that no other reduction gives
+the same numbers. Checked by removal: with axis 1 instead of 3 in the reduction of `emit_group_nearest` SPADE, PatchCore
+and InReaCh fail; with a maximum instead of the mean where SPADE describes a press, SPADE does.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""H12: squared and plain distances rank single cells alike, but averages, blur and tile means of them differ.
+"""H12: squared and plain distances rank single cells the same, but averages, blur and tile means of them differ.
 
 Guard: the switch `is_squared` is part of the parameters of every method whose publication squares, recorded in the
 manifest, and off by default. Checked by removal: with the root left out of `emit_group_nearest` the last test finds a
@@ -16,7 +16,7 @@ from plugins.detectors.spade import spade
 
 @pytest.mark.parametrize("detector", [patchcore, inreach], ids=lambda d: d.name)
 def test_the_switch_squares_before_the_blur(detector: object) -> None:
-    """Raw maps are squares of each other; the blurred maps are not, which is why it must be stated."""
+    """Raw maps are squares of each other; the blurred maps are not, so the switch must be recorded."""
     found = {}
     for is_squared in (False, True):
         p = detector.parameters(is_squared=is_squared)  # type: ignore[attr-defined]

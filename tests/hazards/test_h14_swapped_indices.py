@@ -12,7 +12,7 @@ from plugins.detectors.inreach.channels import associate
 
 
 def shifted_presses(n: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """n presses of an 8x8 relief, each moved round by up to `most` cells. Also which relief cell each patch shows."""
+    """n presses of an 8x8 relief, each rolled by up to `most` cells. Also which relief cell each patch shows."""
     rng = np.random.default_rng(0)
     relief = rng.normal(size=(8, 8, 12))
     cell = np.arange(64).reshape(8, 8)
@@ -41,7 +41,7 @@ def test_channels_hold_one_place_of_the_part(most: int) -> None:
 
 
 def test_the_published_order_mixes_places() -> None:
-    """The swap is harmless on aligned presses and ruins the channels of shifted ones."""
+    """The swap does no harm on aligned presses and destroys the channels of shifted ones."""
     assert purity(False, 0) == 1.0
     assert purity(False, 1) < 0.6
     assert purity(False, 3) < 0.5

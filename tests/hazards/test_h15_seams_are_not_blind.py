@@ -2,8 +2,8 @@
 
 Guards: windows with a floor and no taper without a neighbour, the last tile shifted (`imaging/tiles.py`); distances
 blended raw and blurred once; the score is the map's maximum. Checked by removal: with a Hann window on every side in
-`_window` and the sum of weights floored at 1e-6, as published runners have it, the border of the map is 0 and the
-first test fails; with the map's mean in `Smoothing.score_maps` the one on dilution fails.
+`_window` and the sum of weights floored at 1e-6, as in published code, the border of the map is 0 and the first test
+fails. With the map's mean in `Smoothing.score_maps` the test of dilution fails.
 """
 
 import numpy as np
@@ -44,7 +44,7 @@ def bank() -> object:
 
 
 def test_a_defect_is_seen_wherever_it_lies(bank: object) -> None:
-    """On the border, in a corner, on either side of every seam and in the overlaps: the peak is there, as high."""
+    """On the border, in a corner, on both sides of every seam and in the overlaps: the peak is there, equally high."""
     peaks = []
     for row, column in [
         (0, 0),
@@ -64,7 +64,7 @@ def test_a_defect_is_seen_wherever_it_lies(bank: object) -> None:
 
 
 def test_the_layout_has_seams_and_a_shifted_tile() -> None:
-    """What is tested above covers two rows and four columns of tiles, the last ones shifted."""
+    """The tests above cover two rows and four columns of tiles, the last ones shifted."""
     assert (TILES.rows, TILES.columns) == ((0, 48), (0, 48, 96, 112))
 
 
@@ -87,14 +87,14 @@ def test_the_graph_equals_the_oracle_on_tiles(detector: object, choice: dict[str
 
 
 def test_one_defective_tile_is_not_diluted(bank: object) -> None:
-    """The score is the maximum of the whole map: one bad cell in one of eight tiles counts in full."""
+    """The score is the maximum of the complete map: one bad cell in one of eight tiles counts fully."""
     odd = padim.reference_score(defect_at(5, 5), GRID, bank, PARAMETERS)  # type: ignore[arg-type]
     plain = padim.reference_score(features(1, GRID, seed=7), GRID, bank, PARAMETERS)  # type: ignore[arg-type]
     assert odd.score[0] == odd.score_map.max() > 2 * plain.score[0]
 
 
 def test_equal_tiles_give_the_map_of_one_piece() -> None:
-    """Where every tile sees what the whole frame sees, blending changes nothing: the map of a single large grid."""
+    """Where every tile has the features of the complete frame, blending gives the map of a single large grid."""
     whole = Grid((112, 176), {"layer1": (6, 28, 44)}, 15.77)
     tiled = Grid((112, 176), {"layer1": (6, 32, 64)}, 15.77, TILES)
     choice = padim.parameters(grid_tap="layer1", taps=("layer1",), projection="all", rank=None, neighbours=0)

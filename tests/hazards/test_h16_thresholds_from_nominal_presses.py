@@ -1,8 +1,8 @@
-"""H16: scores rescaled by the test set's extremes, or thresholds set on presses that the bank knows, promise too much.
+"""H16: scores rescaled by the test set's extremes, or thresholds from presses in the bank, are too optimistic.
 
-Guards: a press's score depends on nothing but that press and the bank; the threshold comes from nominal presses scored
-by banks that did not know them. Checked by removal: with scores divided by the batch's maximum in `heads` the first
-test fails; with the whole bank in place of the fold's in `fit.py` the second finds a threshold near 0.
+Guards: a press's score depends on that press and the bank alone; the threshold comes from nominal presses scored by
+banks without them. Checked by removal: with scores divided by the batch's maximum in `heads` the first test fails. With
+the complete bank instead of the fold's in `fit.py` the second finds a threshold near 0.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ from plugins.detectors.spade import spade
 @pytest.mark.parametrize("mode", ["paper", "corrected"])
 @pytest.mark.parametrize("detector", [spade, padim, fapm, inreach, patchcore, subspace], ids=lambda d: d.name)
 def test_a_score_does_not_depend_on_the_other_presses(detector: object, mode: str) -> None:
-    """Scored alone or beside a press a hundred times brighter: the same map and score, in oracle and graph."""
+    """Scored alone or with a press a hundred times brighter: the same map and score, in oracle and graph."""
     switches = {}
     if detector is inreach and mode == "paper":
         switches = {"taps": ("layer1", "layer2", "layer3"), "grid_tap": "layer1", "is_fallback": True}
@@ -43,7 +43,7 @@ def test_a_score_does_not_depend_on_the_other_presses(detector: object, mode: st
 
 
 def test_the_threshold_knows_no_press_of_its_own() -> None:
-    """SPADE scores its own presses 0; the threshold, from folds, is as high as what a new nominal press scores."""
+    """SPADE scores its own presses 0; the threshold, from folds, is as high as the score of a new nominal press."""
     frames = tiny.presses(20)
     nominal = NominalPresses(frames, tuple(f"press {k}" for k in range(20)))
     recipe = Recipe(

@@ -1,7 +1,7 @@
-"""H17: random channels, projections and starting points make results that nobody can repeat.
+"""H17: random channels, projections and starting points make results that cannot be repeated.
 
-Guards: chance enters `fit` as a Generator alone; what it decided is in the bank or its facts; scoring and the graph
-draw nothing. Checked by removal: with `np.random.default_rng()` in place of the argument in `patchcore._coreset` the
+Guards: random numbers enter `fit` as a Generator alone; the choices are in the bank or its facts; scoring and the graph
+draw nothing. Checked by removal: with `np.random.default_rng()` instead of the argument in `patchcore._coreset` the
 first test fails.
 """
 
@@ -25,7 +25,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_a_seed_decides_everything(case: tuple) -> None:  # type: ignore[type-arg]
-    """Equal seeds give equal banks and graphs to the byte; another seed gives another bank, and says its start."""
+    """Equal seeds give equal banks and graphs to the byte; another seed gives another bank and start."""
     detector, mode, overrides, start = case
     p = detector.parameters(mode, **overrides)
     banks = [fit(detector, p, presses_of(12), grid(), seed) for seed in (3, 3, 4)]
@@ -39,7 +39,7 @@ def test_a_seed_decides_everything(case: tuple) -> None:  # type: ignore[type-ar
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_scoring_draws_nothing(case: tuple) -> None:  # type: ignore[type-arg]
-    """The oracle answers the same twice."""
+    """The oracle gives the same result twice."""
     detector, mode, overrides, _ = case
     p = detector.parameters(mode, **overrides)
     bank = fit(detector, p, presses_of(12), grid())

@@ -1,11 +1,11 @@
-"""H19: channels that never moved during the fit react to gel wear and ageing lights, and one division by almost zero
-makes that the largest signal there is.
+"""H19: channels that were constant in the fit react to gel wear and ageing lights, and a division by almost zero makes
+this the largest signal.
 
 Guards: a tap's deviation and a cell's scale have floors (`patchbank._deviation`, `embedding._deviation`,
-`prototypes.cell_scales`), so a quiet place counts at most as much as the others; SPADE divides a layer by its nominal
-distance only where it has one. Checked by removal: with DEVIATION_FLOOR at 1e-9 the first test's score
-rises a million times; with SCALE_FLOOR_QUANTILE at 0 the second's ten thousand. Drift that is real still raises
-the whole map: watching it is the wear index's task (`edge/core`), not the detector's.
+`prototypes.cell_scales`), so a constant place counts at most as much as the others. SPADE divides a layer by its
+nominal distance only where it has one. Checked by removal: with DEVIATION_FLOOR at 1e-9 the first test's score rises a
+million times; with SCALE_FLOOR_QUANTILE at 0 the second's ten thousand. Real drift still raises the complete map: the
+wear index (`edge/core`) detects it, not the detector.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ READ: dict[str, dict[str, object]] = {
 
 @pytest.mark.parametrize("detector", [patchcore, inreach, padim, subspace, spade], ids=lambda d: d.name)
 def test_a_dead_tap_is_not_amplified_without_bound(detector: object) -> None:
-    """A tap of ten channels, constant at 1, drifts by 1 %: each channel counts one deviation at most, no more."""
+    """A tap of ten channels, constant at 1, drifts by 1 %: each channel counts one deviation at most."""
     nominal, asked = presses_of(8), presses_of(1, 1)
     for features in (nominal, asked):
         features["layer3"] = np.ones_like(features["layer3"])  # type: ignore[index]
@@ -46,7 +46,7 @@ def test_a_dead_tap_is_not_amplified_without_bound(detector: object) -> None:
 
 
 def test_quiet_cells_do_not_shout() -> None:
-    """FAPM: a quarter of the cells varies ten thousand times less; a drift of all features is not loudest there."""
+    """FAPM: a quarter of the cells varies ten thousand times less; a drift of all features is not highest there."""
     taps = {"layer2": (6, 16, 16), "layer3": (8, 8, 8)}
     place = Grid((64, 64), taps, 15.77)
     rng = np.random.default_rng(0)

@@ -34,7 +34,7 @@ def test_a_thin_scratch_is_one_region() -> None:
 
 
 def test_ties_are_one_threshold_in_both_counts() -> None:
-    """With two score levels the curve has one corner, whatever the order of the pixels."""
+    """With two score levels the curve has one corner, in any order of the pixels."""
     mask = np.zeros((10, 10), bool)
     mask[0, :4] = True
     scores = np.zeros((10, 10))
@@ -49,7 +49,7 @@ def test_ties_are_one_threshold_in_both_counts() -> None:
 
 
 def test_counts_pass_the_float32_wall() -> None:
-    """Above 2**24 sound pixels a float32 count stands still; the table counts on."""
+    """Above 2**24 sound pixels a float32 count stops; the table continues."""
     mask = np.zeros((1, 8), bool)
     mask[0, 0] = True
     score_map = np.arange(8, dtype=np.float64)[None]

@@ -1,11 +1,11 @@
-"""PatchCore: the distance to the nearest of a few patches that stand for all nominal ones, wherever they were seen.
+"""PatchCore: the distance to the nearest of a few patches that represent all nominal ones, wherever they were seen.
 
 Definition (Roth et al., "Towards total recall in industrial anomaly detection", CVPR 2022), read against
-amazon-science/patchcore-inspection @fcaa92f: binned descriptors of layer2 and layer3 on the grid of layer2; a coreset
-of 1 % or 10 % by greedy k-centre, sought in a random projection from ten random points; squared distances; the
+amazon-science/patchcore-inspection @fcaa92f. Binned descriptors of layer2 and layer3 on the grid of layer2; a coreset
+of 1 % or 10 % by greedy k-centre, computed in a random projection from ten random points; squared distances. The
 press's score is its largest patch distance (the paper's re-weighting is not in the published code).
 
-A baseline: the peer to beat in both accuracy and time.
+A baseline for both accuracy and time.
 """
 
 from typing import Any, Literal, Self
@@ -33,13 +33,13 @@ from plugins.onnx_builder import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
 
-# patchcore/sampler.py: the approximate greedy search works in so many random dimensions, from so many random points.
+# patchcore/sampler.py: the approximate greedy search uses this many random dimensions and random points.
 PROJECTION_DIMS = 128
 STARTING_POINTS = 10
 
 
 class PatchcoreParameters(Parameters):
-    """The parameters of PatchCore. docs/detectors.md has what each was measured at."""
+    """The parameters of PatchCore. docs/detectors.md has the measured results of each."""
 
     layers: tuple[str, ...] = Field(
         default=("layer1",), description="the taps that make a descriptor, in this order"
@@ -50,7 +50,9 @@ class PatchcoreParameters(Parameters):
         description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means",
     )
     dims: int | None = Field(
-        default=64, ge=1, description="leading directions kept, besides the length of the rest; null: all"
+        default=64,
+        ge=1,
+        description="leading directions kept, in addition to the length of the rest; null: all",
     )
     is_balanced: bool = Field(
         default=True,
@@ -64,7 +66,9 @@ class PatchcoreParameters(Parameters):
         default=0.1, gt=0, le=1, description="part of the nominal patches that is kept"
     )
     most_patches: int | None = Field(
-        default=16384, ge=1, description="patches that the coreset is chosen from at most, drawn; null: all"
+        default=16384,
+        ge=1,
+        description="patches, drawn at random, that the coreset is chosen from at most; null: all",
     )
     most_rows: int | None = Field(default=1024, ge=1, description="rows of the bank at most; null: no limit")
     is_coreset_exact: bool = Field(
@@ -126,7 +130,7 @@ PAPER = PatchcoreParameters(
 
 
 REPAIRS = ("is_balanced", "is_touched_only", "is_coreset_exact", "is_squared", "image_score", "is_sampled")
-"""The switches that set the corrected mode apart; the others are operating points."""
+"""The switches in which the corrected mode differs; the others are operating points."""
 
 
 class Patchcore:
@@ -152,7 +156,7 @@ class Patchcore:
         rng: np.random.Generator,
         progress: Progress,
     ) -> Bank:
-        """Keep the coreset: `bank` (rows, width), beside `mean`, `basis` and `scales`. Errors: FitError."""
+        """Keep the coreset: `bank` (rows, width), and `mean`, `basis` and `scales`. Errors: FitError."""
         p = parameters
         require_fittable(self.name, nominal, grid, p.layers, is_tileable=True)
         arrays, rows = p.rows.learn(nominal.features, grid, rng)
@@ -207,7 +211,7 @@ patchcore = Patchcore()
 def _coreset(
     points: NDArray[np.float32], count: int, p: PatchcoreParameters, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """The rows kept, and what chance decided."""
+    """The rows kept, and the random choices made."""
     start = int(rng.integers(len(points)))
     if p.is_coreset_exact:
         found = k_centre(points, count, start)

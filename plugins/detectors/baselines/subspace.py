@@ -1,9 +1,9 @@
 """PCA subspace: what a descriptor has outside the span of all nominal descriptors, wherever on the part it was seen.
 
-Idea: the descriptors of all cells of all nominal presses are pooled; their leading principal directions, up to 99 % of
-the variance, are what is normal; a cell scores by the length of what is left, |delta - U^T U delta|. It is PaDiM's
-off-span term without the position: indifferent to where the part lies, a bank of kilobytes, and blind to a normal
-texture in the wrong place.
+Idea: the descriptors of all cells of all nominal presses are pooled. Their leading principal directions, up to 99 % of
+the variance, are normal. A cell's score is the length of the rest, |delta - U^T U delta|. It is PaDiM's off-span term
+without the position. The part may lie anywhere and the bank has kilobytes, but a normal texture in the wrong place is
+not found.
 
 Ref: PCA residuals on deep features (SubspaceAD, 2026, on transformer features; here on a convolutional trunk).
 """
@@ -35,7 +35,7 @@ __all__ = ["SubspaceParameters", "subspace"]
 
 
 class SubspaceParameters(Parameters):
-    """The parameters of the PCA subspace. docs/detectors.md has what they were measured at."""
+    """The parameters of the PCA subspace. docs/detectors.md has the measured results."""
 
     taps: tuple[str, ...] = Field(
         default=("layer1", "layer2"), description="the taps that make a descriptor, in this order"
@@ -152,10 +152,10 @@ class Subspace:
             "variance_explained": round(explained, 6),
             "warnings": [
                 *embedding.warnings,
-                *([] if rank else ["all nominal descriptors are equal: every deviation counts alike"]),
+                *([] if rank else ["all nominal descriptors are equal: every deviation counts the same"]),
             ],
         }
-        # Kilobytes as they are: nothing is gained by storing less of them.
+        # The arrays have kilobytes: packing them gains nothing.
         return Bank(arrays, {}, facts)
 
     def reference_score(
@@ -190,8 +190,8 @@ subspace = Subspace()
 def _rank(values: NDArray[np.float64], power: float, parameters: SubspaceParameters) -> int:
     """The fewest directions that explain the wanted part of the variance.
 
-    values: falling. power: mean square length of a descriptor, which tells variance from rounding. At least one
-    direction is left out: a span of everything would call everything normal.
+    values: falling. power: mean square length of a descriptor, which separates variance from rounding. At least one
+    direction is left out: with all directions everything would be normal.
     """
     alive = int((values > max(RELATIVE_CUT * values[0], ROUNDING * power)).sum())
     if not alive:
@@ -204,7 +204,7 @@ def _rank(values: NDArray[np.float64], power: float, parameters: SubspaceParamet
 def _pooled(
     descriptors: Embedded, add: Callable[[NDArray[np.float64]], NDArray[np.float64]], progress: Progress
 ) -> NDArray[np.float64]:
-    """The mean over all cells and presses of what `add` sums up from descriptors (cells, n, d)."""
+    """The mean over all cells and presses of the sums that `add` makes of descriptors (cells, n, d)."""
     total, count = np.zeros(()), 0
     every = np.arange(descriptors.embedding.count)
     for part in blocks(len(every)):

@@ -1,9 +1,9 @@
 """Nearest rows in many small groups at once, or in one large bank: a product makes the shortlist, differences decide.
 
-`distances.py` searches one bank. Here every group of queries has a bank of its own (a block of cells, a press's
-gallery, a cell of the grid), all groups in one batched product. The rules are the same: both sides centred, squared
-distances never negative, the winners measured again as a sum of squared differences, plain (not squared) distances,
-and among equals the lowest row wins (ONNX TopK keeps the lower index).
+`distances.py` searches one bank. Here every group of queries has its own bank (a block of cells, a press's gallery, a
+cell of the grid), and all groups are in one batched product. The rules are the same. Both sides are centred, and
+squared distances are never negative. The nearest rows are computed again as a sum of squared differences, as plain
+(not squared) distances. Among equals the lowest row wins (ONNX TopK keeps the lower index).
 """
 
 from plugins.onnx_builder import Graph, Value
@@ -24,9 +24,9 @@ __all__ = [
 FORBIDDEN = 1e30
 # Rows measured exactly for each query.
 SHORTLIST = 4
-# Distances that one product may hold: a search over a large bank asks for so many rows at a time (64 MB of float32).
+# Distances that one product may hold, which limits the rows at a time in a large bank (64 MB of float32).
 PRODUCT_LIMIT = 16 * 2**20
-# Rows that one maximum is taken over before the place of the greatest is asked for.
+# Rows that one maximum is taken over before the index of the greatest is computed.
 RUN = 32
 
 
@@ -48,9 +48,9 @@ def emit_group_nearest(
 ) -> Value:
     """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank.
 
-    ranked: (g, m, width + 1), from `emit_ranked`. Both float32 and centred alike. bias: broadcastable to (g, q, m), 0
-    where a row may be used and `FORBIDDEN` where not; a query with fewer than k usable rows gets 1e15 for those that it
-    lacks.
+    ranked: (g, m, width + 1), from `emit_ranked`. Both are float32, with the same centre. bias: broadcastable to
+    (g, q, m), 0 where a row may be used and `FORBIDDEN` where not. A query with fewer than k usable rows gets 1e15 for
+    the missing ones.
     """
     rows_there = graph.op("Shape", ranked, start=1, end=2)
     one = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
@@ -80,9 +80,9 @@ def emit_group_nearest(
 def emit_closest(graph: Graph, queries: Value, bank: Value, width: int) -> Value:
     """Plain distances (n, g, q) from queries (n, g, q, width) to the closest row of their group's bank (g, m, width).
 
-    The product chooses one row, which is measured again. That is right where rows that are nearly as close lie apart,
-    as prototypes picked by k-centre do: a row mistaken within rounding is then measured within rounding. Several times
-    faster than a shortlist.
+    The product chooses one row, whose distance is computed again. That is right where close rows differ much, as
+    prototypes picked by k-centre do: a row that is wrong within rounding then has a distance right within rounding.
+    Several times faster than a shortlist.
     """
     squares = graph.op("ReduceSumSquare", bank, graph.ints(2), keepdims=0)
     half = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(0.5)), graph.ints(1))
@@ -97,16 +97,16 @@ def emit_closest(graph: Graph, queries: Value, bank: Value, width: int) -> Value
 
 
 class HalvedBank:
-    """One bank for all queries, each of which is measured against the closest row of either half.
+    """One bank for all queries, each of which is compared with the closest row of each half.
 
-    A row that the product takes for another of its half is not measured: its distance is then off by the root of the
-    product's rounding, 3e-4 of the centred length at most. Rows picked by k-centre lie apart by far more. The greatest
-    of a run of rows comes first, its place last: onnxruntime finds maxima in a tenth of the time that their places take
-    (3136 queries in 1024 rows, two cores: 0.4 ms, where the two best by TopK took 0.9).
+    If the product picks a wrong row of a half, the distance is off by the root of the product's rounding, 3e-4 of the
+    centred length at most. Rows picked by k-centre differ by far more. The greatest of a run of rows is computed first,
+    its index last. onnxruntime finds maxima in a tenth of the time of their indices (3136 queries in 1024 rows, two
+    cores: 0.4 ms, and 0.9 for the two best by TopK).
     """
 
     def __init__(self, graph: Graph, bank: Value) -> None:
-        """bank: (m, width), centred as the queries will be; repeated from its start until it fills pairs of runs."""
+        """bank: (m, width), centred like the queries; repeated from its start until it fills pairs of runs."""
         self.graph = graph
         rows, block = graph.op("Shape", bank, start=0, end=1), graph.ints(2 * RUN)
         blocks = graph.op("Div", graph.op("Add", rows, graph.ints(2 * RUN - 1)), block)
@@ -134,6 +134,6 @@ class HalvedBank:
 
 
 def emit_range(graph: Graph, count: Value) -> Value:
-    """0, 1, ... of a count held in a vector of one."""
+    """0, 1, ... up to a count in a vector of length one."""
     zero, one = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
     return graph.op("Range", zero, graph.op("Squeeze", count), one)

@@ -1,11 +1,11 @@
 """Greedy k-centre: a few rows that leave no other row far from its nearest chosen one.
 
-Each pick is the row farthest from everything picked before. Distances to the picks only ever fall, so a value that was
-not brought up to date is an upper bound: the lazy search measures only the rows that could still be the farthest, and
-chooses exactly what the full search chooses (Gonzalez 1985; the lazy rule is Minoux's).
+Each pick is the row farthest from all earlier picks. Distances to the picks never rise, so an old value is an upper
+bound. The lazy search computes only the rows that could still be the farthest, and chooses exactly the rows of the full
+search (Gonzalez 1985; the lazy rule is Minoux's).
 
-Float64 throughout. Among equals the lowest row is picked, where rounding leaves them equal: whole numbers always, rows
-that repeat in fractions up to which of the copies is named; the search ends early when every row is at a pick.
+Float64 throughout. Among equals the lowest row is picked, where rounding leaves them equal. Integers always stay equal;
+of repeated rows of fractions any copy may be picked. The search ends early when every row equals a pick.
 """
 
 from typing import NamedTuple
@@ -17,9 +17,9 @@ __all__ = ["Coreset", "greedy_from_distances", "k_centre"]
 
 # A squared distance below this part of the two squared lengths is rounding of the product form, not a distance.
 ROUNDING = 1e-13
-# Rows brought up to date together.
+# Rows updated together.
 BATCH = 32
-# Rows among which the farthest is looked for until one outside might be it.
+# Rows among which the farthest is searched until a row outside might be farther.
 POOL = 256
 
 
@@ -35,8 +35,8 @@ def k_centre(
 ) -> Coreset:
     """At most `count` rows of `points` (n, c), beginning at `start`.
 
-    anchor: (n,) plain distances that bound the first values from above (PatchCore's ten random points); `start` is
-    then not picked by itself and the first pick is the farthest by `anchor`.
+    anchor: (n,) plain distances, the first upper bounds (PatchCore's ten random points); the first pick is then the
+    farthest by `anchor` instead of `start`.
     Errors: ValueError for no points, or a count or start out of range.
     """
     n = len(points)
@@ -45,7 +45,7 @@ def k_centre(
             f"a coreset needs points, a count and a start among them, found {n}, {count}, {start}"
         )
     x = points.astype(np.float64)
-    x -= x[start]  # a row and not the mean: whole numbers stay whole, so that equal distances compare equal
+    x -= x[start]  # a row and not the mean: integers stay integers, so that equal distances compare equal
     bound = np.full(n, np.inf) if anchor is None else np.square(anchor)
     picks = _Picks(x, bound, min(count, n))
     row = start if anchor is None else int(np.argmax(bound))
@@ -58,7 +58,7 @@ def k_centre(
 
 
 class _Picks:
-    """What is picked, and for every row a bound of its squared distance to it: exact where `known` says all picks."""
+    """The picks, and each row's upper bound of its squared distance to them: exact where `known` counts all picks."""
 
     def __init__(self, x: NDArray[np.float64], bound: NDArray[np.float64], most: int) -> None:
         self._x, self._bound = x, bound
@@ -67,7 +67,7 @@ class _Picks:
         # The numbers, rising, of the rows with the largest bounds, and the largest bound of the others.
         self._pool, self._outside = np.arange(min(POOL, len(x))), np.inf
         self.rows, self.count = np.empty(most, np.int64), 0
-        # Copies, side by side: every product reads them all.
+        # Contiguous copies: every product reads all of them.
         self._picked, self._picked_lengths = np.empty((most, x.shape[1])), np.empty(most)
 
     def add(self, row: int) -> None:
@@ -78,7 +78,7 @@ class _Picks:
             self._measure(np.arange(len(self._x)))
 
     def farthest(self) -> int:
-        """The row with the largest distance to the picks, bringing up to date only rows that might be it."""
+        """The row with the largest distance to the picks; only rows that might be it are updated."""
         while True:
             row = self._highest()
             if self._known[row] == self.count or self._bound[row] <= 0:
@@ -103,7 +103,7 @@ class _Picks:
         return int(self._bound.argmax())
 
     def _measure(self, rows: NDArray[np.int64]) -> None:
-        """Lower the bounds of `rows` by the picks that the least informed of them has not seen."""
+        """Lower the bounds of `rows` by every pick that one of them has not been compared with."""
         unseen = slice(int(self._known[rows].min()), self.count)
         both = self._lengths[rows, None] + self._picked_lengths[unseen]
         squared = both - 2 * (self._x[rows] @ self._picked[unseen].T)
@@ -115,7 +115,7 @@ class _Picks:
 def greedy_from_distances(squared: NDArray[np.floating], count: int, start: int) -> NDArray[np.int64]:
     """The same choice for many small sets at once, from pairwise squared distances (g, n, n): int64 rows (g, count).
 
-    No row is picked twice; where all that is left equals a pick, the lowest of it follows.
+    No row is picked twice; where all remaining rows equal a pick, the lowest of them follows.
     """
     groups, n = squared.shape[:2]
     rows = np.empty((groups, min(count, n)), np.int64)

@@ -1,12 +1,12 @@
-"""Patch descriptors: what a place looks like in several taps, drawn on one grid, with or without the cells around it.
+"""Patch descriptors: the features of a place in several taps, resampled to one grid, with or without the cells around.
 
 Three kinds. `cells` is each cell's own channels, all channels of all taps: nothing is blurred, and nothing is computed.
-`binned` is that of PatchCore and InReaCh: the window is unfolded channel by channel, brought to the grid,
-averaged to a fixed number of bins per tap, the taps laid end to end and averaged again to that number. All of it is
-linear and acts on channels alone, so it is one sparse 3x3 convolution per tap at the tap's own size and then an
-interpolation: 12.8 MB where the plain order needs 1.13 GB (Wide-ResNet-50-2, 13 taps, 56x56). `means` is the plain
-mean of each channel over the window, all channels of all taps. A tap finer than the grid, which the publications do not
-have, is averaged onto it before its windows are taken.
+`binned` is that of PatchCore and InReaCh: the window is unfolded channel by channel, resampled to the grid, and
+averaged to a fixed number of bins per tap. The taps are then concatenated and averaged again to that number. All of it
+is linear and acts on channels alone. So it is one sparse 3x3 convolution per tap at the tap's own size and then an
+interpolation: 12.8 MB where the plain order needs 1.13 GB (Wide-ResNet-50-2, 13 taps, 56x56). `means` is the mean of
+each channel over the window, all channels of all taps. A tap finer than the grid, which the publications do not have,
+is averaged onto it before its windows are taken.
 
 Written twice, for NumPy and as a graph, from the same weights.
 """
@@ -35,7 +35,7 @@ BAND = 16
 
 
 class Band(NamedTuple):
-    """Neighbouring rows of one tap's part of a binned descriptor. channels: those that they need.
+    """Neighbouring rows of one tap's part of a binned descriptor. channels: the ones they need.
     weights: (rows, channels, 3, 3)."""
 
     channels: slice
@@ -76,8 +76,8 @@ def _bands(channels: int, taps: int, number: int) -> tuple[Band, ...]:
 class Descriptor:
     """How taps become descriptors.
 
-    taps: in this order. grid_tap: the tap whose grid the descriptors live on. kind: see the module. is_sampled: a cell
-    stands for its top left pixel, where its convolution looks, instead of for a square of pixels.
+    taps: in this order. grid_tap: the tap whose grid the descriptors are on. kind: see the module. is_sampled: a cell
+    represents its top left pixel, the centre of its convolution, instead of a square of pixels.
     """
 
     taps: tuple[str, ...]
@@ -186,7 +186,7 @@ class Descriptor:
         return grid.taps[tap][1] > self.cells(grid)[0]
 
     def _resampling(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The matrices that draw a tap on the grid: (grid rows, tap rows) and (grid columns, tap columns)."""
+        """The matrices that resample a tap to the grid: (grid rows, tap rows) and (grid columns, tap columns)."""
         rows, columns = (
             resampling_matrix(n, to, self.is_sampled)
             for n, to in zip(grid.taps[tap][1:], self.cells(grid), strict=True)
@@ -202,8 +202,7 @@ class Descriptor:
 
 
 def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
-    """One axis: bilinear onto a finer grid; onto a coarser one the same weights turned round, so that nothing is
-    skipped."""
+    """One axis: bilinear onto a finer grid; onto a coarser one the transposed weights, so that nothing is skipped."""
     kind: Literal["sampled", "bilinear"] = "sampled" if is_sampled else "bilinear"
     if cells <= onto:
         return upsampling_matrix(cells, onto, kind)

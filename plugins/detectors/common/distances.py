@@ -1,10 +1,10 @@
 """Euclidean distances to the nearest rows of a bank, right also when the rows are far from zero or nearly equal.
 
-|a-b|^2 = |a|^2 + |b|^2 - 2ab is fast and, far from the origin, wrong: with features around 100 and a true distance of
-0.01 the float32 product form is off by a factor of thirty. So everywhere here: the bank's mean is subtracted from both
-sides, the product form only makes a shortlist, the shortlist's distances are computed again as a sum of squared
-differences, and squared distances are never negative. Distances are plain (not squared). Among equals the lowest
-row of the bank wins.
+|a-b|^2 = |a|^2 + |b|^2 - 2ab is fast and, far from the origin, wrong. With features around 100 and a true distance of
+0.01 the float32 product form is off by a factor of thirty. So the bank's mean is subtracted from both sides everywhere,
+and the product form only makes a shortlist. The shortlist's distances are computed again as a sum of squared
+differences, and squared distances are never negative. Distances are plain (not squared). Among equals the lowest row of
+the bank wins.
 """
 
 from typing import NamedTuple
@@ -30,8 +30,8 @@ def nearest(
 ) -> Nearest:
     """The k nearest rows of `bank` (m, c) to each of `queries` (q, c), in float64: the oracle.
 
-    k is clamped to m. spare: further candidates that are measured exactly beside the k. The answer does not depend on
-    `chunk`. Errors: ValueError for an empty bank or unequal widths.
+    k is clamped to m. spare: candidates above k whose distances are also computed exactly. The result does not depend
+    on `chunk`. Errors: ValueError for an empty bank or unequal widths.
     """
     if bank.ndim != 2 or queries.ndim != 2 or bank.shape[1] != queries.shape[1] or not len(bank):
         raise ValueError(f"queries (q, c) need a bank (m >= 1, c), found {queries.shape} and {bank.shape}")

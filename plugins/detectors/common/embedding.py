@@ -1,6 +1,6 @@
 """Several taps become one descriptor per cell of one grid: chosen or projected channels, aligned and balanced.
 
-The same steps stand here twice, side by side: in NumPy (for the fit and the float64 oracle) and as a graph. Channels
+The same steps are here twice: in NumPy (for the fit and the float64 oracle) and as a graph. Channels
 are chosen or projected at each tap's own resolution, before the coarse taps are repeated onto the grid: equal in value
 (both are linear) and up to sixteen times cheaper.
 """
@@ -20,11 +20,11 @@ from plugins.onnx_builder import Graph, Value
 __all__ = ["Embedding", "EmbeddingChoice", "Projection", "blocks", "learn_embedding", "touched_cells"]
 
 Projection = Literal["all", "random", "semi_orthogonal"]
-"""all: every channel. random: that many, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of that many
-directions over all channels (Kim et al., arXiv 2105.14737)."""
+"""all: every channel. random: the given number, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of the
+given number of directions over all channels (Kim et al., arXiv 2105.14737)."""
 
 # A tap's nominal deviation is taken to be at least this part of its root mean square: identical or single presses
-# have no deviation of their own. Ours: re-pressing one real part moves features by several per cent.
+# have no deviation. Our value: pressing one real part again changes features by several per cent.
 DEVIATION_FLOOR = 1e-2
 # Cells embedded at once during a fit: bounds the memory at BLOCK * presses * channels float64 numbers.
 BLOCK = 128
@@ -34,12 +34,12 @@ BLOCK = 128
 class EmbeddingChoice:
     """What a descriptor is made of.
 
-    taps: concatenated in this order. grid_tap: the tap whose grid the descriptors live on; finer taps are averaged
+    taps: concatenated in this order. grid_tap: the tap whose grid the descriptors are on; finer taps are averaged
     down to it, coarser ones repeated. channels: how many remain (None or more than there are: all). is_balanced: each
-    tap is divided by its nominal deviation, so that none rules by its scale and the result does not depend on the
-    scale of the features. is_sampled: a coarse cell is repeated around the pixel where its convolution looks, not to
-    the right of and below it. channel_list: the channels, counted through all taps, that stand in place of a random
-    choice; `channels` then does not count.
+    tap is divided by its nominal deviation, so that no tap dominates and the result does not depend on the scale of
+    the features. is_sampled: a coarse cell is repeated around the centre of its convolution, not to the right of and
+    below it. channel_list: the channels, counted through all taps, instead of a random choice; `channels` then has no
+    effect.
     """
 
     taps: tuple[str, ...]
@@ -75,7 +75,7 @@ class EmbeddingChoice:
 
 @dataclass(frozen=True)
 class Embedding:
-    """A choice on a grid, with what was drawn and measured at fit.
+    """A choice on a grid, with the channels drawn and the scales measured at fit.
 
     arrays, per tap: `channels_TAP` int64 (k,) of a random choice; `projection_TAP` float32 (c, d) of a semi-orthogonal
     one, its scale included; `scales` float32 (taps,) otherwise, where balanced. warnings: of the fit that measured it.
@@ -139,7 +139,7 @@ class Embedding:
         return chosen
 
     def _pool(self, tap: str) -> int:
-        """By how much a finer tap is averaged down; 1 for the others."""
+        """The factor by which a finer tap is averaged down; 1 for the others."""
         return max(1, round(self.grid.taps[tap][1] / self.cells[0]))
 
     def _shape(self, tap: str) -> tuple[int, int]:
@@ -231,8 +231,8 @@ def learn_embedding(
         for tap in (choice.taps if choice.is_balanced else ())
     ]
     warnings = tuple(
-        f"'{tap}' differs between nominal presses by less than {DEVIATION_FLOOR:.0%} of its size: what is fainter than "
-        "that is missed; give presses that differ, or use another trunk"
+        f"'{tap}' differs between nominal presses by less than {DEVIATION_FLOOR:.0%} of its size: fainter differences "
+        "are missed; give presses that differ, or use another trunk"
         for tap, (_, is_floor) in zip(choice.taps, found, strict=False)
         if is_floor and nominal.presses > 1
     )
@@ -262,7 +262,7 @@ def touched_cells(
 ) -> NDArray[np.bool_]:
     """Which cells see a touched pixel within the margin around their square: flat bool (rows * columns,).
 
-    All of them where nothing is known about the touch.
+    All of them where the touch is not known.
     """
     if nominal.touched is None:
         return np.ones(cells[0] * cells[1], bool)
@@ -307,9 +307,9 @@ def _squares(
 
 
 def _repeat(cells: int, onto: int, is_sampled: bool, tiles: int = 1) -> NDArray[np.int64]:
-    """Which of `cells` stands for each of `onto` finer cells: floor, or the nearest sample (ties to the right).
+    """Which of `cells` represents each of `onto` finer cells: floor, or the nearest sample (ties to the right).
 
-    tiles: how many tiles lie along the axis; no cell stands for one of another tile.
+    tiles: how many tiles are along the axis; no cell represents one of another tile.
     """
     if tiles > 1:
         one = _repeat(cells // tiles, onto // tiles, is_sampled)
@@ -322,7 +322,7 @@ def _repeat(cells: int, onto: int, is_sampled: bool, tiles: int = 1) -> NDArray[
 
 
 def _average(x: NDArray[np.floating], k: int) -> NDArray[np.floating]:
-    """Means over k x k squares, partial squares at the right and bottom over what they hold: (n, c, h/k, w/k)."""
+    """Means over k x k squares, (n, c, h/k, w/k); partial squares at the right and bottom over their own cells."""
     if k == 1:
         return x
     sums = np.add.reduceat(
@@ -337,8 +337,8 @@ def _average(x: NDArray[np.floating], k: int) -> NDArray[np.floating]:
 
 
 def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> tuple[float, bool]:
-    """Root mean square deviation between presses at the same cell and channel, and whether it is its floor; 1 for dead
-    taps."""
+    """Root mean square deviation between presses at the same cell and channel, and whether it is at its floor; 1 for
+    all-zero taps."""
     squares = power = 0.0
     flat = x.reshape(*x.shape[:2], -1)
     scale = float(np.abs(flat).max()) or 1.0

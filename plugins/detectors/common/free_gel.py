@@ -1,9 +1,9 @@
 """Places that no nominal press touches: one row each, the untouched gel, instead of rows of every press.
 
-What is seen there, in the presses and in the frames without contact alike, is the free gel. A press is compared with
-its mean, in the same features and by the same plain distance as elsewhere, so that a touch where none belongs stands
-out like any other defect. Gel that is restless there by itself (noise, drift of the light) is only ever lowered: to
-where its own nominal distances do not stand above those of touched places.
+Presses and frames without contact show the free gel there. A press is compared with its mean, in the same features and
+by the same plain distance as elsewhere. So a touch in the wrong place has a high score like any other defect. Where the
+free gel itself varies (noise, drift of the light) its distances are lowered: nominal ones are then not above those of
+touched places.
 """
 
 import math
@@ -19,7 +19,7 @@ from plugins.onnx_builder import Graph, Value
 
 __all__ = ["emit_gel_distances", "gel_distances", "gel_mean", "gel_weight", "touched_places"]
 
-# The free gel's nominal distances are brought below the touched places' median up to this quantile of them.
+# The free gel's nominal distances are scaled until this quantile of them is below the touched places' median.
 QUANTILE = 0.99
 # Places whose scatter is measured at once: bounds the memory at BLOCK * presses * channels float64 numbers.
 BLOCK = 512
@@ -30,7 +30,7 @@ def touched_places(
 ) -> NDArray[np.bool_]:
     """Which cells see a touched pixel within the margin, flat bool (tiles * h * w,), tile by tile.
 
-    cells: (h, w) of one tile. All of them where nothing is known about the touch. Errors: FitError for none.
+    cells: (h, w) of one tile. All of them where the touch is not known. Errors: FitError for none.
     """
     (down, across), (h, w) = layout(grid), cells
     touched = touched_cells(nominal, grid, (down * h, across * w), margin_mm)
@@ -48,7 +48,7 @@ def gel_mean(
     """The mean gel float32 (places, c), and how far nominal frames lie from the mean of the others (a high quantile).
 
     pressed: (n, places, c) of the nominal presses at untouched places. free: (m, places, c) of frames without contact.
-    The distance is nan where there is but one frame.
+    The distance is nan where there is only one frame.
     """
     frames = pressed if free is None else np.concatenate([pressed, free])
     n, places, c = frames.shape
@@ -66,7 +66,7 @@ def gel_mean(
 
 
 def gel_weight(scatter: float, nominal: float) -> float:
-    """What the free gel's distances are multiplied by: at most 1, and 1 where nothing is known.
+    """The factor of the free gel's distances: at most 1, and 1 where the scatter is not known.
 
     scatter: from `gel_mean`. nominal: the median distance of nominal presses to each other where they touch.
     """

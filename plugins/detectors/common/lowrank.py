@@ -1,4 +1,4 @@
-"""Covariances as thin eigenpairs: the only form in which this product holds one.
+"""Covariances as thin eigenpairs: the only form of a covariance here.
 
 With N samples in d dimensions and N <= d, a covariance has at most N-1 directions; every other eigenvalue of the
 regularised covariance C + ridge*I is exactly the ridge. So for delta = x - mean
@@ -6,7 +6,7 @@ regularised covariance C + ridge*I is exactly the ridge. So for delta = x - mean
     delta^T (C + ridge I)^-1 delta = sum_j (u_j . delta)^2 / (lambda_j + ridge)  +  |delta - U U^T delta|^2 / ridge
 
 exactly (Woodbury's identity), with d*rank numbers instead of d*d. The difference form |delta|^2 - |W^T delta|^2 is the
-same in exact arithmetic and loses all digits in float32 once lambda is far above the ridge: the residual is formed
+same in exact arithmetic and loses all digits in float32 when lambda is far above the ridge. So the residual is computed
 explicitly everywhere.
 """
 
@@ -20,8 +20,8 @@ __all__ = ["RELATIVE_CUT", "Spectrum", "covariance_spectrum", "mahalanobis_squar
 # Eigenvalues below this part of the largest are rounding noise of float64 sums (centring makes one of them zero).
 RELATIVE_CUT = 1e-10
 # Beyond this size a few leading eigenpairs come from subspace iteration (Halko, Martinsson, Tropp 2011): 152 presses
-# in 3136 locations took 4.0 s by full decomposition and 1.2 s so, on two cores. What it leaves out is a smaller
-# rotation within nearly equal eigenvalues; the term off the span stays exact for whatever span was found.
+# in 3136 locations took 4.0 s by full decomposition and 1.2 s this way, on two cores. The error is a small rotation
+# within nearly equal eigenvalues; the off-span term is exact for the span that was found.
 DIRECT_SIZE = 64
 OVERSAMPLING = 8
 ITERATIONS = 2
@@ -42,8 +42,8 @@ class Spectrum(NamedTuple):
 def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int = 1) -> Spectrum:
     """Mean and leading eigenpairs of the covariance of `samples` (..., n, d), through the smaller Gram matrix.
 
-    rank: at most so many directions (None: all that exist, n-1 or d). One sample has no covariance: rank 0. Directions
-    below `RELATIVE_CUT` of the largest are dropped, the one that centring makes zero among them.
+    rank: the most directions (None: all that exist, n-1 or d). One sample has no covariance: rank 0. Directions below
+    `RELATIVE_CUT` of the largest are dropped, including the one that centring makes zero.
     """
     x = samples.astype(np.float64)
     n, d = x.shape[-2:]
@@ -63,13 +63,13 @@ def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int =
 
 
 def covariance_spectrum(mean: NDArray[np.float64], covariance: NDArray[np.float64], rank: int) -> Spectrum:
-    """The same from covariances (..., d, d) that are known already. rank: at most so many directions, at least 1."""
+    """The same from given covariances (..., d, d). rank: the most directions, at least 1."""
     values, vectors = _leading(covariance, rank)
     return _cut(mean, values, np.swapaxes(vectors, -1, -2).copy())
 
 
 def _cut(mean: NDArray[np.float64], values: NDArray[np.float64], directions: NDArray[np.float64]) -> Spectrum:
-    """Directions (..., r, d) made unit vectors, those of rounding noise made zero."""
+    """Directions (..., r, d) as unit vectors; those of rounding noise become zero."""
     alive = values > RELATIVE_CUT * np.maximum(values[..., :1], np.finfo(np.float64).tiny)
     norms = np.linalg.norm(directions, axis=-1)
     basis = np.where(alive[..., None], directions / np.where(norms > 0, norms, 1.0)[..., None], 0.0)

@@ -1,4 +1,4 @@
-"""What the parameters of all methods have in common: they are checked when made, and plain values."""
+"""The common base of all methods' parameters: plain values, validated when they are made."""
 
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar
@@ -19,17 +19,17 @@ class Parameters(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mode: Mode = Field(default="corrected", description="the settings that were started from")
+    mode: Mode = Field(default="corrected", description="the settings to start from")
 
 
 P = TypeVar("P", bound=Parameters)
 
 
 def choose(detector: str, defaults: P, published: P, overrides: Mapping[str, Any]) -> P:
-    """The defaults with named fields replaced; a list stands for a tuple.
+    """The defaults with named fields replaced; a list is taken as a tuple.
 
-    published: the published variant, whose class has the switches of published defects besides. They are taken in
-    either mode. Errors: FitError for an unknown name, with the nearest known one, or a value that a field refuses.
+    published: the published variant, whose class also has the switches of published defects. They are accepted in both
+    modes. Errors: FitError for an unknown name, with the nearest known one, or a value that a field refuses.
     """
     full = type(published)
     is_plain = overrides.keys() <= type(defaults).model_fields.keys()
@@ -41,7 +41,7 @@ def choose(detector: str, defaults: P, published: P, overrides: Mapping[str, Any
 
 
 def repaired(parameters: Parameters, published: Parameters, switches: tuple[str, ...]) -> list[str]:
-    """The named switches whose value is not the published one, as `name=value`: what a manifest lists as repairs."""
+    """The named switches whose value is not the published one, as `name=value`: the repairs of a manifest."""
     values = {
         **{name: field.default for name, field in type(published).model_fields.items()},
         **dict(parameters),

@@ -1,8 +1,8 @@
-"""One bank of patch descriptors for the whole grid: what PatchCore and InReaCh score with, however they fill it.
+"""One bank of patch descriptors for the complete grid: PatchCore and InReaCh score with it and fill it differently.
 
-A descriptor is centred, turned onto its leading directions with the length of the rest beside them (or kept whole),
-and measured against its nearest row of the bank, wherever on the part that row came from. On tiles each tile is an
-image of its own, and all share the bank.
+A descriptor is centred and projected on its leading directions with the length of the rest (or kept complete). It is
+compared with its nearest row of the bank, wherever on the part that row came from. Each tile is a separate image, and
+all tiles share the bank.
 """
 
 import math
@@ -25,15 +25,15 @@ from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PatchBank", "drawn", "of_every_place"]
 
-# Presses and cells that the mean and the leading directions are learnt from at most.
+# The most presses and cells from which the mean and the leading directions are learnt.
 SAMPLE_PRESSES = 16
 SAMPLE_CELLS = 4096
 # A tap's deviation is taken to be at least this part of its root mean square, so that a constant tap does not explode.
 DEVIATION_FLOOR = 1e-2
-# Around what the nominal presses touch, this much counts as touched: the gel is bent there.
+# This margin around the touched places counts as touched: the gel is bent there.
 MARGIN_MM = 1.0
-# Rows of untouched gel that the bank is chosen from, twice, or one of each place if that is more: it looks alike nearly
-# everywhere and needs few of them.
+# Rows of untouched gel that the bank is chosen from, twice, or one of each place if that is more. The gel looks nearly
+# the same everywhere and needs few rows.
 FREE_GEL_ROWS = 4096
 
 
@@ -74,7 +74,7 @@ class PatchBank:
         return arrays, rows.astype(np.float32)
 
     def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
-        """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where nothing is known.
+        """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where this is not known.
         Errors: FitError where none is touched."""
         cells = grid.taps[self.descriptor.grid_tap][1:]
         mask = touched_cells(nominal, grid, cells, MARGIN_MM)
@@ -93,8 +93,8 @@ class PatchBank:
     ) -> NDArray[np.float32]:
         """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and frames without contact.
 
-        The bank needs some, or gel that lies free would be foreign to it. Every place is there, since a corner of the
-        picture looks like no other place and each press has it.
+        Without them the bank would score free gel as a defect. Every place has rows, because each press shows the
+        corners of the picture, which look like no other place.
         """
         found = [of_every_place(rows[:, ~self.touched(nominal, grid)], FREE_GEL_ROWS, rng)]
         if nominal.no_contact is not None:
@@ -140,7 +140,7 @@ class PatchBank:
         return graph.op("Mul", distances, distances) if is_squared else distances
 
     def _emit_placed(self, graph: Graph, rows: Value, grid: Grid) -> Value:
-        """Rows (n * tiles, cells, width) with their places beside them."""
+        """Rows (n * tiles, cells, width) with their places added."""
         tiles, cells = math.prod(layout(grid)), math.prod(self.descriptor.cells(grid))
         place = graph.constant(self._places(grid).reshape(1, tiles, cells, 2).astype(np.float32))
         count = graph.op("Div", graph.op("Shape", rows, start=0, end=1), graph.ints(tiles))
@@ -151,10 +151,10 @@ class PatchBank:
     def _emit_search(
         self, graph: Graph, rows: Value, memory: Value, size: tuple[int, ...], grid: Grid
     ) -> Value:
-        """Distances (n, grid rows, grid columns), so many cells at a time that memory stays bounded."""
+        """Distances (n, grid rows, grid columns), in slices of cells that limit the memory."""
         h, w = self.descriptor.cells(grid)
         bank = HalvedBank(graph, memory)
-        # A slice holds so many cells of every tile.
+        # A slice holds this many cells of every tile.
         step = max(1, PRODUCT_LIMIT // (size[0] * math.prod(layout(grid))))
         parts = []
         for first in range(0, h * w, step):
@@ -205,7 +205,7 @@ def _press(features: Features, taps: tuple[str, ...], press: int) -> Features:
 
 
 def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generator) -> NDArray[np.floating]:
-    """Rows of presses (n, places, width) as (m, width): as often from each place, at most so many or one each."""
+    """Rows of presses (n, places, width) as (m, width): equally many of each place, at most `most` or one each."""
     n, places, width = rows.shape
     count = min(n, max(1, most // max(1, places)))
     presses = rng.permuted(np.tile(np.arange(n), (places, 1)), axis=1)[:, :count]
@@ -214,14 +214,14 @@ def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generat
 
 
 def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
-    """At most so many of the rows, in their order; None: all."""
+    """At most `most` of the rows, in their order; None: all."""
     if most is not None and len(rows) > most:
         rows = rows[np.sort(rng.choice(len(rows), most, replace=False))]
     return rows.astype(np.float32)
 
 
 def _deviation(layer: NDArray[np.float32]) -> float:
-    """The root mean square deviation of a tap's channels over all nominal cells, with its floor; 1 for a dead tap."""
+    """The root mean square deviation of a tap's channels over all nominal cells, with its floor; 1 if all is zero."""
     top = float(np.abs(layer).max())
     if top == 0:
         return 1.0

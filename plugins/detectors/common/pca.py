@@ -1,9 +1,9 @@
-"""Fewer dimensions without losing what lies outside them: leading principal directions and one remainder.
+"""Fewer dimensions that still show what is outside them: leading principal directions and one remainder.
 
-Rows of the basis are orthonormal, so a distance over the first d coordinates never exceeds the true one. Cutting there
-would hide an anomaly that points away from everything nominal, so one coordinate more is kept: the length of what the
-basis leaves out. By the triangle inequality the distance in these d+1 numbers still never exceeds the true distance,
-and equals it where both sides leave out parallel parts.
+Rows of the basis are orthonormal, so a distance over the first d coordinates never exceeds the true one. Those alone
+would hide an anomaly that points away from everything nominal. So one more coordinate is kept: the length of the part
+outside the basis. By the triangle inequality the distance in these d+1 numbers also never exceeds the true distance,
+and equals it where the parts outside are parallel.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Rotation:
 
     @property
     def width(self) -> int:
-        """Numbers per descriptor afterwards."""
+        """Numbers per projected descriptor."""
         return len(self.mean) if self.basis is None else len(self.basis) + 1
 
     def __call__(
@@ -61,7 +61,7 @@ def emit_rotation(graph: Graph, columns: Value, mean: Value, basis: Value | None
     if basis is not None:
         along = graph.op("MatMul", basis, centred)
         rest = graph.op("Sub", centred, graph.op("MatMul", graph.transpose(basis, 1, 0), along))
-        # A product with ones instead of a sum down the columns: four times faster in onnxruntime.
+        # A product with ones instead of a sum over rows: four times faster in onnxruntime.
         shape = graph.op("Concat", graph.ints(1), graph.op("Shape", mean), axis=0)
         ones = graph.op("Expand", graph.scalar(1.0), shape)
         length = graph.op("Sqrt", graph.op("MatMul", ones, graph.op("Mul", rest, rest)))

@@ -1,11 +1,11 @@
 """From a small grid of distances to a smooth score map in pixels, as two exact matrices.
 
 Upsampling and Gaussian blur are both linear and separable. With U the upsampling matrix and G the blur matrix of one
-axis, `map = R_rows @ grid @ R_cols.T` where `R = G @ U`: two small matrix products instead of an interpolation and a
-filter over the full map, and the same numbers in float64 NumPy and in the graph.
+axis, `map = R_rows @ grid @ R_cols.T` where `R = G @ U`. Two small matrix products replace an interpolation and a
+filter over the full map, with the same numbers in float64 NumPy and in the graph.
 
 Source: torch bilinear (align_corners False, no antialias), torch nearest, scipy.ndimage.gaussian_filter with its
-defaults; each was compared with the original in tests/detectors/test_smoothing.py.
+defaults; tests/detectors/test_smoothing.py compares each with the original.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ __all__ = [
 ]
 
 Upsampling = Literal["bilinear", "nearest", "sampled"]
-"""bilinear and nearest take a cell as a square of pixels (the published way); sampled takes it as a sample at its
-top left pixel, which is where strided convolutions with symmetric padding look: bilinear between such samples."""
+"""bilinear and nearest take a cell as a square of pixels (the published way). sampled takes it as a sample at its top
+left pixel, the centre of strided convolutions with symmetric padding, and is bilinear between such samples."""
 
 # The blur of the published implementations, in pixels of a 224 crop (SPADE-pytorch, PaDiM, FAPM).
 PAPER_SIGMA_PX = 4.0
@@ -52,8 +52,8 @@ def blur_px(sigma: float, unit: Literal["mm", "px"], grid: Grid) -> float:
 def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> NDArray[np.float64]:
     """One axis of an upsampling: float64 (pixels, cells), each row sums to 1.
 
-    bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels). sampled: cell i lies at pixel
-    i * stride, with the power of two as stride that the sizes imply.
+    bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels). sampled: cell i is at pixel
+    i * stride; the stride is the power of two that the sizes imply.
     """
     if cells < 1 or pixels < 1:
         raise ValueError(f"an axis has at least one cell and one pixel, found {cells} and {pixels}")
@@ -113,7 +113,7 @@ class Smoothing:
     """How a grid of raw distances becomes the score map.
 
     cells: (rows, columns) of the grid. frame: (h, w) in pixels. sigma_px: the blur, in pixels of the frame.
-    tiles: set where the grid is a mosaic of tiles; they are blended first, so that no blur meets the edge of a tile.
+    tiles: set where the grid is a mosaic of tiles; they are blended first, so that no blur crosses the edge of a tile.
     """
 
     cells: tuple[int, int]
@@ -126,7 +126,7 @@ class Smoothing:
     def of(
         cls, grid: Grid, cells: tuple[int, int], sigma_mm: float, upsampling: Upsampling = "bilinear"
     ) -> "Smoothing":
-        """The blur given as a physical size, so that it is the same on the part at every resolution."""
+        """The blur as a physical size, the same on the part at every resolution."""
         return cls(cells, grid.frame, sigma_mm * grid.pixels_per_mm, upsampling, grid.tiles)
 
     @property
@@ -153,7 +153,7 @@ class Smoothing:
         return smooth
 
     def score_maps(self, raw: NDArray[np.float64]) -> ScoreMaps:
-        """The oracle's answer for raw distances: the smooth map, and its maximum as the press's score."""
+        """The oracle's result for raw distances: the smooth map, and its maximum as the press's score."""
         score_map = self(raw)
         return ScoreMaps(score_map, score_map.max(axis=(1, 2)))
 
@@ -162,7 +162,7 @@ def emit_scores(graph: Graph, raw: Value, smoothing: Smoothing, score: Value | N
     """Finish a head: from raw distances (n, rows, columns) to its outputs `score_map`, `score` and `raw_map`.
 
     score: a press's score (n,) where the method has its own; otherwise the maximum of the map. `raw_map` is the
-    grid before upsampling and blur, float32 (n, rows, columns): what tiles are blended from.
+    grid before upsampling and blur, float32 (n, rows, columns), from which tiles are blended.
     """
     smooth = graph.op(
         "MatMul",

@@ -1,8 +1,8 @@
-"""A mosaic of tiles taken apart and put together again, so that no neighbourhood reaches into another tile.
+"""A mosaic of tiles is split and joined again, so that no neighbourhood reaches into another tile.
 
-Taps of a tiled trunk lie tile beside tile (`edge.core.imaging`). Cells that touch across a seam of the mosaic are no
+Taps of a tiled trunk are a mosaic of tiles (`edge.core.imaging`). Cells on both sides of a seam of the mosaic are not
 neighbours on the part, so windows, averages and matches are made tile by tile: the mosaic's tiles become a batch.
-Without tiles there is one, the whole map, and nothing moves.
+Without tiles the map is the only tile and stays as it is.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ __all__ = [
 
 
 def layout(grid: Grid) -> tuple[int, int]:
-    """How many tiles lie down and across: (1, 1) without tiles."""
+    """The number of tiles down and across: (1, 1) without tiles."""
     return (1, 1) if grid.tiles is None else (len(grid.tiles.rows), len(grid.tiles.columns))
 
 
@@ -61,7 +61,7 @@ def join(raw: NDArray[np.float64], grid: Grid) -> NDArray[np.float64]:
 
 
 def stepped(index: NDArray[np.int64], step: int, period: int) -> NDArray[np.int64]:
-    """Rows or columns of a mosaic, `step` further on but held within their own tile of `period` cells."""
+    """Rows or columns of a mosaic, `step` further but clamped to their own tile of `period` cells."""
     first = index // period * period
     return np.clip(index + step, first, first + period - 1)
 
@@ -71,7 +71,7 @@ def neighbourhood(
 ) -> NDArray[np.int64]:
     """The square of cells around each of flat `cells` (m,) of a mosaic of `shape`: (m, (2 * reach + 1)^2).
 
-    A cell beyond the border of a tile is replaced by the one at it. tiles: how many lie down and across.
+    A cell beyond the border of a tile is replaced by the one at it. tiles: their number down and across.
     """
     (height, width), (down, across) = shape, tiles
     steps = range(-reach, reach + 1)
@@ -83,7 +83,7 @@ def neighbourhood(
 def cell_blocks(shape: tuple[int, int], tiles: tuple[int, int], side: int) -> NDArray[np.int64]:
     """The flat cells of each block of side x side cells, (blocks, side^2): none reaches into another tile.
 
-    Where the blocks do not fill a tile its last cells stand twice.
+    Where the blocks do not fill a tile its last cells are repeated.
     """
     axes = []
     for size, count in zip(shape, tiles, strict=True):

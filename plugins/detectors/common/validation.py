@@ -1,4 +1,4 @@
-"""What every detector checks alike: features that are fit to learn from, and the size that a bank may have."""
+"""The checks of every detector: features that it can learn from, and the largest size of a bank."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,11 @@ def bank_bytes(bank_mb: float, grid: Grid) -> int:
 def require_fittable(
     detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...], *, is_tileable: bool = False
 ) -> None:
-    """Refuse presses that no bank can be learnt from.
+    """Refuse presses from which no bank can be learnt.
 
-    is_tileable: whether this detector's head can put a mosaic of tiles together. Errors: FitError when a tap is
-    missing, there is no press, a shape differs from the grid, a value is not finite or out of range, one press is far
-    stronger than the others, or the grid is of tiles.
+    is_tileable: whether this detector's head can join a mosaic of tiles. Errors: FitError for a missing tap, no press,
+    a shape that differs from the grid, a value that is not finite or out of range, one press far stronger than the
+    others, or a grid of tiles.
     """
     if grid.tiles is not None and not is_tileable:
         raise FitError(f"{detector} does not work on tiles; use a trunk that sees the frame in one piece")
@@ -47,11 +47,11 @@ def require_scorable(detector: str, features: Features, taps: tuple[str, ...]) -
             raise NotScorable(f"{detector}: '{tap}' of this press is not finite; it has no score")
 
 
-# Float32 squares of smaller differences vanish and of larger ones overflow: a defect would have the score 0, or none.
-# Every method was seen right from 1e-20 to 1e10.
+# Float32 squares of smaller differences underflow and of larger ones overflow: a defect would have the score 0, or
+# none. In tests every method is right from 1e-20 to 1e10.
 FAINTEST, STRONGEST = 1e-15, 1e12
-# One press this many times as strong as the usual one decides the directions, prototypes and int8 steps of the others.
-# Seen: 100 times does no harm, 1000 times costs 5 % of the peak, a million times everything.
+# One press this many times as strong as the median sets the directions, prototypes and int8 steps of the others.
+# Measured: 100 times does no harm, 1000 times costs 5 % of the peak, a million times everything.
 MOST_APART = 100.0
 
 

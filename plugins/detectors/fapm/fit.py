@@ -2,14 +2,14 @@
 
 Definition (Kim, Park, Cho and Lee, "FAPM: Fast adaptive patch memory for real-time industrial anomaly detection",
 ICASSP 2023), read against eastbrother87/FAPM_official @5d2d2f2, which scores but does not fit, and the seed paper's
-scripts, which fit. Two layers are averaged over 3x3 cells; the grid is cut into cells of 4x4 fine and 2x2 coarse
-sub-patches (32 px); k-centre keeps 10 % of the nominal descriptors (near) or twice as many (far); the distances to the
+scripts, which fit. Two layers are averaged over 3x3 cells. The grid is cut into cells of 4x4 fine and 2x2 coarse
+sub-patches (32 px). k-centre keeps 10 % of the nominal descriptors (near) or twice as many (far). The distances to the
 nearest prototypes of both layers are added.
 
-Not public, and therefore ours: which cells get the far bank. Here: those whose near bank leaves a nominal descriptor
-farthest away, the upper tenth of the cells of each layer (the seed scripts' rule).
+Which cells get the far bank is not public. Here it is the upper tenth of the cells of each layer, by how far a nominal
+descriptor is from its near bank (the seed scripts' rule).
 
-`corrected` looks at the finest layer alone, as it is, and keeps no prototypes where no nominal press touches.
+`corrected` uses the finest layer alone, without averaging, and keeps no prototypes where no nominal press touches.
 """
 
 import math
@@ -41,10 +41,10 @@ from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 
 __all__ = ["FapmParameters", "fapm"]
 
-# Where distances are calibrated: cells whose scale is below this quantile of all cells' are taken to have that scale,
-# so that calibration only lowers the restless ones. With a low quantile, gel that most presses leave alone turned into
-# the highest scores: on two simulated parts AU-PRO@0.01 was 0.15 and 0.00 at 0.05, 0.11 and 0.19 at 0.75, 0.05 and
-# 0.13 uncalibrated (layer2 and layer3 of untrained weights).
+# Where distances are calibrated: smaller scales of cells are raised to this quantile of all scales, so that calibration
+# lowers only the cells that vary most. With a low quantile, gel that most presses do not touch had the highest scores.
+# On two simulated parts AU-PRO@0.01 was 0.15 and 0.00 at 0.05, 0.11 and 0.19 at 0.75, 0.05 and 0.13 uncalibrated
+# (layer2 and layer3 of untrained weights).
 SCALE_FLOOR_QUANTILE = 0.75
 # Bytes of a number as stored.
 BYTES: Mapping[Packing, int] = {"none": 4, "float16": 2, "int8": 1}
@@ -77,8 +77,8 @@ class Fapm:
     ) -> Bank:
         """Prototypes per group of sub-patches. Arrays per layer and kind, near and far: `<tap>_near` (groups,
         prototypes, c), centred; `<tap>_near_mean` (groups, c); `<tap>_near_places` int64 (groups, s). Per layer:
-        `<tap>_order` int64 (h * w,), where a place stands among those of near, far and gel; `<tap>_weight` (h * w,)
-        where calibrated. Where some places are touched by no press: `<tap>_gel` (places, c), `<tap>_gel_places`,
+        `<tap>_order` int64 (h * w,), the index of a place among those of near, far and gel; `<tap>_weight` (h * w,)
+        where calibrated. Where no press touches some places: `<tap>_gel` (places, c), `<tap>_gel_places`,
         `<tap>_gel_weight` (1,). Errors: FitError.
         """
         p = parameters
@@ -185,7 +185,7 @@ def _fit_layer(
     start: float,
     p: FapmParameters,
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The arrays of one layer, and what was learnt. kept: bool (groups,), those with prototypes."""
+    """The arrays of one layer, and facts of the fit. kept: bool (groups,), those with prototypes."""
     rows = _pooled(nominal.features[tap], grid, p.pooling)
     places = _layout(grid, tap, p).only(kept)
     near, far = _counts(nominal.presses * places.groups.shape[1], fraction, p)
@@ -214,14 +214,14 @@ def _fit_layer(
     where = [
         arrays[f"{kind}_places"].ravel() for kind in ("near", "far", "gel") if f"{kind}_places" in arrays
     ]
-    # A place that its cell repeats at the border is taken where it stands first.
+    # Of a place that its cell repeats at the border the first copy is used.
     arrays["order"] = np.unique(np.concatenate(where), return_index=True)[1]
     learnt = {"near_prototypes": near, "far_prototypes": far, "far_groups": int(found.is_far.sum())}
     return arrays, learnt | {"groups": len(places.groups), "gel_places": len(gel)}
 
 
 def _counts(rows: int, fraction: float, p: FapmParameters) -> tuple[int, int]:
-    """Prototypes near and far of a group with so many nominal rows."""
+    """Numbers of near and far prototypes for a group's number of nominal rows."""
     near = max(1, int(fraction * rows))
     return near, min(max(near, int(p.far_factor * near)), rows)
 
@@ -229,7 +229,7 @@ def _counts(rows: int, fraction: float, p: FapmParameters) -> tuple[int, int]:
 def _affordable(
     nominal: Nominal, kept: Mapping[str, NDArray[np.bool_]], grid: Grid, p: FapmParameters
 ) -> float:
-    """near_fraction, or the part of it with which int8 stays within the bank's megabytes where the packing is free."""
+    """near_fraction, or, with packing "auto", the largest part of it with which int8 stays within `bank_mb`."""
     if p.packing != "auto":
         return p.near_fraction
     wanted = fixed = 0.0

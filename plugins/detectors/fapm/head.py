@@ -43,7 +43,7 @@ def fapm_head(name: str, grid: Grid, bank: Bank, p: FapmParameters) -> bytes:
 
 
 def is_unweighted(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> bool:
-    """Whether the score has no weight for want of a second neighbour."""
+    """Whether the score has no weight because there is no second neighbour."""
     return min(p.neighbours, fewest(arrays, p)) < steps_of(p).least_weighted
 
 

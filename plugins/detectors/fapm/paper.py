@@ -19,7 +19,7 @@ class PublishedFapm(FapmParameters):
         description="a fine sub-patch gets the coarse one above it, or, as published, that of another quadrant",
     )
     is_softmax_stable: bool = Field(
-        default=True, description="take the largest distance away before exp, which overflows at 88"
+        default=True, description="subtract the largest distance before exp, which overflows at 88"
     )
     is_single_unweighted: bool = Field(
         default=True, description="no weight where there is one neighbour; false: the weight is 0 there"
@@ -53,7 +53,7 @@ REPAIRS = (
     "is_touched_only",
     "is_sampled",
 )
-"""The switches that set the corrected mode apart; the others are operating points."""
+"""The switches in which the corrected mode differs; the others are operating points."""
 
 
 def steps_of(p: FapmParameters) -> Steps:

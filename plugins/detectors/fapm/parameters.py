@@ -13,7 +13,7 @@ __all__ = ["FapmParameters"]
 
 
 class FapmParameters(Parameters):
-    """The parameters of FAPM. docs/detectors.md has what each was measured at."""
+    """The parameters of FAPM. docs/detectors.md has the measured results of each."""
 
     layers: tuple[str, ...] = Field(
         default=("layer1",),
@@ -39,7 +39,7 @@ class FapmParameters(Parameters):
         default=0.9,
         ge=0,
         le=1,
-        description="cells are far whose near bank leaves a descriptor farther away than this"
+        description="cells are far when a descriptor is farther from their near bank than this"
         " quantile of all cells",
     )
     neighbours: int = Field(default=4, ge=1, description="nearest prototypes that a weighting looks at")
@@ -49,7 +49,7 @@ class FapmParameters(Parameters):
     )
     weighting: Weighting = Field(
         default="none",
-        description="what multiplies a press's largest distance: nothing, the published weight from the farthest of "
+        description="the factor of a press's largest distance: none, the published weight from the farthest of "
         "the neighbours, or PatchCore's from the nearest",
     )
     is_touched_only: bool = Field(
@@ -57,7 +57,7 @@ class FapmParameters(Parameters):
         description="cells that no nominal press touches keep no prototypes and are compared with the free gel's mean",
     )
     margin_mm: float = Field(
-        default=1.0, ge=0, description="what lies this near to a touched pixel counts as touched"
+        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
     )
     sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
     sigma_unit: Unit = Field(
@@ -74,8 +74,8 @@ class FapmParameters(Parameters):
     bank_mb: float = Field(
         default=16.0,
         gt=0,
-        description="size at 224x224 (four times as much for large frames) that `auto` stays within, by a lower "
-        "`near_fraction` where int8 does not suffice",
+        description="size at 224x224 (four times as much for large frames) that `auto` stays within; where int8 "
+        "is too large it lowers `near_fraction`",
     )
 
     @model_validator(mode="after")
@@ -88,7 +88,7 @@ class FapmParameters(Parameters):
 
     @property
     def looked_at(self) -> int:
-        """Nearest prototypes measured: one where nothing weighs them."""
+        """The number of nearest prototypes computed: one where no weighting needs more."""
         return 1 if self.weighting == "none" else self.neighbours
 
     def smoothing(self, grid: Grid) -> Smoothing:

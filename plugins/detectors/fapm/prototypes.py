@@ -1,7 +1,7 @@
 """A few prototypes for each group of places: which places share a bank, and which of their nominal rows it keeps.
 
-k-centre within each group, from pairwise distances of all its rows at once. Groups whose cell is left farthest from
-its prototypes keep more of them ("far").
+k-centre within each group, from pairwise distances of all its rows at once. Groups whose cell has the rows farthest
+from its prototypes keep more of them ("far").
 """
 
 from collections.abc import Mapping
@@ -57,9 +57,9 @@ def cell_layout(shape: tuple[int, int], side: int, is_shared: bool) -> Layout:
 
 
 class Prototypes(NamedTuple):
-    """What was chosen. mean: float32 (g, c). rows: float32 (g, far, c), centred, in the order of picking. near: how
-    many of them a group keeps that is not far. is_far: bool (g,). apart: float64 (g, s * n), how far each nominal row
-    is from the kept prototypes of other presses, infinite where there are none."""
+    """The chosen rows. mean: float32 (g, c). rows: float32 (g, far, c), centred, in the order of picking. near: how
+    many of them a group that is not far keeps. is_far: bool (g,). apart: float64 (g, s * n), the distance of each
+    nominal row to the kept prototypes of other presses, infinite where there are none."""
 
     mean: NDArray[np.float32]
     rows: NDArray[np.float32]
@@ -118,7 +118,7 @@ def _pairwise(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.f
 def _to_picks(
     lengths: NDArray[np.float32], squared: NDArray[np.float32], picks: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Plain distances (g, n, picks) of every row to the picked ones; what is rounding is 0."""
+    """Plain distances (g, n, picks) of every row to the picked ones; rounding is set to 0."""
     chosen = np.take_along_axis(squared, picks[:, None, :], axis=2)
     both = lengths[:, :, None] + np.take_along_axis(lengths, picks, axis=1)[:, None, :]
     chosen[chosen <= ROUNDING * both] = 0.0
@@ -130,7 +130,7 @@ def cell_scales(
 ) -> NDArray[np.float64]:
     """The scale of each group's cell (g,): the median of its nominal distances to other presses' prototypes.
 
-    Scales are floored at a quantile of all; where no press has another to be compared with, they are all 1.
+    Scales are floored at a quantile of all; where no press can be compared with another, they are all 1.
     """
     cells, of_group = np.unique(cell, return_inverse=True)
     scale = np.empty(len(cells))
@@ -151,7 +151,7 @@ def prototype_distances(
 ) -> NDArray[np.float64]:
     """The oracle: distances (n, places, k) of rows (n, places, c) to each place's nearest prototypes.
 
-    The last distance is repeated where there are fewer than k. arrays: FAPM's bank, see there.
+    The last distance is repeated where there are fewer than k. arrays: FAPM's bank, see `Fapm.fit`.
     """
     distances = np.empty((*rows.shape[:2], k))
     for kind in ("near", "far"):
@@ -204,7 +204,7 @@ def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArra
 
 
 def _emit_gel(graph: Graph, rows: Value, tap: str, c: int, k: int) -> Value:
-    """Distances (n, places, k) from the free gel, all neighbours alike."""
+    """Distances (n, places, k) from the free gel, the same for all neighbours."""
     count = f"{tap}_gel_places"
     here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=1)
     mean, weight = graph.input(f"{tap}_gel", (count, c)), graph.input(f"{tap}_gel_weight", (1,))

@@ -20,7 +20,7 @@ Cells = NDArray[np.int64]
 @dataclass(frozen=True)
 class Steps:
     """above: row and column of fine sub-patches to those of the coarse one whose distance is added. shift, emit_shift:
-    what is taken from distances (n, k) before exp. least_weighted: with fewer neighbours a score has no weight."""
+    subtracted from distances (n, k) before exp. least_weighted: with fewer neighbours a score has no weight."""
 
     above: Callable[[Cells, Cells], tuple[Cells, Cells]]
     shift: Callable[[NDArray[np.float64]], NDArray[np.float64]]

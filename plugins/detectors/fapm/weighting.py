@@ -1,4 +1,4 @@
-"""What a press's largest distance is multiplied by: a softmax over the distances to a few neighbours.
+"""The factor of a press's largest distance: a softmax over the distances to a few neighbours.
 
 Source: PatchCore's paper weights by the nearest neighbour's share; FAPM_official @5d2d2f2 by the largest.
 """
@@ -24,7 +24,7 @@ Weighting = Literal["none", "largest", "nearest"]
 
 
 def minus_largest(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances (n, k) less the largest of each row, so that no exp overflows."""
+    """Distances (n, k) minus the largest of each row, so that no exp overflows."""
     shifted: NDArray[np.float64] = distances - distances.max(axis=1, keepdims=True)
     return shifted
 
@@ -55,5 +55,5 @@ def emit_softmax_weight(graph: Graph, shifted: Value, weighting: Weighting) -> V
 
 
 def emit_first(graph: Graph, value: Value, axis: int) -> Value:
-    """The first slice along an axis, the axis gone."""
+    """The first slice along an axis, without that axis."""
     return graph.op("Squeeze", graph.op("Gather", value, graph.ints(0), axis=axis), graph.ints(axis))

@@ -1,4 +1,4 @@
-"""Channels of patches across nominal presses: which patches keep finding each other, and which of them are strays."""
+"""Channels of patches across nominal presses: which patches match each other repeatedly, and which are strays."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ from plugins.detectors.inreach.steps import Joined, Match, Nearest, Steps, squar
 
 __all__ = ["Channels", "associate", "prune"]
 
-# Distances to a channel's mean beyond this quantile of all members' are strays, whatever their channel's own spread.
-# The rarest nominal patches are what the bank needs most: at 0.95 AU-PRO was lower by 0.045 (six random parts).
+# Members farther from their channel's mean than this quantile of all members are strays, whatever their channel's
+# spread. The bank needs the rarest nominal patches most: at 0.95 AU-PRO was lower by 0.045 (six random parts).
 STRAY_QUANTILE = 0.99
 
 
@@ -78,7 +78,7 @@ def _with_openers(
 
 
 def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Nearest:
-    """One product serves all realisations both ways; so many rows at a time that it stays bounded."""
+    """One product for all realisations in both directions, in slices of rows that limit the memory."""
     seeds, cells, width = asked_of.shape
     there, away = np.empty((seeds, cells), np.int64), np.empty((seeds, cells), np.float32)
     back = np.full((seeds, cells), np.inf, np.float32)
@@ -94,7 +94,7 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
 
 
 def _match(asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, steps: Steps) -> Match:
-    """The matches of a press's patches (cells, width) with a realisation's, measured exactly."""
+    """The matches of a press's patches (cells, width) with a realisation's, with exact distances."""
     every, there = np.arange(len(asked)), nearest.there
     exact, back = squared_distances(asked, seed[there]), np.full(len(asked), -1)
     both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
@@ -125,7 +125,7 @@ def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -
 
 
 def _longer(channels: Channels, shortest: int) -> Channels:
-    """Channels with at least so many elements."""
+    """Channels with at least the given number of elements."""
     _, number, length = np.unique(channels.key, return_inverse=True, return_counts=True)
     is_kept = length[number] >= shortest
     return Channels(*(field[is_kept] for field in channels))

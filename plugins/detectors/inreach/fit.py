@@ -1,4 +1,4 @@
-"""InReaCh: patches that keep finding each other across nominal presses are normal; those that do not are left out.
+"""InReaCh: patches that match each other repeatedly across nominal presses are normal; the others are left out.
 
 Definition (McIntosh and Branzan Albu, "Inter-realization channels: unsupervised anomaly detection beyond one-class
 classification", ICCV 2023), written from the paper and from an account of DeclanMcIntosh/InReaCh @a0d54ba, which has no
@@ -7,8 +7,8 @@ patch of a later press joins the channel of its mutual nearest neighbour. Channe
 members that lie too far from their channel's mean. What remains is the bank; a press scores by the distance to its
 nearest row. Because strays are left out, a few bad presses among the nominal ones do little harm.
 
-`max_dispersion` is 5.0 in the paper's words "internal dispersion below 5.0": in the published code it multiplies the
-standard deviation of the members' distances to their mean, and is no length of its own. So it is here.
+`max_dispersion` is the 5.0 of the paper's "internal dispersion below 5.0". In the published code, and here, it is not a
+length: it multiplies the standard deviation of the members' distances to their mean.
 """
 
 import math
@@ -55,7 +55,7 @@ class Inreach:
         rng: np.random.Generator,
         progress: Progress,
     ) -> Bank:
-        """Find the channels and keep their members: `bank` (rows, width), beside `mean`, `basis` and `scales`.
+        """Find the channels and keep their members: `bank` (rows, width), and `mean`, `basis` and `scales`.
         Errors: FitError, also for an empty bank where there is no fallback.
         """
         p = parameters
@@ -97,14 +97,14 @@ class Inreach:
     def _fallback(
         self, rows: NDArray[np.float32], facts: dict[str, Any], p: InreachParameters
     ) -> NDArray[np.float32]:
-        """Every patch of every press, and a warning. Errors: FitError where that is not wanted."""
+        """Every patch of every press, and a warning. Errors: FitError where this is switched off."""
         if not steps_of(p).has_fallback:
             raise FitError(
                 f"inreach: none of {facts['channels_found']} channels of {len(rows)} presses has "
                 f"{p.shortest(len(rows))} elements within the dispersion; press more good parts"
             )
         facts["warnings"].append(
-            f"no channel of {len(rows)} presses remained; the bank is every patch, strays among them"
+            f"no channel of {len(rows)} presses remains; the bank is every patch, strays included"
         )
         return rows.reshape(-1, rows.shape[2])
 
@@ -127,9 +127,9 @@ inreach = Inreach()
 def _taking_part(
     touched: NDArray[np.bool_], tiles: int, presses: int, p: InreachParameters, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], list[slice]]:
-    """The cells of each press that take part, int64 (presses, m), and where each tile's stand among them.
+    """The cells of each press that take part, int64 (presses, m), and the indices of each tile's cells among them.
 
-    Where not all do, each press has its own draw: together they see every place, and a bank has to know every place.
+    Where only some do, each press has its own draw, because the bank needs patches of every place.
     """
     cells = len(touched) // tiles
     parts: list[NDArray[np.int64]] = []
@@ -149,7 +149,7 @@ def _taking_part(
 def _associate_tiles(
     rows: NDArray[np.float32], tiles: list[slice], p: InreachParameters, progress: Progress
 ) -> Channels:
-    """Channels tile by tile: a patch is looked for in its own tile alone, as if each tile were a model of its own."""
+    """Channels tile by tile: a patch is searched for in its own tile alone, as if each tile were a separate model."""
     found = []
     for number, tile in enumerate(tiles):
         channels = associate(rows[:, tile], p, _part_of(progress, number, len(tiles)))

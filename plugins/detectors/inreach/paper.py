@@ -95,7 +95,7 @@ REPAIRS = (
     "is_squared",
     "upsampling",
 )
-"""The switches that set the corrected mode apart; the others are operating points."""
+"""The switches in which the corrected mode differs; the others are operating points."""
 
 
 def steps_of(p: InreachParameters) -> Steps:

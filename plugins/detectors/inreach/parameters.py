@@ -15,7 +15,7 @@ __all__ = ["InreachParameters"]
 
 
 class InreachParameters(Parameters):
-    """The parameters of InReaCh. docs/detectors.md has what each was measured at."""
+    """The parameters of InReaCh. docs/detectors.md has the measured results of each."""
 
     taps: tuple[str, ...] = Field(
         default=("layer1",), description="the taps that make a descriptor, in this order"
@@ -26,7 +26,9 @@ class InreachParameters(Parameters):
         description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means",
     )
     dims: int | None = Field(
-        default=64, ge=1, description="leading directions kept, besides the length of the rest; null: all"
+        default=64,
+        ge=1,
+        description="leading directions kept, in addition to the length of the rest; null: all",
     )
     is_balanced: bool = Field(
         default=True,
@@ -35,13 +37,13 @@ class InreachParameters(Parameters):
     position_weight: float = Field(
         default=0.0,
         ge=0,
-        description="the place on the grid, 0 to 1 down and across, times this joins a descriptor",
+        description="the place on the grid, 0 to 1 down and across, times this is added to a descriptor",
     )
     realisations: int = Field(default=10, ge=1, description="presses whose patches open channels")
     minimum_length: int = Field(
         default=3,
         ge=1,
-        description="elements that a channel needs, its opener counted, where `length_fraction` is 0",
+        description="elements that a channel needs, including its opener, where `length_fraction` is 0",
     )
     length_fraction: float = Field(
         default=0.5,
@@ -55,7 +57,7 @@ class InreachParameters(Parameters):
     )
     is_touched_only: bool = Field(
         default=True,
-        description="only cells that a nominal press touches take part; some free gel joins the bank",
+        description="only cells that a nominal press touches take part; some free gel is added to the bank",
     )
     most_patches: int | None = Field(
         default=640,
@@ -89,7 +91,7 @@ class InreachParameters(Parameters):
         return Smoothing(cells, grid.frame, sigma_px, self.upsampling, grid.tiles)
 
     def shortest(self, presses: int) -> int:
-        """Elements that a channel of so many presses needs."""
+        """The number of elements that a channel needs."""
         if self.length_fraction > 0:
             depth = min(self.realisations, presses)
             return max(2, math.ceil(self.length_fraction * (presses - 1) / depth))

@@ -25,9 +25,9 @@ class Match(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """Both ways between a press and each of k realisations, by the product. there: int64 (k, cells), for each patch of
-    the press the nearest of the realisation. away: float32 (k, cells), how far, squared. back: float32 (k, cells), how
-    far the nearest patch of the press is from each of the realisation's."""
+    """Both directions between a press and each of k realisations, by the product. there: int64 (k, cells), for each
+    patch of the press the nearest of the realisation. away: float32 (k, cells), its squared distance. back: float32
+    (k, cells), for each patch of the realisation the distance to the nearest patch of the press."""
 
     there: NDArray[np.int64]
     away: NDArray[np.float32]
@@ -35,8 +35,8 @@ class Nearest(NamedTuple):
 
 
 class Joined(NamedTuple):
-    """A press and one realisation, measured exactly. squared: float32 (cells,), distances. there: int64 (cells,), for
-    each patch of the press its nearest of the realisation. back: the other way, -1 for none."""
+    """A press and one realisation, with exact distances. squared: float32 (cells,), distances. there: int64 (cells,),
+    for each patch of the press its nearest of the realisation. back: the other direction, -1 for none."""
 
     squared: NDArray[np.float32]
     there: NDArray[np.int64]
@@ -82,7 +82,7 @@ def prefer_own_place(
 
 
 def is_closest_mutual(found: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Closer than the best so far, and mutual: one that is not mutual leaves the patch to another realisation."""
+    """Closer than the best so far, and mutual; otherwise the patch may still join another realisation."""
     return (found.squared < best) & found.is_mutual
 
 

@@ -1,16 +1,16 @@
-"""PaDiM: one Gaussian per location, its covariance never formed but as thin eigenpairs.
+"""PaDiM: one Gaussian per location, its covariance held as thin eigenpairs only.
 
 Idea: at each cell of the feature grid the nominal descriptors have a mean and a covariance; a press scores by its
 Mahalanobis distance there. With N presses and N <= d channels the covariance has at most N-1 directions, and
 
     distance^2 = sum_j t_j^2 / (lambda_j + ridge) + |delta - U^T t|^2 / ridge,    t = U delta
 
-is exact with rank N-1 (Woodbury) and an operating point with a smaller rank: directions beyond it count as ridge, the
-term off the span stays exact. Every cell has a mean of its own; the cells of a small block may share a covariance.
-Cells that no nominal press touches share one such Gaussian, around their own means.
+is exact with rank N-1 (Woodbury). A smaller rank is an operating point: directions beyond it count as ridge, and the
+off-span term stays exact. Every cell has its own mean; the cells of a small block may share a covariance. Cells that no
+nominal press touches share one such Gaussian, around their own means.
 
 Ref: T. Defard et al., PaDiM (2020); the published implementation keeps 550 of 1792 channels and adds 0.01 to the
-covariance's diagonal. Measured by us in float64: fit by the Gram matrix and explicit residual, error below 1e-6.
+covariance's diagonal. Measured here in float64: fit by the Gram matrix and explicit residual, error below 1e-6.
 """
 
 from collections.abc import Mapping
@@ -88,7 +88,7 @@ class Padim:
         if len(elsewhere):
             arrays |= {"elsewhere": elsewhere, **shared}
         if len(elsewhere) or parameters.block > 1:
-            # Cells at the edge of a grid that blocks do not fill stand twice in `locations`; either place will do.
+            # Where blocks do not fill a grid, cells at its edge are twice in `locations`; both copies are equal.
             everywhere = np.concatenate([locations, elsewhere])
             arrays |= {"locations": locations, "order": np.unique(everywhere, return_index=True)[1]}
         packing = _packing(arrays, parameters, _loses_in_halves(embedding, descriptors, nominal))
@@ -128,7 +128,7 @@ class Padim:
         return parameters.smoothing(grid, embedding.cells).score_maps(raw)
 
     def head(self, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
-        """Taps and bank in; score_map, score and raw_map out. How many directions there are is free."""
+        """Taps and bank in; score_map, score and raw_map out. The number of directions is free."""
         return padim_head(self.name, grid, bank, parameters)
 
 
@@ -138,11 +138,11 @@ padim = Padim()
 def _affordable(
     embedding: Embedding, covariances: int, grid: Grid, parameters: PadimParameters
 ) -> int | None:
-    """The rank asked for, or the largest with which the bank stays within its megabytes; at least 1."""
+    """The requested rank, or the largest with which the bank stays within `bank_mb`; at least 1."""
     if parameters.rank is None or parameters.bank_mb is None:
         return parameters.rank
     itemsize = {"none": 4, "float16": 2, "int8": 1}[parameters.packing]
-    # Besides a direction's components: its weight, and with int8 its scale, float32 each.
+    # In addition to a direction's components: its weight, and with int8 its scale, float32 each.
     direction = covariances * (embedding.width * itemsize + 4 + 4 * (parameters.packing == "int8"))
     means = embedding.count * embedding.width * (4 if parameters.packing == "none" else 2)
     left = bank_bytes(parameters.bank_mb, grid) - means
@@ -160,7 +160,7 @@ def _fit_local(
             found = _of_blocks(descriptors, here, parameters)
         else:
             found = spectrum(descriptors.at(here[:, 0]), parameters.rank)
-        rank = max(found.values.shape[1], 1)  # a single press has no direction: one of zeros stands in
+        rank = max(found.values.shape[1], 1)  # a single press has no direction: one of zeros is used
         values = np.zeros((len(here), rank))
         rows = np.zeros((len(here), rank, found.mean.shape[-1]))
         values[:, : found.values.shape[1]], rows[:, : found.values.shape[1]] = found.values, found.basis
@@ -175,7 +175,7 @@ def _of_blocks(descriptors: Embedded, cells: NDArray[np.int64], parameters: Padi
     """The means (m, k, d) of each cell of blocks (m, k), and the eigenpairs of each block's covariance.
 
     A cell's samples are those of its neighbourhood, 9n with neighbours; a block's covariance is the mean of its
-    cells', made from the moments of single cells. At a border, of a tile too, the cell there stands for the one beyond.
+    cells', made from the moments of single cells. Cells at a border, also of a tile, are repeated beyond it.
     """
     embedding = descriptors.embedding
     near = neighbourhood(cells.ravel(), embedding.cells, layout(embedding.grid), parameters.neighbours)
@@ -206,7 +206,7 @@ def _fit_shared(
 ) -> dict[str, NDArray[np.float32]]:
     """One covariance for all cells that no press touches, around each cell's own mean.
 
-    What is seen there, in the presses and in the frames without contact alike, is the untouched gel.
+    Presses and frames without contact show the untouched gel there.
     mean (cells, d), shared_basis (r, d), shared_weights (r,).
     """
     sources = [pressed]
@@ -234,18 +234,17 @@ def _fit_shared(
 SHARED_RANK = 32
 
 
-# Halves must not move a press by more than this part of what nominal presses differ by. The shipped trunk stays below
-# 0.003; features of 1e4 that vary by 0.3 are moved by 13 times that, and copies of one press vary by nothing.
+# Float16 must not change a press by more than this part of the difference between nominal presses. The shipped trunk
+# stays below 0.003; features of 1e4 that vary by 0.3 change by 13 times that, and copies of one press do not vary.
 MOST_MOVED = 0.05
-# Cells that tell it.
+# Cells on which it is measured.
 MEASURED_CELLS = 512
 
 
 def _loses_in_halves(embedding: Embedding, descriptors: Embedded, nominal: Nominal) -> bool:
-    """Whether means and projections stored as float16 would move a press as far as to count.
+    """Whether means and projections stored as float16 would change a press too much.
 
-    Half precision keeps a part of a number, so the error grows with the means while the deviations that are scored may
-    be small beside them, or none.
+    The error of half precision is relative to the means, and the scored deviations may be much smaller than these.
     """
     cells = np.unique(np.linspace(0, embedding.count - 1, MEASURED_CELLS).astype(np.int64))
     x = descriptors.at(cells)
@@ -262,7 +261,7 @@ def _loses_in_halves(embedding: Embedding, descriptors: Embedded, nominal: Nomin
 
 
 def _half(array: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The array after storage as float16, which takes a power of two out."""
+    """The array after storage as float16, which divides by a power of two."""
     top = float(np.abs(array).max(initial=0.0)) or 1.0
     with np.errstate(under="ignore"):
         stored: NDArray[np.floating] = (array / top).astype(np.float16).astype(
@@ -274,7 +273,7 @@ def _half(array: NDArray[np.floating]) -> NDArray[np.floating]:
 def _packing(
     arrays: Mapping[str, NDArray[Any]], parameters: PadimParameters, loses_in_halves: bool
 ) -> dict[str, Packing]:
-    """The eigenvectors as asked; means and projections as float16 at least (their errors do not average out)."""
+    """The eigenvectors as requested; means and projections as float16 at least (their errors do not average out)."""
     if parameters.packing == "none":
         return {}
     fine: dict[str, Packing] = {
@@ -288,7 +287,7 @@ def _facts(
 ) -> dict[str, Any]:
     warnings = []
     if nominal.presses == 1:
-        warnings.append("a single nominal press has no covariance: every deviation counts alike")
+        warnings.append("a single nominal press has no covariance: every deviation counts the same")
     warnings += embedding.warnings
     affordable = _affordable(embedding, len(arrays["basis"]), embedding.grid, parameters)
     if affordable is not None and arrays["basis"].shape[1] == affordable < (parameters.rank or 0):

@@ -1,4 +1,4 @@
-"""PaDiM's graph: descriptors less their means, and the two terms of their Mahalanobis distance."""
+"""PaDiM's graph: descriptors minus their means, and the two terms of their Mahalanobis distance."""
 
 from edge.core.detector import Bank, Grid
 from plugins.detectors.common.embedding import Embedding
@@ -10,7 +10,7 @@ __all__ = ["padim_head"]
 
 
 def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
-    """The serialised head of a bank; how many directions there are is free."""
+    """The serialised head of a bank; the number of directions is free."""
     arrays, embedding = bank.arrays, Embedding(parameters.embedding, grid, bank.arrays)
     graph = Graph(name)
     count, width = embedding.count, embedding.width
@@ -42,7 +42,7 @@ def _squared(graph: Graph, delta: Value, basis: Value, weights: Value, count: in
     """Squared distances (n, m * count) of delta (n, m * count, d): each block of `count` cells under its own basis
     (m, r, d) and weights (m, r).
 
-    One small matrix product per press and block, whatever n is: so a press scores the same alone and in a batch.
+    One small matrix product per press and block for every n: so a press has the same score alone and in a batch.
     """
     shape = graph.op("Concat", graph.ints(0, -1, count), graph.op("Shape", basis, start=2), axis=0)
     rows = graph.op("Reshape", delta, shape)
@@ -60,7 +60,7 @@ def _squared_shared(graph: Graph, delta: Value, basis: Value, weights: Value, ri
 
 
 def _sum(graph: Graph, along: Value, weights: Value, off: Value, ridge: float, *axes: int) -> Value:
-    """Weighted squares on the span plus squares off it by the ridge: never negative, and not finite stays so."""
+    """Weighted squares on the span plus squares off it by the ridge: never negative; inf and NaN stay."""
     weighted = graph.op("Mul", graph.op("Mul", along, along), weights)
     inside = graph.op("ReduceSum", weighted, graph.ints(*axes), keepdims=0)
     outside = graph.op("ReduceSumSquare", off, graph.ints(*axes), keepdims=0)

@@ -54,4 +54,4 @@ REPAIRS = (
     "is_touched_only",
     "sigma_unit",
 )
-"""What `corrected` does otherwise than the publication, apart from the operating point (taps, channels, rank)."""
+"""The switches in which `corrected` differs from the publication; taps, channels and rank are operating points."""

@@ -13,7 +13,7 @@ __all__ = ["PadimParameters"]
 
 
 class PadimParameters(Parameters):
-    """The parameters of PaDiM. docs/detectors.md has what each was measured at."""
+    """The parameters of PaDiM. docs/detectors.md has the measured results of each."""
 
     taps: tuple[str, ...] = Field(
         default=("layer1",), description="the taps that make a descriptor, in this order"
@@ -54,7 +54,7 @@ class PadimParameters(Parameters):
         default=True, description="cells that no nominal press touches share one Gaussian"
     )
     margin_mm: float = Field(
-        default=1.0, ge=0, description="what lies this near to a touched pixel counts as touched"
+        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
     )
     sigma: float = Field(default=0.19, ge=0, description="the blur, in `sigma_unit`")
     sigma_unit: Unit = Field(
@@ -64,7 +64,7 @@ class PadimParameters(Parameters):
     bank_mb: float | None = Field(
         default=16.0,
         gt=0,
-        description="a stated rank is lowered to stay within this size at 224x224 (four times as much for large "
+        description="a given rank is lowered to stay within this size at 224x224 (four times as much for large "
         "frames); null: no limit",
     )
 
@@ -87,7 +87,7 @@ class PadimParameters(Parameters):
 
     @property
     def total_ridge(self) -> float:
-        """What a score is computed with."""
+        """The dtype in which a score is computed."""
         return self.ridge
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:

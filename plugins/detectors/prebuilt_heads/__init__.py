@@ -1,8 +1,8 @@
 """Heads that come with the product, so that a fit with the usual settings needs no onnx package.
 
-`index.json` says of each graph what it was written for: the detector, its parameters, the grid, and the bank's
-arrays with the sizes that the graph fixes (a number) or leaves open (a name; equal names are equal sizes). A head is
-taken only where all of it fits; `make heads` writes them again.
+For each graph `index.json` has the detector, its parameters, the grid, and the bank's arrays. The graph fixes a size of
+an array (a number) or leaves it open (a name; equal names are equal sizes). A head is used only where everything
+matches; `make heads` writes them again.
 """
 
 import json
@@ -29,7 +29,7 @@ __all__ = [
 
 INDEX = "index.json"
 PREBUILT_FRAMES = ((224, 224), (240, 320))
-"""(h, w) of the frames that heads ship for: the default region at low resolution, and the whole picture."""
+"""(h, w) of the frames that heads ship for: the default region at low resolution, and the complete picture."""
 
 FORMAT = 1
 _HEADS = resources.files("plugins.detectors.prebuilt_heads")
@@ -93,12 +93,12 @@ def identity(detector: Detector) -> str:
 
 
 def written_parameters(parameters: Parameters) -> dict[str, Any]:
-    """Parameters as the index has them."""
+    """Parameters in the form of the index."""
     return parameters.model_dump(mode="json")
 
 
 def written_grid(grid: Grid) -> dict[str, Any]:
-    """A grid without tiles as the index has it. A millionth of a pixel per mm is rounding."""
+    """A grid without tiles in the form of the index. A millionth of a pixel per mm is rounding."""
     return {
         "frame": list(grid.frame),
         "taps": {tap: list(shape) for tap, shape in grid.taps.items()},
@@ -108,7 +108,7 @@ def written_grid(grid: Grid) -> dict[str, Any]:
 
 @cache
 def load_index() -> tuple[PrebuiltHead, ...]:
-    """Every head that ships; none where the index is missing or of another format."""
+    """Every head that ships; none where the index is missing or has another format."""
     try:
         written = json.loads(_HEADS.joinpath(INDEX).read_text())
     except (OSError, ValueError):

@@ -1,14 +1,13 @@
 """SPADE: the press is compared with its most similar nominal presses, place by place and at several scales.
 
-Definition (Cohen and Hoshen, "Sub-image anomaly detection with deep pyramid correspondences", 2020): the K nominal
-presses whose global descriptor is nearest give the gallery; a cell's score at one layer is its distance to the nearest
-gallery cell of that layer; layers are averaged in pixels and blurred once. Read against byungjae89/SPADE-pytorch
+Definition (Cohen and Hoshen, "Sub-image anomaly detection with deep pyramid correspondences", 2020). The K nominal
+presses with the nearest global descriptors are the gallery. A cell's score at one layer is its distance to the nearest
+gallery cell of that layer. Layers are averaged in pixels and blurred once. Read against byungjae89/SPADE-pytorch
 @077c67b and the seed paper's scripts.
 
-`paper` is that as the seed paper's scripts run it: every gallery position allowed, descriptors of unit length.
-`corrected` looks at the finest layer as it is and only near the own place, keeps leading
-principal directions and as many presses as the bank's size allows, none of them where no press touches, and scores a
-press by its map.
+`paper` is this definition as the seed paper's scripts run it: every gallery position allowed, descriptors of unit
+length. `corrected` uses the finest layer without averaging, searches only near the same place and scores a press by its
+map. It keeps leading principal directions and as many presses as the bank's size allows, without untouched cells.
 """
 
 import math
@@ -39,11 +38,11 @@ from plugins.detectors.spade.window import Tables, window_nearest
 
 __all__ = ["SpadeParameters", "spade"]
 
-# Cells that a layer's leading directions are learnt from at most.
+# The most cells from which a layer's leading directions are learnt.
 SAMPLES = 4096
 EVERY = slice(None)
-# Cells, in whole presses of them, that tell how far apart nominal presses are at each layer: 12 presses of layer1 at
-# 224x224, but two at least.
+# Cells, in complete presses, on which the distance between nominal presses is measured at each layer: 12 presses of
+# layer1 at 224x224, but two at least.
 SCALE_CELLS = 12 * 56 * 56
 
 
@@ -60,7 +59,7 @@ class Spade:
         return choose(self.name, PAPER if mode == "paper" else SpadeParameters(), PAPER, overrides)
 
     def taps(self, parameters: SpadeParameters) -> tuple[str, ...]:
-        """The layers, and `avgpool` where it is asked for by name."""
+        """The layers, and `avgpool` where it is requested by name."""
         return (*parameters.layers, "avgpool") if parameters.descriptor == "avgpool" else parameters.layers
 
     def fit(
@@ -72,8 +71,8 @@ class Spade:
         progress: Progress,
     ) -> Bank:
         """Store the presses. Arrays per layer: `<tap>_bank` (presses, cells, width), `<tap>_mean`, `<tap>_basis`,
-        `<tap>_weight`, `<tap>_floor`; for the whole press: `press_descriptors` (presses, d), `press_mean`. Where some
-        cells are touched by no press: int64 `<tap>_cells` and `<tap>_gel_cells`, those with rows and the others,
+        `<tap>_weight`, `<tap>_floor`; for the complete press: `press_descriptors` (presses, d), `press_mean`. Where no
+        press touches some cells: int64 `<tap>_cells` and `<tap>_gel_cells`, those with rows and the others,
         `<tap>_gel` (cells, width), `<tap>_gel_weight` (1,), and the search's tables `<tap>_queries`, `<tap>_reached`
         and `<tap>_order` (h * w,). Errors: FitError.
         """
@@ -107,7 +106,7 @@ class Spade:
                 arrays |= {
                     f"{tap}_{name}": table for name, table in _tables(stored[tap], grid, tap, p).items()
                 }
-                # Never coarser than halves: their errors do not average out.
+                # At least float16: their errors do not average out.
                 packing[f"{tap}_gel"] = "none" if p.packing == "none" else "float16"
             usual = _nominal_distance(arrays, tap, grid, p)
             if len(gel):
@@ -162,7 +161,7 @@ class Spade:
 
 
 def _facts(kept: NDArray[np.intp], presses: int, start: int, p: SpadeParameters) -> dict[str, Any]:
-    """What is said of the whole bank; of its layers more is added."""
+    """The facts of the complete bank, to which those of its layers are added."""
     left_out = f"{len(kept)} of {presses} presses fit into bank_mb; the others are left out (k-centre)"
     return {
         "presses": kept.tolist(),
@@ -183,7 +182,7 @@ def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.
 
 
 def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
-    """A layer on the cells on which it is compared, tiles one under the other: (n, c, tiles * h, w)."""
+    """A layer averaged to the cells that are compared, tiles one under the other: (n, c, tiles * h, w)."""
     matrices = p.averaging(grid, tap)
     if matrices is None:
         return stacked(layer, grid)
@@ -209,11 +208,11 @@ def _affordable(
     for number, tap in enumerate(p.layers):
         channels, rows = grid.taps[tap][0], int(stored[tap].sum())
         width = min(p.dims[number] + 1, channels) if p.dims else channels
-        # Besides the rows: mean, basis, floor, weights.
+        # In addition to the rows: mean, basis, floor, weights.
         fixed += 4 * (channels * width + channels + 3)
         press += rows * (width * per_number + per_row)
         gel = len(stored[tap]) - rows
-        # Four bytes a number at most for the free gel, and the tables.
+        # At most four bytes per number for the free gel, and the tables.
         fixed += (
             4 * width * gel + sum(table.nbytes for table in _tables(stored[tap], grid, tap, p).values())
             if gel
@@ -228,7 +227,7 @@ def _affordable(
 def _tables(
     stored: NDArray[np.bool_], grid: Grid, tap: str, p: SpadeParameters
 ) -> dict[str, NDArray[np.int64]]:
-    """What the search of a layer with some untouched cells is told. See `Spade.fit`."""
+    """The tables for the search of a layer with some untouched cells. See `Spade.fit`."""
     tables = Tables.of(p.blocks(grid, tap), np.flatnonzero(stored))
     order = np.empty(len(stored), np.int64)
     order[stored] = tables.back
@@ -247,7 +246,7 @@ def _fit_layer(
     """The arrays of one layer from its nominal features (n, c, h, w). cells: flat, those that keep rows."""
     arrays: dict[str, NDArray[Any]] = {}
     if p.is_normalised:
-        # All-zero features have no length; any positive number then leaves them at zero.
+        # All-zero features have no length; with any positive number they stay zero.
         floor_length = max(steps_of(p).length_floor(layer), np.finfo(np.float32).tiny)
         arrays[f"{tap}_floor"] = np.array([floor_length], np.float32)
     floor = arrays.get(f"{tap}_floor")
@@ -274,7 +273,7 @@ def _fit_gel(
     tap: str,
     p: SpadeParameters,
 ) -> float:
-    """Adds `<tap>_gel`, and gives how far nominal frames lie from it. pressed: the layer of the kept presses."""
+    """Adds `<tap>_gel`, and returns how far nominal frames are from it. pressed: the layer of the kept presses."""
     gel = arrays[f"{tap}_gel_cells"]
     frames = [np.stack([rows[gel] for rows in _rows(pressed, tap, arrays)])]
     if nominal.no_contact is not None:
@@ -308,7 +307,7 @@ def _distances(
     grid: Grid,
     p: SpadeParameters,
 ) -> NDArray[np.float64]:
-    """Distances (tiles, h, w) of one press's descriptors to the gallery, or to the free gel where none touches."""
+    """Distances (tiles, h, w) of one press's descriptors to the gallery, or to the free gel in untouched cells."""
     found = _search(rows, presses, arrays, tap, grid, p)
     if f"{tap}_gel" in arrays:
         gel = arrays[f"{tap}_gel_cells"]
@@ -326,8 +325,8 @@ def _search(
     grid: Grid,
     p: SpadeParameters,
 ) -> NDArray[np.float64]:
-    """Distances (tiles, h, w) from one press's descriptors (cells, width) to the gallery of the named presses; of no
-    meaning at cells without rows."""
+    """Distances (tiles, h, w) from one press's descriptors (cells, width) to the gallery of the named presses. They
+    have no meaning at cells without rows."""
     h, w = p.cells(grid, tap)
     tiles = rows.reshape(-1, h, w, rows.shape[1])
     gallery = arrays[f"{tap}_bank"][presses]

@@ -50,8 +50,8 @@ def _emit_press_order(
     for tap in p.descriptor_taps(grid):
         down, across = (np.asarray(matrix, np.float32) for matrix in p.regions_of(grid, tap))
         size = grid.taps[tap][0] * len(down) * len(across)
-        beside = graph.op("MatMul", taps[tap], graph.constant(np.ascontiguousarray(across.T)))
-        means.append(graph.reshape(graph.op("MatMul", graph.constant(down), beside), -1, size))
+        columns = graph.op("MatMul", taps[tap], graph.constant(np.ascontiguousarray(across.T)))
+        means.append(graph.reshape(graph.op("MatMul", graph.constant(down), columns), -1, size))
         width += size
     described = graph.op(
         "Sub",
@@ -137,8 +137,8 @@ def _emit_whole_search(
     size: tuple[int, int, int, int],
     p: SpadeParameters,
 ) -> Value:
-    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, so many rows at a time that memory stays
-    bounded. size: tiles, rows and columns of one, width."""
+    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, in slices of rows that limit the memory.
+    size: tiles, rows and columns of one, width."""
     tiles, h, w, width = size
     cells = h * w
     count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))

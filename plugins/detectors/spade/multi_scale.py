@@ -1,7 +1,6 @@
-"""Several grids of distances, one score map: each grid is smoothed by itself and they are added in pixels.
+"""Several grids of distances, one score map: each grid is smoothed alone and they are added in pixels.
 
-Adding after upsampling is the published order; it differs from adding on the finest grid by an interpolation of an
-interpolation.
+Adding after upsampling is the published order. Adding on the finest grid would interpolate twice.
 """
 
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ __all__ = ["emit_layered_scores"]
 def emit_layered_scores(
     graph: Graph, maps: Sequence[Value], smoothings: Sequence[Smoothing], score: Value | None
 ) -> None:
-    """Outputs from distances at several grids (n, rows, columns), each smoothed by itself and added in pixels.
+    """Outputs from distances at several grids (n, rows, columns), each smoothed alone and added in pixels.
 
     `raw_map` is their sum on the finest grid.
     """
@@ -33,7 +32,7 @@ def emit_layered_scores(
 
 
 def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The matrices that draw one grid on the finest, tile by tile."""
+    """The matrices that resample one grid to the finest, tile by tile."""
     tiles = (1, 1) if s.tiles is None else (len(s.tiles.rows), len(s.tiles.columns))
     rows, columns = (
         np.kron(np.eye(count), upsampling_matrix(n // count, to // count, s.upsampling)).astype(np.float64)

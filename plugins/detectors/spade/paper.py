@@ -25,11 +25,11 @@ class PublishedSpade(SpadeParameters):
 
     is_floor_relative: bool = Field(
         default=True,
-        description="the term that keeps a division by the length finite follows the nominal length; false: 1e-6",
+        description="the term that keeps a division by the length finite scales with the nominal length; false: 1e-6",
     )
     is_gallery_whole: bool = Field(
         default=True,
-        description="search every gallery cell; false: whole chunks of 100 alone, column by column, as SPADE-pytorch",
+        description="search every gallery cell; false: only full chunks of 100, column by column, as SPADE-pytorch",
     )
 
     @model_validator(mode="after")
@@ -70,7 +70,7 @@ REPAIRS = (
     "is_touched_only",
     "is_sampled",
 )
-"""The switches that set the corrected mode apart; the others are operating points."""
+"""The switches in which the corrected mode differs; the others are operating points."""
 
 
 def steps_of(p: SpadeParameters) -> Steps:
@@ -85,12 +85,12 @@ def steps_of(p: SpadeParameters) -> Steps:
 
 
 def absolute_floor(layer: NDArray[np.floating]) -> float:
-    """The same for any features, so that faint ones feel it."""
+    """The same constant for all features, which changes faint ones."""
     return LENGTH_FLOOR
 
 
 def whole_chunks(gallery: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The gallery (presses, h, w, c) column by column, without what the last whole chunk leaves over: (m, c).
+    """The gallery (presses, h, w, c) column by column, without the cells after the last complete chunk: (m, c).
 
     A gallery smaller than one chunk is kept.
     """

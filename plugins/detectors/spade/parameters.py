@@ -1,4 +1,4 @@
-"""The parameters of SPADE, and what they mean on a grid: cells, windows, averages and blurs."""
+"""The parameters of SPADE, and their values on a grid: cells, windows, averages and blurs."""
 
 import math
 from typing import Literal, Self
@@ -18,17 +18,17 @@ __all__ = ["SpadeParameters"]
 
 
 class SpadeParameters(Parameters):
-    """The parameters of SPADE. docs/detectors.md has what each was measured at."""
+    """The parameters of SPADE. docs/detectors.md has the measured results of each."""
 
     layers: tuple[str, ...] = Field(
         default=("layer1",), description="the taps that are compared, finest first"
     )
     descriptor: Literal["auto", "avgpool", "means"] = Field(
         default="auto",
-        description="what describes a press: the tap `avgpool`, the spatial means of the layers, or the first of these "
-        "that the trunk gives",
+        description="the descriptor of a press: the tap `avgpool`, the spatial means of the layers, or the first "
+        "of these that the trunk gives",
     )
-    regions: int = Field(default=4, ge=1, description="the means are of a grid of this many regions a side")
+    regions: int = Field(default=4, ge=1, description="the means are of this many regions along each side")
     image_neighbours: int = Field(
         default=5, ge=1, description="presses over which the score of a press is averaged"
     )
@@ -43,7 +43,7 @@ class SpadeParameters(Parameters):
     )
     dims: tuple[int, ...] = Field(
         default=(47,),
-        description="leading directions kept at each layer, besides the length of the rest; empty: all",
+        description="leading directions kept at each layer, in addition to the length of the rest; empty: all",
     )
     is_normalised: bool = Field(default=False, description="divide each descriptor by its length")
     is_balanced: bool = Field(
@@ -58,7 +58,7 @@ class SpadeParameters(Parameters):
         description="cells that no nominal press touches keep no rows and are compared with the free gel's mean",
     )
     margin_mm: float = Field(
-        default=1.0, ge=0, description="what lies this near to a touched pixel counts as touched"
+        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
     )
     sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
     sigma_unit: Unit = Field(
@@ -85,12 +85,12 @@ class SpadeParameters(Parameters):
         return self
 
     def descriptor_taps(self, grid: Grid) -> tuple[str, ...]:
-        """The taps whose spatial means describe a whole press (`avgpool` is its own mean)."""
+        """The taps whose spatial means describe a complete press (`avgpool` is its own mean)."""
         pooled = self.descriptor == "avgpool" or (self.descriptor == "auto" and "avgpool" in grid.taps)
         return ("avgpool",) if pooled else self.layers
 
     def regions_of(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The matrices (regions, rows) and (regions, columns) that average a whole tap over its regions."""
+        """The matrices (regions, rows) and (regions, columns) that average a tap over its regions."""
         down, across = (
             np.stack([np.isin(np.arange(size), part) / len(part) for part in parts])
             for size in grid.taps[tap][1:]
@@ -105,7 +105,7 @@ class SpadeParameters(Parameters):
         if not self.cell_mm:
             return h, w
         own_mm = min(tile.frame[0] / h, tile.frame[1] / w) / grid.pixels_per_mm
-        # A hair below a power of two is one.
+        # Slightly below a power of two is rounding.
         side = 2 ** max(0, math.floor(math.log2(self.cell_mm / own_mm) + 0.01))
         return -(-h // side), -(-w // side)
 
@@ -127,7 +127,7 @@ class SpadeParameters(Parameters):
             return None
         own = self.cells(grid, tap)
         cell_px = min(size / cells for size, cells in zip(tile_grid(grid).frame, own, strict=True))
-        # A hair under a whole number of cells must not become one cell more.
+        # Slightly more than an integer number of cells must not become one cell more.
         cells = math.ceil(self.window_mm * grid.pixels_per_mm / cell_px - 1e-6)
         return cells if cells < max(own) else None
 
@@ -135,7 +135,7 @@ class SpadeParameters(Parameters):
         """The blocks in which a layer is searched. Errors: ValueError where it has no window."""
         window = self.window(grid, tap)
         if window is None:
-            raise ValueError(f"'{tap}' is searched as a whole; blocks need a window")
+            raise ValueError(f"'{tap}' is searched without a window; blocks need a window")
         return Blocks(self.cells(grid, tap), window, math.prod(layout(grid)))
 
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:

@@ -16,9 +16,9 @@ LENGTH_FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class Steps:
-    """length_floor: layer (n, c, h, w) to what is added to a length before dividing by it. gallery: (presses, h, w, c)
-    to the rows (m, c) that are searched where there is no window. emit_gallery: the same in a graph, of
-    (m, presses * h * w, c) with (h, w, c)."""
+    """length_floor: layer (n, c, h, w) to the number added to a length before the division by it. gallery:
+    (presses, h, w, c) to the rows (m, c) that are searched where there is no window. emit_gallery: the same in a graph,
+    of (m, presses * h * w, c) with (h, w, c)."""
 
     length_floor: Callable[[NDArray[np.floating]], float]
     gallery: Callable[[NDArray[np.floating]], NDArray[np.floating]]

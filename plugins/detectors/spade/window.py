@@ -1,8 +1,8 @@
 """The nearest row of a few presses within a window around each cell, block by block.
 
-Cells that lie together share most of their windows, so a block of them is compared with everything that the windows of
-the block reach, in one product; what lies outside a cell's own window is then forbidden. The rules are those of
-`shortlist`: centred rows, the winner measured again, plain distances.
+Neighbouring cells share most of their windows. So one product compares a block of cells with all cells that the windows
+of the block reach; cells outside a cell's own window are then forbidden. The rules are those of `batched_nearest`:
+centred rows, the distance of the winner computed again, plain distances.
 """
 
 import math
@@ -18,10 +18,10 @@ __all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]
 
 # Cells along one side of a block, at most.
 MOST_SIDE = 10
-# What a number of a gathered row costs, in products of a number with one query's: measured on two cores with
-# onnxruntime 1.31. Small blocks gather every cell many times, large ones compare with many cells in vain.
+# The cost of gathering one number of a row, in multiplications with one query: measured on two cores with
+# onnxruntime 1.31. Small blocks gather every cell many times, large ones compare with many cells outside the windows.
 GATHER_COST = 12
-# Numbers gathered at once (8 MB: 4 and 16 took a twentieth longer behind a trunk), unless that makes more parts.
+# Numbers gathered at once (8 MB: 4 and 16 took 5 % longer after a trunk), unless that makes more parts.
 GATHERED, PARTS = 2**21, 16
 # ONNX's number for float32.
 _FLOAT = 1
@@ -30,9 +30,9 @@ _FLOAT = 1
 class Blocks:
     """A grid of cells cut into blocks, each with the cells that its window reaches.
 
-    cells: (h, w). window: how many cells a query may look away from its own, in both directions. Cells beyond the
-    edge are clamped onto it: clamping never brings a cell into a window that it was outside of, and a cell met
-    twice changes no nearest distance. tiles: so many such grids, one after the other, none reaching into another.
+    cells: (h, w). window: the distance in cells that a query may search from its own, in both directions. Cells beyond
+    the edge are clamped to it. Clamping never moves a cell into a window from outside, and a repeated cell changes no
+    nearest distance. tiles: the number of such grids, one after the other, none reaching into another.
     """
 
     def __init__(self, cells: tuple[int, int], window: int, tiles: int = 1) -> None:
@@ -64,7 +64,7 @@ class Blocks:
         return np.where(allowed.reshape(count, -1), 0.0, FORBIDDEN).astype(np.float32)
 
     def step(self, numbers: int) -> int:
-        """How many blocks to search at once where a cell has so many numbers in a gallery."""
+        """How many blocks to search at once, for the numbers that a cell has in a gallery."""
         reached = int(self.gallery().shape[1]) * numbers
         count = self.tiles * math.prod(self.count)
         wanted = max(GATHERED // reached, -(-count // PARTS))
@@ -83,7 +83,7 @@ class Blocks:
 
 
 def _cost(cells: tuple[int, int], side: int, window: int) -> int:
-    """Blocks of that side, in products."""
+    """The cost of blocks of a side, in multiplications."""
     sides = [min(side, n) for n in cells]
     blocks = math.prod(-(-n // s) for n, s in zip(cells, sides, strict=True))
     reached = math.prod(s + 2 * window for s in sides)
@@ -92,8 +92,8 @@ def _cost(cells: tuple[int, int], side: int, window: int) -> int:
 
 class Tables(NamedTuple):
     """The blocks of the cells of which rows are stored. queries: int64 (blocks, q), flat cells. reached: int64
-    (blocks, r), numbers of stored rows, or how many there are where a cell has none. back: int64 (stored,), where each
-    stored cell stands in the flattened queries."""
+    (blocks, r), indices of stored rows, or their number where a cell has none. back: int64 (stored,), the index of each
+    stored cell in the flattened queries."""
 
     queries: NDArray[np.int64]
     reached: NDArray[np.int64]
@@ -108,7 +108,7 @@ class Tables(NamedTuple):
         queries, reached = blocks.queries(), blocks.gallery()
         is_searched = (number[queries] < len(stored)).any(axis=1)
         queries, reached = queries[is_searched], number[reached[is_searched]]
-        # A cell that its block repeats at the border is taken where it stands first.
+        # Of a cell that its block repeats at the border the first copy is used.
         asked, first = np.unique(queries, return_index=True)
         return cls(queries, reached, first[np.searchsorted(asked, stored)])
 
@@ -124,11 +124,11 @@ def emit_window_nearest(
 ) -> Value:
     """Plain distances (n, blocks * q) from the descriptors of each block's cells to the gallery's in their windows.
 
-    rows: (n, cells, width). presses: (m, stored, width), all that there are. gallery: int64 (n, k), which of them.
+    rows: (n, cells, width). presses: (m, stored, width), all of the bank. gallery: int64 (n, k), which of them.
     tables: `queries` and `reached` of Tables, as values. size: width, and the most presses in a gallery. The product
-    chooses the row, which is measured: where it takes one row for another, the distance is off by the root of its
-    rounding, 3e-4 of the centred rows' length at most. Measured on simulated and real presses: that length is 5 times
-    the distance in the median and 55 times at most, so the error stays below a hundredth, mostly far below.
+    chooses the row, whose distance is computed again. If it picks a wrong row, the distance is off by the root of its
+    rounding, 3e-4 of the centred rows' length at most. On simulated and real presses that length is 5 times the
+    distance in the median and 55 times at most, so the error stays below 1 %, mostly far below.
     """
     width, most = size
     chosen = graph.op("Gather", presses, gallery, axis=0)
@@ -146,7 +146,7 @@ def emit_window_nearest(
 
 
 class _Search:
-    """The nodes that every part of a search shares: the gallery's rows end to end, and their half squared lengths."""
+    """The nodes shared by every part of a search: the gallery's concatenated rows, and their half squared lengths."""
 
     def __init__(self, graph: Graph, rows: Value, chosen: Value, blocks: Blocks, width: int) -> None:
         """chosen: the gallery's rows (n, k, stored, width)."""
@@ -165,7 +165,7 @@ class _Search:
         self.first = graph.op("Mul", graph.op("Reshape", numbers, batch), self.stored)
 
     def closest(self, queries: Value, reached: Value) -> Value:
-        """Where the closest row stands in the galleries' rows end to end, int64 (n, blocks, q), for some blocks."""
+        """The index of the closest row in the galleries' concatenated rows, int64 (n, blocks, q), for some blocks."""
         graph = self.graph
         asked = graph.op("Gather", self.rows, queries, axis=1)
         # |query - row|^2 falls as query . row - |row|^2 / 2 rises.
@@ -211,7 +211,7 @@ class _Search:
         return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
 
     def _shaped(self, value: Value, *sizes: Value) -> Value:
-        """The sizes in place of what follows the presses and the blocks, which may be none."""
+        """The sizes after the presses and the blocks, which may be none."""
         shape = self.graph.op("Concat", self.graph.ints(0, 0), *sizes, axis=0)
         return self.graph.op("Reshape", value, shape)
 
