@@ -59,6 +59,17 @@ def test_frames_keep_the_films_times(tmp_path: Path) -> None:
     assert recording.header.mode == (320, 240)
 
 
+def test_uneven_times_are_kept(tmp_path: Path) -> None:
+    """A film whose frames last 100, 300 and 500 ms has those times, and not those of its mean rate."""
+    animation = cv2.Animation()
+    animation.frames = [gel(0.0, (64, 48), seed) for seed in range(5)]
+    animation.durations = np.array([100, 300, 100, 500, 100])
+    assert cv2.imwriteanimation(str(tmp_path / "uneven.png"), animation)
+    record_video(tmp_path / "out", film_of(tmp_path / "uneven.png"), size=None, product="p", serial="s")
+    times_ms = np.array(Recording.open(tmp_path / "out").times_ns()) / 1e6
+    assert times_ms == pytest.approx([0, 100, 400, 500, 1000])
+
+
 def test_the_presses_of_a_film_are_seen(tmp_path: Path) -> None:
     """With a profile the recording is looked through at the end."""
     said, error = gelgate(
