@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = [
     *(f"calibration/{room}" for room in ("simulator", "training", "benchmark", "metrics")),
     *("plugins/devices/uvc", "plugins/devices/v4l2", "plugins/devices/virtual", "plugins/backbones"),
-    *("plugins/detectors", "tests/detectors", "tests/hazards"),
+    *("plugins/detectors", "docs/detectors.md", "tests/detectors", "tests/hazards"),
     *("edge/core/imaging", "edge/model", "edge/recording", "firmware_notes", "docs/decisions"),
     *("edge/cli", "edge/store", "edge/pictures", "plugins/sinks", "plugins/conformance", "export"),
     *("calibration/dataset", "calibration/evaluate", "calibration/demo.py", "calibration/progress.py"),
