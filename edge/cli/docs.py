@@ -34,11 +34,12 @@ def docs(
 def _pages() -> Mapping[str, Path]:
     """Every page by its name without `.md`, from the source tree if there is one, else from the installation."""
     tree = Path(__file__).parents[2]
-    folders = [tree / "docs", tree / "firmware_notes"] if (tree / "docs").is_dir() else _installed()
+    roots = [tree] if (tree / "docs").is_dir() else _installed()
     found = {
-        path.relative_to(folder).with_suffix("").as_posix(): path
-        for folder in folders
-        for path in folder.rglob("*.md")
+        path.relative_to(root / room).with_suffix("").as_posix(): path
+        for root in roots
+        for room in ("docs", "firmware_notes")
+        for path in (root / room).rglob("*.md")
     }
     return dict(sorted(found.items()))
 

@@ -9,12 +9,14 @@ __all__ = ["check_played"]
 
 
 def check_played(recording: Recording, summary: Summary, status: AcquisitionStatus) -> None:
-    """Errors: PressesMissed where labels tell of another number of presses; without them, where frames were dropped.
+    """Errors: PressesMissed where the labels give another number of presses.
 
-    A run that was stopped before the recording's end proves nothing and passes.
+    Without labels: where frames were dropped, or no press was seen at all. A run that was stopped before the
+    recording's end proves nothing and passes.
     """
     held = recording.presses()
-    if not summary.has_ended or (held is None and not status.dropped) or held == summary.presses:
+    is_unknown = held is None and summary.presses > 0 and not status.dropped
+    if not summary.has_ended or is_unknown or held == summary.presses:
         return
     found = (
         f"how many presses it holds is not known and the run saw {summary.presses}"
@@ -25,6 +27,7 @@ def check_played(recording: Recording, summary: Summary, status: AcquisitionStat
         f"{status.dropped} of its {status.frames} frames were dropped because nobody took them in time; "
         "play it with pace = 0"
         if status.dropped
-        else "no frame was dropped; `gelgate run -v` says what contact made of them"
+        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` says what contact made of each frame"
     )
-    raise PressesMissed(f"recording {recording.folder}: {found}; {why}")
+    cut = "; its index ends in the middle of a line, so the end of it is lost" if recording.is_cut else ""
+    raise PressesMissed(f"recording {recording.folder}: {found}; {why}{cut}")

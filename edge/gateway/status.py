@@ -43,6 +43,7 @@ class StationStatus:
         self._started_ns = clock.monotonic_ns()
         self._lock = threading.Lock()  # the reader thread tells of the sensor, the loop of everything else
         self._faults: dict[str, str] = {}
+        self._raised: set[str] = set()
         self._waiting_for: str | None = None
         self._is_stopped = False
         self._said: tuple[str, str | None] | None = None
@@ -106,12 +107,18 @@ class StationStatus:
         )
 
     def alarm(self, alarm: str, text: str, severity: Literal["warning", "error"] = "error") -> None:
-        """Something that a person should look at."""
+        """Something that a person should look at. The log has it once, until it is cleared."""
+        if (
+            alarm not in self._raised and alarm not in self._faults
+        ):  # a fault is logged by the one who found it
+            log.warning("alarm %s: %s", alarm, text)
+        self._raised.add(alarm)
         payload = AlarmPayload(time_ns=self._clock.time_ns(), alarm=alarm, text=text, severity=severity)
         self._announce(alarm_message(payload))
 
     def clear(self, alarm: str) -> None:
         """It is over."""
+        self._raised.discard(alarm)
         self._announce(alarm_cleared(alarm))
 
     def gel(self, gel: GelRecord) -> None:

@@ -98,12 +98,23 @@ def test_what_a_run_on_labelled_presses_must_have_seen(
 
 
 def test_without_labels_a_dropped_frame_is_a_doubt(tmp_path: Path) -> None:
-    """What the recording holds is not known: a run that took every frame passes, one that dropped some does not."""
+    """What the recording holds is not known: a run that dropped frames fails, and so does one that saw no press."""
     folder = press_recording(tmp_path / "presses", 0)
     summary = Summary(presses=1, has_ended=True)
+    with pytest.raises(PressesMissed, match=r"the run saw 0; no frame was dropped; play it with pace 0 or 1"):
+        check_played(Recording.open(folder), Summary(has_ended=True), AcquisitionStatus(frames=28))
     check_played(Recording.open(folder), summary, AcquisitionStatus(frames=28))
     with pytest.raises(PressesMissed, match=r"not known and the run saw 1; 2 of its 28 frames were dropped"):
         check_played(Recording.open(folder), summary, AcquisitionStatus(frames=28, dropped=2))
+
+
+def test_a_recording_that_was_cut_is_named(recording: Path) -> None:
+    """Presses that the index no longer lists are not searched for in the contact rules."""
+    index = recording / "index.jsonl"
+    index.write_text(index.read_text(encoding="utf-8")[:-9], encoding="utf-8")
+
+    with pytest.raises(PressesMissed, match="its index ends in the middle of a line"):
+        check_played(Recording.open(recording), Summary(has_ended=True), AcquisitionStatus(frames=90))
 
 
 def test_the_demo_fails_when_it_missed_a_press(tmp_path: Path, crowded: Path, bundle: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 import tiny
 from small_recordings import FakeClock
 
@@ -68,6 +69,18 @@ def test_a_fault_that_lasts_is_said_once() -> None:
 
     assert [status.set_fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
     assert heard.reasons == ["full", "read-only"]
+
+
+def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
+    """Who reads only the log learns of an overload, and not every ten seconds."""
+    status = StationStatus(Heard(), FakeClock())
+    for text in ("96 of 179 frames were dropped", "40 of 100 frames were dropped", None, "again"):
+        status.overload(text)
+
+    assert [record.getMessage() for record in caplog.records] == [
+        "alarm overload: 96 of 179 frames were dropped",
+        "alarm overload: again",
+    ]
 
 
 def test_info_says_what_the_fit_warned_of_and_what_is_promised() -> None:

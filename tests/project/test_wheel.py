@@ -78,9 +78,13 @@ def test_only_the_packages_can_be_imported(wheel_names: set[str]) -> None:
 
 
 def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
-    """Every page is below `share/doc/gelgate` of the environment, where `gelgate docs` finds it."""
-    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
-    pages |= {path.name for path in (ROOT / "firmware_notes").glob("*.md")} | {"README.md", "CHANGELOG.md"}
+    """Every page and picture is below `share/doc/gelgate` of the environment, in the folders that links name."""
+    found = [
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "docs").rglob("*.png"),
+        *(ROOT / "firmware_notes").glob("*.md"),
+    ]
+    pages = {path.relative_to(ROOT).as_posix() for path in found} | {"README.md", "CHANGELOG.md"}
     shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}
 
     assert shipped == pages
