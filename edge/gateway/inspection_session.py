@@ -23,7 +23,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press_detector import PressDetector
 from edge.gateway.inspector import Inspection, Inspector
-from edge.gateway.press_pipeline import PressTaker
+from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.status import StationStatus
 from edge.store.gel_ledger import GelRecord
@@ -66,24 +66,24 @@ class InspectionSession:
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
-        self._taker = PressTaker(detector, inspector, clock, self._see)
+        self._pipeline = PressPipeline(detector, inspector, clock, self._see)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
     @property
     def has_contact(self) -> bool:
         """Whether something presses the gel."""
-        return self._taker.tracker.has_contact
+        return self._pipeline.tracker.has_contact
 
     @property
     def contact_state(self) -> str:
         """The state of the contact table, as a command's answer names it."""
-        return self._taker.tracker.state.value
+        return self._pipeline.tracker.state.value
 
     @property
     def corrupt(self) -> int:
         """Frames that arrived and could not be decoded."""
-        return self._taker.detector.corrupt
+        return self._pipeline.detector.corrupt
 
     @property
     def has_unrecorded(self) -> bool:
@@ -92,7 +92,7 @@ class InspectionSession:
 
     def feed(self, frame: CameraFrame) -> None:
         """One camera frame; a press that it decides waits to be recorded."""
-        self._add(self._taker.feed(frame))
+        self._add(self._pipeline.feed(frame))
 
     def record(self) -> Iterator[PressReport]:
         """Write what waits, oldest first. Errors: StoreError; that press and those behind it go on waiting."""
@@ -105,12 +105,12 @@ class InspectionSession:
 
     def trigger(self) -> str | None:
         """A verdict is asked for now; gives why there will be none, or None."""
-        return self._taker.trigger()
+        return self._pipeline.trigger()
 
     def relearn(self) -> None:
         """Learn the free gel again."""
         self._status.set_waiting_for(FREE_GEL)
-        self._add(self._taker.relearn())
+        self._add(self._pipeline.relearn())
 
     def see_gel(self, gel: GelRecord) -> None:
         """What the ledger says is mounted; another gel than before makes all that was learnt of the old one void."""
@@ -145,14 +145,14 @@ class InspectionSession:
 
     def _compare_light(self) -> None:
         """A free gel in another light than at the fit is named once it is learnt."""
-        learnt = self._taker.tracker.reference
+        learnt = self._pipeline.tracker.reference
         difference = foreign_start(learnt, self._at_fit) if learnt and self._at_fit else None
         if difference is not None:
             log.warning("%s", difference)
 
     def _measure_wear(self) -> None:
         """The free gel was seen: keep its picture, and compare it with the first of this gel."""
-        reference = self._taker.tracker.reference
+        reference = self._pipeline.tracker.reference
         if reference is None:
             return
         serial, gel_id = self.gel.serial, self.gel.gel_id

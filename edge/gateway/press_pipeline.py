@@ -18,10 +18,10 @@ from edge.core.press_detector import PressDetector
 from edge.core.verdict import Verdict
 from edge.gateway.inspector import Inspection, Inspector
 
-__all__ = ["PressTaker"]
+__all__ = ["PressPipeline"]
 
 
-class PressTaker:
+class PressPipeline:
     """Judges the one frame that each press gives. on_event hears every contact event."""
 
     def __init__(

@@ -20,7 +20,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press_detector import PressDetector
 from edge.gateway.inspector import Inspection
-from edge.gateway.press_pipeline import PressTaker
+from edge.gateway.press_pipeline import PressPipeline
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from plugins.devices.recorded import RecordedSensor
 
@@ -106,10 +106,10 @@ def scored_by_the_gateway(folder: Path) -> list[bytes]:
     """The gateway's own chain, from a recorded device that plays at the recorded times."""
     clock, listener = FakeClock(), Listener()
     sensor = RecordedSensor(Recording.open(folder), clock, pace=1.0, loop=False)
-    taker = PressTaker(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]
+    pipeline = PressPipeline(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]
     while True:
         try:
-            taker.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
+            pipeline.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
         except FrameCorrupt:
             continue
         except RecordingEnded:
