@@ -11,7 +11,7 @@ from edge.gateway.inspector import Inspection, Inspector
 from edge.messaging.payloads import MOST_DEFECTS, DefectPlace, ResultPayload, iso_time, press_messages
 from edge.pictures.press_picture import PressCaption, press_png
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_store import Press, Recorded, Store
+from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 
 __all__ = ["JudgedPress", "PressReport", "Recorder"]
@@ -24,7 +24,7 @@ class JudgedPress:
     result: fields of the ResultPayload but those of its place in the ledger.
     """
 
-    press: Press
+    press: PressRecord
     result: dict[str, Any]
     heatmap_png: bytes | None
 
@@ -78,10 +78,10 @@ class Recorder:
         result = made[-1] if made else _result(judged, recorded)
         return PressReport(result, recorded.gel, judged.heatmap_png)
 
-    def _press(self, inspection: Inspection) -> Press:
+    def _press(self, inspection: Inspection) -> PressRecord:
         time_ns = self._clock.time_ns()
         manifest, verdict = self._bundle.manifest, inspection.verdict
-        return Press(
+        return PressRecord(
             press_id=new_ulid(time_ns),
             time_ns=time_ns,
             serial=self._serial,
@@ -93,7 +93,7 @@ class Recorder:
             wear_index=self.wear_index,
         )
 
-    def _origin(self, press: Press) -> dict[str, Any]:
+    def _origin(self, press: PressRecord) -> dict[str, Any]:
         """Fields of a result that say what was pressed, when, where and with what."""
         return {
             "press_id": press.press_id,
@@ -109,7 +109,7 @@ class Recorder:
             "sensor_serial": press.serial,
         }
 
-    def _heatmap(self, press: Press, inspection: Inspection) -> bytes | None:
+    def _heatmap(self, press: PressRecord, inspection: Inspection) -> bytes | None:
         if inspection.rgb is None or inspection.score_map is None or press.score is None:
             return None
         caption = PressCaption(
@@ -147,7 +147,7 @@ def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
     )
 
 
-def _judgement(press: Press, inspection: Inspection) -> dict[str, Any]:
+def _judgement(press: PressRecord, inspection: Inspection) -> dict[str, Any]:
     """Fields of a result that say what became of the press, and why."""
     verdict = inspection.verdict
     rejection = verdict.rejection if verdict else None
@@ -163,7 +163,7 @@ def _judgement(press: Press, inspection: Inspection) -> dict[str, Any]:
     }
 
 
-def _ratio(press: Press) -> float | None:
+def _ratio(press: PressRecord) -> float | None:
     """None where there is no such scale."""
     if press.score is None or press.threshold is None or press.threshold <= 0:
         return None

@@ -20,7 +20,7 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import Bounds
 from edge.store.ulid import is_ulid
 
-__all__ = ["GelRecord", "MakeMessages", "Press", "Recorded", "Store"]
+__all__ = ["GelRecord", "MakeMessages", "PressRecord", "Recorded", "Store"]
 
 VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
@@ -45,7 +45,7 @@ MakeMessages = Callable[[Recorded], Sequence[Message]]
 
 
 @dataclass(frozen=True)
-class Press:
+class PressRecord:
     """One press to record.
 
     press_id: a ULID. time_ns: wall clock. serial: of the sensor. verdict: pass, fail, unsure, rejected, or error for
@@ -94,7 +94,7 @@ class Store:
     def path(self) -> Path:
         return self._database.path
 
-    def record_press(self, press: Press, make_messages: MakeMessages) -> Recorded:
+    def record_press(self, press: PressRecord, make_messages: MakeMessages) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
 
         Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
@@ -151,7 +151,7 @@ class Store:
                 outbox.put(connection, make_messages(gel), "", time_ns)
         return gel
 
-    def presses(self, limit: int = 100) -> list[tuple[Press, str]]:
+    def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
         """The newest presses, each with its gel id, newest first."""
         with self._database.reading("reading presses") as connection:
             rows = connection.execute(
@@ -159,7 +159,7 @@ class Store:
                 "ORDER BY number DESC LIMIT ?",
                 (limit,),
             ).fetchall()
-        return [(Press(*row[:8]), row[8]) for row in rows]
+        return [(PressRecord(*row[:8]), row[8]) for row in rows]
 
     def check(self) -> None:
         """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged."""
@@ -194,7 +194,7 @@ class Store:
         return gel
 
 
-def _insert(connection: sqlite3.Connection, press: Press, gel_id: str) -> int:
+def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str) -> int:
     """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
     number = connection.execute(
         "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold) "

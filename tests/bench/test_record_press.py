@@ -10,7 +10,7 @@ import pytest
 
 from edge.core.verdict import Kind
 from edge.messaging.payloads import ResultPayload, press_messages
-from edge.store.press_store import Press, Recorded, Store
+from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 
 PRESSES = 300
@@ -51,7 +51,9 @@ def test_recording_a_press(tmp_path: Path, heatmap_kb: int) -> None:
             )
             return press_messages(result, gel, picture)
 
-        store.record_press(Press(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages)  # type: ignore[arg-type]
+        store.record_press(
+            PressRecord(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages
+        )  # type: ignore[arg-type]
 
     with Store(tmp_path / "gelgate.db") as store:
         press_ms = median_ms(record)

@@ -10,7 +10,7 @@ import pytest
 from edge.cli.gel import replace, show
 from edge.core.errors import ConfigError
 from edge.store.outbox import Outbox
-from edge.store.press_store import Press, Store
+from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid
 
 T0 = 1_780_000_000 * 10**9
@@ -21,7 +21,7 @@ def database(tmp_path: Path) -> Path:
     """A ledger of one sensor with one press."""
     path = tmp_path / "gelgate.db"
     with Store(path) as store:
-        store.record_press(Press(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
+        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
     return path
 
 

@@ -4,12 +4,15 @@ import threading
 from collections.abc import Callable, Iterator
 
 import pytest
+from recorded_presses import make_press, messages_of, path, store
 
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_connection import Broker, Connection, Received
 from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
+
+__all__ = ["make_press", "messages_of", "path", "store"]  # fixtures
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
 

@@ -16,7 +16,7 @@ from edge.messaging.payloads import ResultPayload, StatePayload, press_messages,
 from edge.messaging.publisher import IDLE_S, Publisher, SinkWorker
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox
-from edge.store.press_store import Press, Recorded, Store
+from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 from plugins.sinks.mqtt import MqttSink
 
@@ -47,7 +47,7 @@ def record(store: Store, n: int) -> str:
         )
         return press_messages(result, gel, b"\x89PNG" + bytes(30_000))
 
-    store.record_press(Press(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages)  # type: ignore[arg-type]
+    store.record_press(PressRecord(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages)  # type: ignore[arg-type]
     return press_id
 
 

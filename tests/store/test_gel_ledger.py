@@ -6,12 +6,12 @@ import pytest
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
-from edge.store.press_store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, PressRecord, Store
 
 SERIAL = "2BNN4ZE7"
 
 
-def record(store: Store, *presses: Press) -> None:
+def record(store: Store, *presses: PressRecord) -> None:
     for press in presses:
         store.record_press(press, lambda gel: [])
 
@@ -24,7 +24,7 @@ def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
     assert store.gel(SERIAL, time_ns=9) == gel
 
 
-def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., Press]) -> None:
+def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., PressRecord]) -> None:
     """Two sensors on one gateway have separate counts."""
     record(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
 
@@ -32,7 +32,7 @@ def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., P
 
 
 def test_replacing_a_gel_starts_at_zero_and_keeps_the_old_one(
-    store: Store, make_press: Callable[..., Press]
+    store: Store, make_press: Callable[..., PressRecord]
 ) -> None:
     """The act is recorded with its time, limit and note."""
     record(store, make_press(1), make_press(2))
@@ -69,7 +69,7 @@ def test_numbering_steps_over_ids_that_people_chose(store: Store) -> None:
     assert [gel.gel_id for gel in store.gels()] == ["2BNN4ZE7-2", "2BNN4ZE7-1", "2BNN4ZE7-3"]
 
 
-def test_the_state_follows_the_limit(path: object, make_press: Callable[..., Press]) -> None:
+def test_the_state_follows_the_limit(path: object, make_press: Callable[..., PressRecord]) -> None:
     """With a limit of 5 and a warning at 80 %: good up to 3, due at 4, replace from 5 on."""
     with Store(path, limit_presses=5, warn_fraction=0.8) as store:  # type: ignore[arg-type]
         states = [store.record_press(make_press(n), lambda recorded: []).gel.state for n in range(6)]
@@ -78,7 +78,7 @@ def test_the_state_follows_the_limit(path: object, make_press: Callable[..., Pre
 
 
 def test_an_optically_worn_gel_is_to_be_replaced_whatever_its_count(
-    store: Store, make_press: Callable[..., Press]
+    store: Store, make_press: Callable[..., PressRecord]
 ) -> None:
     """Wear index 1 is the end; a later press without a measurement keeps the last known wear."""
     record(store, make_press(1, wear_index=0.4))
@@ -91,7 +91,7 @@ def test_an_optically_worn_gel_is_to_be_replaced_whatever_its_count(
 
 
 def test_a_clock_set_back_does_not_make_the_last_use_earlier(
-    store: Store, make_press: Callable[..., Press]
+    store: Store, make_press: Callable[..., PressRecord]
 ) -> None:
     """First use stays the first, last use the latest."""
     record(store, make_press(10), make_press(20), make_press(5))
@@ -101,7 +101,7 @@ def test_a_clock_set_back_does_not_make_the_last_use_earlier(
 
 
 def test_a_gel_change_can_be_published_with_the_act(
-    store: Store, make_press: Callable[..., Press], messages_of: Callable[..., MakeMessages]
+    store: Store, make_press: Callable[..., PressRecord], messages_of: Callable[..., MakeMessages]
 ) -> None:
     """The new record is handed to the messages, inside the same transaction."""
     seen = []

@@ -8,10 +8,10 @@ import pytest
 
 from edge.core.ports import Message
 from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, DropPriority, Outbox, drop_priority_of
-from edge.store.press_store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, PressRecord, Store
 
 DAY_S = 86400.0
-MakePress = Callable[..., Press]
+MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
 
 
@@ -21,7 +21,7 @@ def outbox(path: Path) -> Iterator[Outbox]:
         yield opened
 
 
-def record(store: Store, press: Press, *messages: Message) -> None:
+def record(store: Store, press: PressRecord, *messages: Message) -> None:
     store.record_press(press, lambda gel: messages)
 
 
@@ -208,7 +208,7 @@ def test_old_rows_go_by_age(path: Path, make_press: MakePress) -> None:
 def test_a_clock_that_jumps_from_1970_drops_nothing(path: Path, make_press: MakePress) -> None:
     """A gateway without a clock battery records in 1970 until the network gives the time: those rows have no age."""
     early = make_press(1)
-    early = Press(early.press_id, 5 * 10**9, early.serial, early.part, "fail", score=2.0, threshold=1.0)
+    early = PressRecord(early.press_id, 5 * 10**9, early.serial, early.part, "fail", score=2.0, threshold=1.0)
     with Store(path, Bounds(max_age_s=DAY_S)) as store, Outbox(path) as outbox:
         record(store, early, Message("early", b""))
         record(store, make_press(2), Message("now", b""))

@@ -13,9 +13,9 @@ from edge.core.errors import StoreError
 from edge.core.gel import GelState
 from edge.store.database import Database
 from edge.store.outbox import Outbox
-from edge.store.press_store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, PressRecord, Store
 
-MakePress = Callable[..., Press]
+MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
 
 
@@ -98,7 +98,7 @@ def test_nothing_is_recorded_when_the_messages_cannot_be_made(
     assert store.gels() == []
 
 
-def killed_at(path: Path, press: Press, messages: MakeMessages, statement: int) -> bool:
+def killed_at(path: Path, press: PressRecord, messages: MakeMessages, statement: int) -> bool:
     """Record in a process that dies as its n-th statement begins; gives whether it lived to the end."""
     child = os.fork()
     if child == 0:
@@ -341,4 +341,4 @@ def test_a_press_refuses_nonsense(make_press: MakePress, field: dict[str, str]) 
     good = vars(make_press(1))
 
     with pytest.raises(ValueError, match=r"found"):
-        Press(**{**good, **field})
+        PressRecord(**{**good, **field})

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from edge.core.errors import StoreError
-from edge.store.press_store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, PressRecord, Store
 
-MakePress = Callable[..., Press]
+MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
 
 

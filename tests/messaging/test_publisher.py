@@ -16,9 +16,9 @@ from edge.messaging.payloads import ALARMS, StatePayload, state_message
 from edge.messaging.publisher import IDLE_S, OFFER_REFUSED_S, Publisher, PublisherLock, SinkWorker
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox
-from edge.store.press_store import MakeMessages, Press, Store
+from edge.store.press_store import MakeMessages, PressRecord, Store
 
-MakePress = Callable[..., Press]
+MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
 
 
@@ -92,7 +92,7 @@ def worker(
     )
 
 
-def record(store: Store, messages_of: MessagesOf, *presses: Press) -> None:
+def record(store: Store, messages_of: MessagesOf, *presses: PressRecord) -> None:
     for press in presses:
         store.record_press(press, messages_of(press))
 
