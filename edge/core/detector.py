@@ -1,7 +1,7 @@
-"""What a detector is: parameters, a fit, and a graph. See docs/architecture.md and docs/plugins.md.
+"""The interface of a detector: parameters, a fit, and a graph. See docs/architecture.md and docs/plugins.md.
 
-A detector never touches a file and knows no runtime. Its ONNX head takes the taps of the trunk and one input per
-bank array (same name, unpacked dtype) and gives
+A detector uses no files and no runtime. Its ONNX head takes the taps of the trunk and one input per bank array (same
+name, unpacked dtype) and gives
 
     score_map  float32 (n, h, w)  raw, in pixels of the inspected region, higher is more anomalous
     score      float32 (n,)       the press's anomaly score, same meaning
@@ -37,10 +37,10 @@ Features = Mapping[str, NDArray[np.float32]]
 """Tap name to feature map, float32 (n, c, h, w), as the trunk gives them."""
 
 Mode = Literal["paper", "corrected"]
-"""`paper` reproduces the seed paper's settings, defects included; `corrected` repairs each by a named switch."""
+"""`paper` reproduces the seed paper's settings with their defects; `corrected` repairs each by a named switch."""
 
 Packing = Literal["none", "float16", "int8"]
-"""How an array is stored: as it is, as float16, or as int8 with one float32 scale per row of its last axis."""
+"""How an array is stored: unchanged, as float16, or as int8 with one float32 scale per row of its last axis."""
 
 Progress = Callable[[float], None]
 """Called with the fraction done, 0 to 1."""
@@ -51,8 +51,8 @@ class Grid:
     """The geometry that a head is built for.
 
     frame: (h, w) of the inspected region in pixels. taps: tap name to (channels, h, w). pixels_per_mm scales
-    physical sizes such as the one blur. tiles: set where the trunk sees the frame in overlapping tiles and gives its
-    taps as mosaics, tile beside tile; the head puts raw distances together before it blurs.
+    physical sizes such as the blur. tiles: set where the trunk sees the frame in overlapping tiles and gives its taps
+    as mosaics of tiles; the head joins raw distances before it blurs.
     """
 
     frame: tuple[int, int]
@@ -69,12 +69,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class Nominal:
-    """What a detector is fitted from: nominal presses alone.
+    """The data of a fit: nominal presses alone.
 
     features: n presses. touched: bool (h, w) of the frame, True where any nominal press touches, None if unknown.
     no_contact: features of the untouched gel (m >= 1 frames), None if there are none. room: a factor on every limit
-    of the bank's size. A fold has as much of it as it has of the presses: its bank would otherwise know each of its
-    fewer presses better than the final bank does. A bank that left out a place gets more than 1.
+    of the bank's size. For a fold it is the fold's share of the presses: otherwise its bank would hold more of each
+    press than the final bank does. A bank that left out a place gets more than 1.
     """
 
     features: Features
@@ -99,9 +99,9 @@ class Nominal:
 class Bank:
     """A normality bank.
 
-    arrays: name to array exactly as the head's input of that name wants it (float32, int64 or bool).
-    packing: how an array is to be stored; arrays not named are stored as they are. facts: what the fit learnt or
-    chose, plain JSON (rank, ridge, seed, channel count, warnings), for the manifest.
+    arrays: name to array, in the dtype of the head's input of that name (float32, int64 or bool). packing: how an array
+    is stored; arrays not named are stored unchanged. facts: results and choices of the fit, plain JSON (rank, ridge,
+    seed, channel count, warnings), for the manifest.
     """
 
     arrays: Mapping[str, NDArray[Any]]
@@ -111,7 +111,7 @@ class Bank:
 
 @dataclass(frozen=True)
 class ScoreMaps:
-    """The oracle's answer. score_map: float64 (n, h, w); score: float64 (n,). Higher is more anomalous."""
+    """The oracle's result. score_map: float64 (n, h, w); score: float64 (n,). Higher is more anomalous."""
 
     score_map: NDArray[np.float64]
     score: NDArray[np.float64]
@@ -121,8 +121,8 @@ class ScoreMaps:
 class Detector(Protocol):
     """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `HasPrebuiltHeads`.
 
-    Parameters are one frozen value, a dataclass or a pydantic model, whose `vars` JSON can hold; the same ones go to
-    `fit` and `head`, and into the manifest.
+    Parameters are one frozen value, a dataclass or a pydantic model, with `vars` that JSON can hold. The same ones go
+    to `fit` and `head`, and into the manifest.
     """
 
     @property
@@ -132,12 +132,12 @@ class Detector(Protocol):
 
     @property
     def compares_places(self) -> bool:
-        """Whether a press is compared with the same place of the nominal ones, so that parts must lie alike."""
+        """Whether a press is compared with the same place of the nominal ones, so that parts must be at one place."""
         ...
 
     @property
     def is_baseline(self) -> bool:
-        """Whether it is there to be compared with; such are left out where methods are compared by default."""
+        """Whether it is a baseline; baselines are left out of the default comparison of methods."""
         ...
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> Any:
@@ -161,7 +161,7 @@ class Detector(Protocol):
 
 @runtime_checkable
 class HasReference(Protocol):
-    """A detector with a float64 oracle, which `plugins.conformance.check_detector` compares the graph with."""
+    """A detector with a float64 oracle; `plugins.conformance.check_detector` compares the graph with it."""
 
     def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
         """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`."""

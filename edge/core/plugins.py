@@ -1,4 +1,4 @@
-"""What an entry point names: one protocol for each group, and the abilities that a plugin may have in addition.
+"""The protocols of entry points: one for each group, and the optional abilities of a plugin.
 
 An entry point is always `package.module:value`, and the value is an object that meets the group's protocol:
 
@@ -8,7 +8,7 @@ An entry point is always `package.module:value`, and the value is an object that
     gelgate.backbones  Backbone
 
 A plugin has an optional ability by having its attributes; the program asks `isinstance(plugin, Resettable)`. What
-`open` returns is in `edge.core.ports`. docs/plugins.md shows plugins by somebody else.
+`open` returns is in `edge.core.ports`. docs/plugins.md shows plugins of other authors.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,18 +33,18 @@ class DevicePlugin(Protocol[OptionsT]):
 
     `Options` validates the plugin's TOML table and refuses unknown keys. The same options value is passed to every
     `open`, so a device that is opened again after a fault is the same one. Options with a field `controls`, a
-    mapping of V4L2 names to values, are given those of the bundle's sensor profile.
+    mapping of V4L2 names to values, get those of the bundle's sensor profile.
     """
 
     @property
     def Options(self) -> type[OptionsT]: ...
 
     def survey(self, options: OptionsT) -> Sequence[Sighting]:
-        """Everything in reach that is, or looks like, this plugin's sensor, in a fixed order."""
+        """Every device found that is, or looks like, this plugin's sensor, in a fixed order."""
         ...
 
     def open(self, options: OptionsT, clock: Clock) -> Device:
-        """The one sensor that the options mean. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
+        """The sensor selected by the options. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
         ...
 
 
@@ -53,13 +53,13 @@ class Resettable(Protocol[AnyOptions]):
     """A device plugin that can reset its sensor, as unplugging and plugging in would."""
 
     def reset(self, options: AnyOptions) -> str:
-        """Reset the sensor that the options mean, and say which. Errors: as `DevicePlugin.open`."""
+        """Reset the sensor selected by the options, and return its name. Errors: as `DevicePlugin.open`."""
         ...
 
 
 @runtime_checkable
 class PlaysRecording(Protocol[AnyOptions]):
-    """A device plugin that plays a recording: a run can then tell whether it missed a press."""
+    """A device plugin that plays a recording: a run can then check that it missed no press."""
 
     def recording(self, options: AnyOptions) -> Path:
         """The folder that is played."""
@@ -74,7 +74,7 @@ class SinkPlugin(Protocol[OptionsT]):
     def Options(self) -> type[OptionsT]: ...
 
     def open(self, options: OptionsT, station: Station) -> Sink:
-        """A sink that speaks for the station. It returns at once: a receiver that is away is no error.
+        """A sink of the station. It returns at once: a receiver that is away is not an error.
 
         Errors: ConfigError for options that can never work, such as a certificate that is not there.
         """
@@ -108,7 +108,7 @@ class Backbone(Protocol):
 
 @runtime_checkable
 class HasFacts(Protocol):
-    """A backbone that knows what its weights were made from."""
+    """A backbone that knows the origin of its weights."""
 
     def facts(self) -> Mapping[str, object]:
         """Plain JSON, for the manifest of every bundle that is fitted on it."""

@@ -1,4 +1,4 @@
-"""The ports: what plugins open. Each has one or two verbs; optional abilities are protocols of their own."""
+"""The ports that plugins open. Each has one or two verbs; optional abilities are separate protocols."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -27,7 +27,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """Who the sensor is: `serial` keys the gel ledger. `mode` is (width, height) of the camera's own frames."""
+    """The sensor's identity: `serial` is the key of the gel ledger. `mode` is (width, height) of its frames."""
 
     product: str
     serial: str
@@ -37,10 +37,10 @@ class DeviceIdentity:
 
 @dataclass(frozen=True)
 class Sighting:
-    """One thing that a device plugin found when it looked: a sensor, or what looks like one and is refused.
+    """One thing found by a device plugin: a sensor, or something similar that is refused.
 
-    place: where it is, such as `bus 1 port 2 address 7` or a folder. identity: who it is, when it is a sensor that
-    can be opened. refusal: why it is not, as one sentence.
+    place: where it is, such as `bus 1 port 2 address 7` or a folder. identity: of a sensor that can be opened.
+    refusal: why it cannot be opened, as one sentence.
     """
 
     place: str
@@ -55,7 +55,7 @@ class Sighting:
 
 @runtime_checkable
 class Device(Protocol):
-    """A source of camera frames. A frame is new or it is an error; nothing is ever delivered twice.
+    """A source of camera frames. A frame is new or it is an error; no frame is delivered twice.
 
     Optional: `OnDemand`, `CountsStale`.
     """
@@ -72,13 +72,13 @@ class Device(Protocol):
         ...
 
     def close(self) -> None:
-        """Give everything back; harmless when repeated."""
+        """Release everything. May be called again."""
         ...
 
 
 @runtime_checkable
 class OnDemand(Protocol):
-    """A device that may make frames as fast as they are read; then the reader waits instead of dropping."""
+    """A device that may make frames as fast as they are read; then the reader waits instead of dropping frames."""
 
     @property
     def on_demand(self) -> bool: ...
@@ -94,7 +94,7 @@ class CountsStale(Protocol):
 
 @dataclass(frozen=True)
 class Message:
-    """One thing to be published. `topic` is relative to the station's root, such as `result`."""
+    """One message to publish. `topic` is relative to the station's root, such as `result`."""
 
     topic: str
     payload: bytes
@@ -113,5 +113,5 @@ class Sink(Protocol):
         ...
 
     def close(self) -> None:
-        """Say goodbye properly; harmless when repeated."""
+        """Disconnect properly. May be called again."""
         ...

@@ -1,4 +1,4 @@
-"""Where a gateway stands in the plant, and what a sink needs to speak for it."""
+"""The place of a gateway in the plant, and the context that a sink needs."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ TOPIC_VERSION = "v1"
 _LEVEL = re.compile(r"[^\s+#/$\x00]{1,64}")
 
 OnCommand = Callable[[str, bytes], bytes]
-"""(verb, request payload) -> response payload. It answers every fault in the response and never raises."""
+"""(verb, request payload) -> response payload. It reports every fault in the response and never raises."""
 
 
 def _no_messages() -> Sequence[Message]:
@@ -43,7 +43,7 @@ def topic_root(prefix: str, site: str, line: str, station: str) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """Where in the plant a result comes from."""
+    """The place in the plant from which a result comes."""
 
     site: str
     line: str
@@ -55,11 +55,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Station:
-    """What a sink speaks for.
+    """The context of a sink.
 
     root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
-    will: left with the broker, published by it when this gateway vanishes. birth: what is published first on every
-    connection, asked again each time. on_command: answers requests, None where commands are not served.
+    will: left with the broker, which publishes it when this gateway disappears. birth: the first messages of every
+    connection, requested each time. on_command: answers requests, None where commands are not served.
     """
 
     root: str

@@ -12,7 +12,7 @@ __all__ = ["Kind", "Verdict", "decide"]
 
 
 class Kind(StrEnum):
-    """What became of a press. The words are part of the published payload."""
+    """The result of a press. The words are part of the published payload."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -22,7 +22,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """A verdict with every number that led to it. Scores are raw, higher is more anomalous.
+    """A verdict with the numbers behind it. Scores are raw, higher is more anomalous.
 
     score, threshold and tolerance are None for a rejected press, which was not scored; rejection is None otherwise.
     """
@@ -50,7 +50,7 @@ class Verdict:
 
 
 def decide(score: float, threshold: float, tolerance: float = 0.0) -> Verdict:
-    """Pass, fail, or unsure where the score lies within `tolerance` of the threshold, its edges included.
+    """Pass, fail, or unsure where the score is within `tolerance` of the threshold, including the edges.
 
     A score at the threshold passes when there is no tolerance: the threshold is the largest score that nominal presses
     are allowed. Errors: NotScorable for a score or threshold that is not finite; ValueError for a tolerance that is

@@ -1,8 +1,8 @@
-"""From a sensor that comes and goes to a steady supply of frames: one reader thread, one bounded queue.
+"""Reads frames from a sensor that may disconnect: one reader thread, one bounded queue.
 
-The thread always drains the sensor. A consumer that lags too far behind is given the newest frame and loses those
-before it, all at once and counted: dropping one for each that arrives would leave it behind for ever. It opens the
-sensor again, with growing pauses, whatever made it go.
+The thread always drains the sensor. A consumer that is too far behind gets the newest frame, and the frames before it
+are dropped together and counted. Dropping one for each new frame would keep the consumer behind for ever. After any
+fault the thread opens the sensor again, with growing pauses.
 """
 
 import random
@@ -23,13 +23,13 @@ __all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
 
 # Frames over which the delivered rate is taken: two seconds at 18.75 fps.
 _RATE_FRAMES = 38
-# This many bad frames on end are a sick stream, not bad luck: two seconds' worth.
+# This many bad frames in sequence are a fault of the stream: two seconds of frames.
 _CORRUPT_IN_A_ROW = 38
 _LONGEST_WAIT_NS = 250_000_000
 # Pauses between two attempts to open the sensor.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
-# A consumer this far behind is sent to the newest frame. A frame older than 1 s is refused when it is judged, and the
-# one that a press is judged by may be some frames older than the one that decides.
+# A consumer this far behind gets the newest frame. A frame older than 1 s is refused when it is judged, and the judged
+# frame of a press may be some frames older than the frame that ends the wait.
 _LONGEST_BACKLOG_NS = 800_000_000
 
 
@@ -62,12 +62,12 @@ class AcquisitionStatus:
 
 
 class Acquisition:
-    """Owns the sensor from `start` to `close`. A context manager, which starts and closes it.
+    """Owns the sensor from `start` to `close`. A context manager starts and closes it.
 
     open_device: makes one attempt. on_change: called from the reader thread with the status, once per change of state
-    or fault; it must return soon. depth: frames kept for a consumer that lags, and never more than 0.8 s of them.
-    stall_after_s: no new frame for so long, and the sensor is opened again. backoff: the pauses between attempts; by
-    default the first is at most 0.5 s and none is longer than 10 s.
+    or fault; it must return soon. depth: frames kept for a slow consumer, at most 0.8 s of them.
+    stall_after_s: after this time without a new frame the sensor is opened again. backoff: the pauses between attempts;
+    by default the first is at most 0.5 s and the longest 10 s.
 
     A reconnection is to the same sensor: one with another serial is refused as a fault.
     `step` is one turn of the reader without its thread; a test may call it instead of `start`.
@@ -115,10 +115,10 @@ class Acquisition:
             return self._status
 
     def next(self, timeout_s: float) -> CameraFrame | None:
-        """The oldest frame not yet taken, or None when none came in time.
+        """The oldest frame not yet taken, or None when no frame came in time.
 
-        Errors: RecordingEnded when a recording is over and all its frames were taken; whatever was not a device's
-        fault in the reader thread.
+        Errors: RecordingEnded when a recording is over and all its frames were taken; any exception of the reader
+        thread that is not a device's fault.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._frames or self._ending, timeout_s)
@@ -131,7 +131,7 @@ class Acquisition:
             return None
 
     def close(self) -> None:
-        """Stop reading and give the sensor back; harmless when repeated."""
+        """Stop reading and release the sensor; may be called again."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -152,10 +152,10 @@ class Acquisition:
     # The reader thread
 
     def step(self) -> float:
-        """Open the sensor, or read one frame; gives the seconds to wait before the next step, 0 for at once.
+        """Open the sensor, or read one frame; returns the seconds to wait before the next step, 0 for at once.
 
-        Faults of the sensor are noted in `status` and end in another opening. Errors: RecordingEnded; whatever is
-        not a device's fault.
+        Faults of the sensor go to `status`, and the sensor is opened again. Errors: RecordingEnded; any exception that
+        is not a device's fault.
         """
         try:
             if self._device is None:
@@ -199,7 +199,7 @@ class Acquisition:
         self._corrupt_in_a_row, self._last_ns = 0, self._clock.monotonic_ns()
 
     def _read(self, device: Device) -> None:
-        """One read. Waits are short, so that `close` need not sit out a stall."""
+        """One read. Waits are short, so that `close` does not wait for a stalled sensor."""
         deadline_ns = self._last_ns + self._stall_ns
         try:
             frame = device.read(min(deadline_ns, self._clock.monotonic_ns() + _LONGEST_WAIT_NS))
@@ -226,7 +226,7 @@ class Acquisition:
             device.close()
 
     def _has_room(self) -> bool:
-        """False where the consumer must take a frame first: a device that waits for its reader loses none."""
+        """False where the consumer must take a frame first: a device that waits for its reader loses no frame."""
         return not self._is_waiting or len(self._frames) < self._depth
 
     def _await_room(self) -> None:
@@ -244,7 +244,7 @@ class Acquisition:
         self._counting = device if isinstance(device, CountsStale) else None
         self._is_waiting = isinstance(device, OnDemand) and device.on_demand
         self._times_ns.clear()
-        self._sequence += 1  # whatever passed while it was away leaves a gap
+        self._sequence += 1  # frames missed while it was away leave a gap
         self._set(
             state=AcquisitionState.STREAMING,
             identity=device.identity,
@@ -268,7 +268,7 @@ class Acquisition:
         self._count_stale()
 
     def _shortened(self) -> int:
-        """Keep the newest frame alone where the consumer is too far behind; gives how many were dropped."""
+        """Keep only the newest frame where the consumer is too far behind; returns how many were dropped."""
         behind_ns = self._frames[-1].timestamp_ns - self._frames[0].timestamp_ns
         if len(self._frames) <= self._depth and (self._is_waiting or behind_ns <= _LONGEST_BACKLOG_NS):
             return 0
@@ -294,7 +294,7 @@ class Acquisition:
                 self._status = replace(self._status, stale=stale)
 
     def _set(self, **changes: object) -> None:
-        """Change the status, and say so when the state or the fault is another one than before."""
+        """Change the status, and report it when the state or the fault differs from before."""
         with self._changed:
             before = self._status
             self._status = replace(before, **changes)  # type: ignore[arg-type]  # field names, checked by replace

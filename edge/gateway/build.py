@@ -31,14 +31,14 @@ __all__ = ["build", "sink_names"]
 
 
 def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight | None = None) -> Parts:
-    """Every part; what cannot work is refused here. closing: gets what takes the parts down again, in reverse.
+    """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
-    checked: what a check before the start has opened already. Errors: ConfigError, BundleError, StoreError.
+    checked: the parts that the check before the start has opened. Errors: ConfigError, BundleError, StoreError.
     """
     scorer = (checked.scorer if checked else None) or open_scorer(config)[0]
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), RetainedState()
     store = closing.enter_context(_open_store(config))
-    # The lock before the sinks: a second gateway would push this one off the broker before it is refused.
+    # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
     context = _sink_context(config, clock, retained_state, Commands(station_handlers(calls), clock))
@@ -67,7 +67,7 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
 
 
 def sink_names(tables: list[PluginTable]) -> list[str]:
-    """The plugin's name, numbered where it is used twice: the names under which the outbox remembers who has what."""
+    """The plugin's name, numbered where it is used twice; the outbox keeps acknowledgements under these names."""
     seen: Counter[str] = Counter()
     names = []
     for table in tables:
@@ -83,7 +83,7 @@ def _open_store(config: Config) -> Store:
 
 def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:
     table = config.station
-    lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway vanished without a word")
+    lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway ended without a message")
     return Station(
         root=topic_root(table.prefix, table.site, table.line, table.station),
         client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
@@ -98,18 +98,18 @@ def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[st
     for name, chosen in zip(sink_names(config.sinks), config.sinks, strict=True):
         plugin = registry.sink(chosen.plugin)
         sinks[name] = sink = plugin.open(plugin.Options.model_validate(chosen.options), context)
-        closing.callback(sink.close)  # harmless after the publisher's own closing
+        closing.callback(sink.close)  # has no effect after the publisher's own closing
     return sinks
 
 
 def _opener(
     config: Config, controls: Mapping[str, int], clock: Clock, closing: ExitStack, checked: Preflight | None
 ) -> Callable[[], Device]:
-    """Opens the sensor; the first time it is the one that the check before the start has open already."""
+    """Opens the sensor; the first call returns the one that the check before the start has opened."""
     again = device_opener(config.device, controls, clock)
     first = checked.take_device() if checked else None
     if first is None:
         return again
-    closing.callback(first.close)  # in case nobody ever asks for it
+    closing.callback(first.close)  # in case no one takes it
     waiting = [first]
     return lambda: waiting.pop() if waiting else again()

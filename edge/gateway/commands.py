@@ -1,6 +1,6 @@
 """Requests that arrive over MQTT: one table of verbs, read, dispatched and answered with the request's transaction id.
 
-Every fault becomes a response; nothing a subscriber sends can stop the gateway.
+Every fault becomes a response; no request can stop the gateway.
 """
 
 import logging
@@ -35,9 +35,9 @@ Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Command(Generic[A]):
-    """One verb: its arguments' model, what the loop does with them, and what the manual says of it.
+    """One verb: its arguments' model, the loop's action, and its text in the manual.
 
-    do: gives the data of the response, plain JSON. Errors of `do`: GelgateError, ValueError.
+    do: returns the data of the response, plain JSON. Errors of `do`: GelgateError, ValueError.
     """
 
     verb: str
@@ -81,11 +81,11 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         "record that a new gel is mounted, count from 0 and learn its picture",
     ),
 )
-"""All that a station answers to; docs/mqtt.md prints this table."""
+"""All commands of a station; docs/mqtt.md prints this table."""
 
 
 def station_handlers(calls: LoopCalls[StationLoop]) -> dict[str, Handler]:
-    """Verb to handler. Arguments are read on the asker's thread, the rest is done by the station's loop."""
+    """Verb to handler. Arguments are read on the caller's thread; the station's loop does the rest."""
     return {command.verb: partial(_ask, calls, command) for command in COMMANDS}
 
 
@@ -125,7 +125,7 @@ class Commands:
         except Exception:  # a sink's thread ends here: a request must not end it
             log.exception("command %s failed", verb)
             return self._answer(
-                verb, request.transaction, error="it failed inside; the gateway's log says how"
+                verb, request.transaction, error="it failed with an internal error; see the gateway's log"
             )
 
     def _answer(

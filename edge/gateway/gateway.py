@@ -1,6 +1,6 @@
-"""A running station: built, run, taken down.
+"""A running station: built, run, closed.
 
-One thread reads the sensor, one per sink publishes, and the thread that calls `run` does everything between: contact,
+One thread reads the sensor and one per sink publishes. The thread that calls `run` does everything between: contact,
 score, verdict, and the one transaction that counts a press and queues its messages.
 """
 
@@ -20,9 +20,9 @@ __all__ = ["Gateway"]
 
 
 class Gateway:
-    """`open` builds it, `run` inspects until told to stop, `close` takes it down.
+    """`open` builds it, `run` inspects until it is stopped, `close` closes it.
 
-    A sensor that is not there is a fault while running, not an error: it is announced, and waited for.
+    A missing sensor is a fault while running, not an error: it is reported, and the station waits for it.
     """
 
     def __init__(self, parts: Parts, closing: ExitStack, on_press: OnPress = lambda report: None) -> None:
@@ -38,9 +38,9 @@ class Gateway:
         on_press: OnPress = lambda report: None,
         checked: Preflight | None = None,
     ) -> Self:
-        """Build every part; what cannot work is refused here, before anything is started.
+        """Build every part; a part that cannot work is refused here, before anything is started.
 
-        on_press: called by the loop with every recorded press. checked: what a check before the start opened.
+        on_press: called by the loop with every recorded press. checked: the parts opened by the check before the start.
         Errors: ConfigError, BundleError, StoreError.
         """
         with ExitStack() as closing:
@@ -56,16 +56,16 @@ class Gateway:
 
     @property
     def summary(self) -> Summary:
-        """What was done so far."""
+        """The counts of the run so far."""
         return self.loop.summary
 
     @property
     def status(self) -> AcquisitionStatus:
-        """How the sensor is doing."""
+        """The status of the sensor."""
         return self._parts.acquisition.status
 
     def close(self) -> None:
-        """Take the parts down in reverse; unsent messages stay in the outbox. Harmless when repeated."""
+        """Close the parts in reverse; unsent messages stay in the outbox. May be called again."""
         self._closing.close()
 
     def __enter__(self) -> Self:

@@ -1,6 +1,6 @@
-"""One sensor with the gel on it: from its frames to judged presses, and from a free gel to how worn it is.
+"""One sensor with its gel: from its frames to judged presses, and from the free gel to its wear.
 
-It exists from the first frame on: before that it is not known which sensor, and so which gel, is worn by a press.
+It exists from the first frame on: before that the sensor, and so the gel of a press, is not known.
 """
 
 import logging
@@ -33,9 +33,9 @@ __all__ = ["InspectionSession"]
 
 log = logging.getLogger(__name__)
 
-# What is waited for before anything is inspected.
+# The station waits for this before it inspects.
 FREE_GEL: Final = "the free gel, to learn its picture"
-# Said while the picture of the free gel is doubted.
+# The alarm while the picture of the free gel may be wrong.
 DOUBTED: Final = (
     "the picture of the free gel was most likely learnt while something pressed; nothing is scored until the free gel "
     "is seen at rest: lift the part for a second"
@@ -45,7 +45,7 @@ DOUBTED: Final = (
 class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
-    gel: the one that is mounted, with its count. Judged presses wait here until they are recorded, in order.
+    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class InspectionSession:
 
     @property
     def contact_state(self) -> str:
-        """The state of the contact table, as a command's answer names it."""
+        """The state of the contact table, as in a command's response."""
         return self._pipeline.tracker.state.value
 
     @property
@@ -95,7 +95,7 @@ class InspectionSession:
         self._add(self._pipeline.feed(frame))
 
     def record(self) -> Iterator[PressReport]:
-        """Write what waits, oldest first. Errors: StoreError; that press and those behind it go on waiting."""
+        """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
         while self._unrecorded:
             report = self._recorder.record(self._unrecorded[0])
             self._unrecorded.popleft()
@@ -104,7 +104,7 @@ class InspectionSession:
             yield report
 
     def trigger(self) -> str | None:
-        """A verdict is asked for now; gives why there will be none, or None."""
+        """Request a verdict now; returns why there will be none, or None."""
         return self._pipeline.trigger()
 
     def relearn(self) -> None:
@@ -113,7 +113,7 @@ class InspectionSession:
         self._add(self._pipeline.relearn())
 
     def see_gel(self, gel: GelRecord) -> None:
-        """What the ledger says is mounted; another gel than before makes all that was learnt of the old one void."""
+        """The gel that is mounted by the ledger; for another gel than before, everything learnt is discarded."""
         is_other = gel.gel_id != self.gel.gel_id
         self.gel = gel
         if is_other:
@@ -144,14 +144,14 @@ class InspectionSession:
                 self._measure_wear()
 
     def _compare_light(self) -> None:
-        """A free gel in another light than at the fit is named once it is learnt."""
+        """Once the free gel is learnt, a light different from that of the fit is reported."""
         learnt = self._pipeline.tracker.reference
         difference = foreign_start(learnt, self._at_fit) if learnt and self._at_fit else None
         if difference is not None:
             log.warning("%s", difference)
 
     def _measure_wear(self) -> None:
-        """The free gel was seen: keep its picture, and compare it with the first of this gel."""
+        """The gel is free: keep its picture, and compare it with the first of this gel."""
         reference = self._pipeline.tracker.reference
         if reference is None:
             return

@@ -1,4 +1,4 @@
-"""One settled frame to one verdict: decode, crop, look at its light, sensor and contact, score, decide."""
+"""One settled frame to one verdict: decode, crop, check light, sensor and contact, score, decide."""
 
 from dataclasses import dataclass, field
 
@@ -27,10 +27,10 @@ __all__ = ["Inspection", "Inspector"]
 
 @dataclass(frozen=True)
 class Inspection:
-    """What became of one frame: a verdict, or an error and then no verdict.
+    """The result of one frame: a verdict, or an error and then no verdict.
 
-    rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both None where it did not come to
-    that. latency_ms: stage to milliseconds.
+    rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
+    get that far. latency_ms: stage to milliseconds.
     """
 
     verdict: Verdict | None
@@ -53,7 +53,7 @@ class Inspector:
         self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
 
     def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
-        """Judge one frame; `touch` is where the gel is touched in it. Never raises for what a frame can hold."""
+        """Judge one frame; `touch` is the touched part of the gel. Never raises because of a frame's content."""
         now_ns = self._clock.monotonic_ns()
         stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns, self._quality)
         if stale:

@@ -1,4 +1,4 @@
-"""Calls of other threads, done by the station's loop between two frames, so that the loop alone changes things."""
+"""Calls of other threads, done by the station's loop between two frames, so that only the loop changes its state."""
 
 import threading
 from collections import deque
@@ -13,14 +13,14 @@ __all__ = ["LoopCalls"]
 T = TypeVar("T")
 C = TypeVar("C")
 
-# The loop looks up five times a second; one that does not answer for so long hangs in a detector or on a disk.
+# The loop checks for calls five times a second. Without an answer in this time it hangs in a detector or on a disk.
 ANSWER_S: Final = 5.0
 
 
 class LoopCalls(Generic[C]):
-    """What other threads want done. `ask` is theirs, `serve` and `close` are the loop's.
+    """The calls of other threads, which use `ask`; the loop uses `serve` and `close`.
 
-    A call gets what `serve` is given: the loop's own state, which nobody else may touch.
+    A call gets the argument of `serve`: the loop's own state, which no other thread may use.
     """
 
     def __init__(self, answer_s: float = ANSWER_S) -> None:
@@ -30,9 +30,9 @@ class LoopCalls(Generic[C]):
         self._is_closed = False
 
     def ask(self, do: Callable[[C], T]) -> T:
-        """Have `do` done by the loop, and give what it gives. What is refused here is not done later.
+        """Let the loop call `do`, and return its result. A call that is refused here is not done later.
 
-        Errors: GelgateError when the loop does not get to it, or has ended; whatever `do` raises.
+        Errors: GelgateError when the loop does not answer in time, or has ended; every exception of `do`.
         """
         future: Future[T] = Future()
 
@@ -41,7 +41,7 @@ class LoopCalls(Generic[C]):
                 return
             try:
                 future.set_result(do(state))
-            except BaseException as error:  # noqa: BLE001 - it is the asker's, and raised there
+            except BaseException as error:  # noqa: BLE001 - it is raised again in the caller's thread
                 future.set_exception(error)
 
         with self._lock:
@@ -52,18 +52,18 @@ class LoopCalls(Generic[C]):
             return future.result(self._answer_s)
         except TimeoutError:
             if not future.cancel():
-                return future.result()  # begun, so it will be done
+                return future.result()  # started, so it will be done
             raise GelgateError(
-                f"the station did not get to it within {self._answer_s:g} s, and has not done it; see its state"
+                f"the station did not answer within {self._answer_s:g} s, and has not done it; see its state"
             ) from None
 
     def serve(self, state: C) -> None:
-        """Do what waits."""
+        """Do the waiting calls."""
         while self._waiting:
             self._waiting.popleft()(state)
 
     def close(self, state: C) -> None:
-        """Take no more; what still waits is done, so that nobody waits for nothing. Harmless when repeated."""
+        """Accept no more calls and do those that wait. May be called again."""
         with self._lock:
             self._is_closed = True
         self.serve(state)

@@ -22,7 +22,7 @@ def open_scorer(config: Config) -> tuple[Scorer, float]:
 def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:
     """Opens the configured device, the same one each time.
 
-    Camera controls are those of the bundle's sensor profile; the configuration may set some of them otherwise.
+    Camera controls are those of the bundle's sensor profile; the configuration may override some of them.
     """
     plugin = registry.device(table.plugin)
     given = dict(table.options)

@@ -1,6 +1,6 @@
-"""When a machine is too slow for its sensor: a rule over counters, without a clock of its own.
+"""Detects a machine that is too slow for its sensor: a rule over counters, without a clock.
 
-Frames that nobody looks at in time are dropped, and a press within them is never seen. That must not pass in silence.
+Frames that are not processed in time are dropped, and a press in them is missed. This must raise an alarm.
 """
 
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Final
 
 __all__ = ["FrameCounts", "OverloadRule"]
 
-# A share of the frames lost in one window that is no accident: one shortened queue in ten seconds at 18.75 fps is 8 %.
+# The share of lost frames in one window that raises the alarm: one shortened queue in ten seconds at 18.75 fps is 8 %.
 RAISE_SHARE: Final = 0.05
 # Below this the machine keeps up again; between the two the alarm stays as it is.
 CLEAR_SHARE: Final = 0.01
@@ -16,7 +16,7 @@ CLEAR_SHARE: Final = 0.01
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Since the start. frames: delivered by the sensor. dropped: of those, never looked at. late: looked at too late.
+    """Since the start. frames: delivered by the sensor. dropped: of those, never processed. late: processed too late.
 
     interrupted: how often frames were dropped while the gel was pressed. late_presses: judged too late, so rejected.
     """
@@ -28,7 +28,7 @@ class FrameCounts:
     late_presses: int = 0
 
     def since(self, before: "FrameCounts") -> "FrameCounts":
-        """What came after `before`."""
+        """The counts since `before`."""
         return FrameCounts(
             self.frames - before.frames,
             self.dropped - before.dropped,
@@ -46,11 +46,11 @@ class OverloadRule:
         self._sentence: str | None = None
 
     def skip(self, counts: FrameCounts) -> None:
-        """Leave this window out: something else held the gateway up, and has its own alarm."""
+        """Skip this window: something else delayed the gateway, and has its own alarm."""
         self._before = counts
 
     def step(self, counts: FrameCounts) -> str | None:
-        """What is wrong and what to do while this machine is too slow, None while it keeps up.
+        """The fault and what to do while this machine is too slow, None while it keeps up.
 
         Raised when more than RAISE_SHARE of the window's frames were dropped or late, or when a press could not be
         followed; cleared by a window without such a press and below CLEAR_SHARE.

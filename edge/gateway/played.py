@@ -1,4 +1,4 @@
-"""Whether a recording that was played to its end gave the presses that it holds: a missed press is never silent."""
+"""Checks that a recording that was played to its end gave all its presses: a missed press is an error."""
 
 from edge.core.errors import PressesMissed
 from edge.gateway.acquisition import AcquisitionStatus
@@ -11,23 +11,23 @@ __all__ = ["check_played"]
 def check_played(recording: Recording, summary: Summary, status: AcquisitionStatus) -> None:
     """Errors: PressesMissed where the labels give another number of presses.
 
-    Without labels: where frames were dropped, or no press was seen at all. A run that was stopped before the
-    recording's end proves nothing and passes.
+    Without labels: where frames were dropped, or no press was seen. A run that was stopped before the recording's end
+    is not checked.
     """
     held = recording.presses()
     is_unknown = held is None and summary.presses > 0 and not status.dropped
     if not summary.has_ended or is_unknown or held == summary.presses:
         return
     found = (
-        f"how many presses it holds is not known and the run saw {summary.presses}"
+        f"its number of presses is not known and the run saw {summary.presses}"
         if held is None
         else f"it holds {held} presses and the run saw {summary.presses}"
     )
     why = (
-        f"{status.dropped} of its {status.frames} frames were dropped because nobody took them in time; "
+        f"{status.dropped} of its {status.frames} frames were dropped because they were not processed in time; "
         "play it with pace = 0"
         if status.dropped
-        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` says what contact made of each frame"
+        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows the contact state of each frame"
     )
     cut = "; its index ends in the middle of a line, so the end of it is lost" if recording.is_cut else ""
     raise PressesMissed(f"recording {recording.folder}: {found}; {why}{cut}")

@@ -1,7 +1,7 @@
-"""What can be known before the start: every part of a configuration is tried, and everything wrong is said at once.
+"""The check before the start: every part of a configuration is tried, and all faults are reported together.
 
-What was opened for it is kept, so that the start that follows goes on with it: a bundle is loaded, hashed and scored
-once, and a sensor is opened once.
+Opened parts stay open for the start that follows: a bundle is loaded, hashed and scored once, and a sensor is opened
+once.
 """
 
 import socket
@@ -35,7 +35,7 @@ class Finding:
 
 
 class Preflight:
-    """What was found, in the order in which a start uses the parts, and what is open. Close it after the start.
+    """The findings, in the order in which a start uses the parts, and the open parts. Close it after the start.
 
     scorer: of the bundle, its golden frames scored; None where the bundle has a fault.
     """
@@ -46,12 +46,12 @@ class Preflight:
         self._device: Device | None = None
 
     def take_device(self) -> Device | None:
-        """The open sensor, which is then the caller's to close; None where there is none."""
+        """The open sensor, which the caller then closes; None where there is none."""
         device, self._device = self._device, None
         return device
 
     def close(self) -> None:
-        """Give the sensor back, unless somebody took it; harmless when repeated."""
+        """Close the sensor, unless a caller has taken it. May be called again."""
         device = self.take_device()
         if device is not None:
             device.close()
@@ -63,14 +63,14 @@ class Preflight:
         self.close()
 
     def try_part(self, part: str, attempt: Callable[[], str]) -> None:
-        """Note what the attempt found, or the error that it raised."""
+        """Record the result of the attempt, or its error."""
         try:
             self.findings.append(Finding(part, attempt()))
         except GelgateError as error:
             self.findings.append(Finding(part, str(error), error))
 
     def open_bundle(self, config: Config) -> str:
-        """Load, hash and score the golden frames; gives what was found. Errors: BundleError."""
+        """Load, hash and score the golden frames; returns the finding. Errors: BundleError."""
         self.scorer, worst = open_scorer(config)
         bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
         return (
@@ -97,7 +97,7 @@ class Preflight:
 def preflight(config: Config, clock: Clock) -> Preflight:
     """Try bundle, sensor, database and receivers, in the order in which a start uses them.
 
-    A receiver that is away is no fault: results wait for it in the outbox; its finding says so.
+    A receiver that is away is not a fault: results wait for it in the outbox, and its finding says so.
     """
     found = Preflight()
     found.try_part("bundle", lambda: found.open_bundle(config))
@@ -109,7 +109,7 @@ def preflight(config: Config, clock: Clock) -> Preflight:
 
 
 def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
-    """Errors: DeviceError. Found is not enough: another process may hold it."""
+    """Errors: DeviceError. It must also open: another process may hold it."""
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     sightings = plugin.survey(options)
@@ -142,7 +142,7 @@ def _reachable(table: PluginTable, key: str) -> str:
         with socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S):
             return f"{host}:{port} accepts connections"
     except socket.gaierror as error:
-        if error.errno == socket.EAI_AGAIN:  # the name server is away, as it is while a plant comes up
+        if error.errno == socket.EAI_AGAIN:  # the name server is away, as at the start of a plant
             return f"{host} cannot be looked up now ({error.strerror}); {later}"
         raise ConfigError(
             f"the address '{host}' is not known ({error.strerror}); correct {key}.options.host"

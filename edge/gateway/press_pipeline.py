@@ -22,7 +22,7 @@ __all__ = ["PressPipeline"]
 
 
 class PressPipeline:
-    """Judges the one frame that each press gives. on_event hears every contact event."""
+    """Judges the one frame of each press. on_event gets every contact event."""
 
     def __init__(
         self,
@@ -41,11 +41,11 @@ class PressPipeline:
         return self.detector.tracker
 
     def feed(self, frame: CameraFrame) -> list[Inspection]:
-        """One camera frame; gives an inspection for each press that it decides (at most one)."""
+        """One camera frame; returns an inspection for each press that it completes (at most one)."""
         return self._inspections_for(self.detector.feed(frame))
 
     def trigger(self) -> str | None:
-        """A verdict is asked for now; gives why there will be none, or None."""
+        """Request a verdict now; returns why there will be none, or None."""
         refusal = None
         for event in self.tracker.trigger():
             self._on_event(event)

@@ -19,9 +19,9 @@ __all__ = ["JudgedPress", "PressReport", "Recorder"]
 
 @dataclass(frozen=True)
 class JudgedPress:
-    """One press with everything that is known before it is counted, made once: a repeated write is the same press.
+    """One press with everything known before it is counted, made once: a repeated write is the same press.
 
-    result: fields of the ResultPayload but those of its place in the ledger.
+    result: the fields of the ResultPayload except those from the ledger.
     """
 
     press: PressRecord
@@ -31,7 +31,7 @@ class JudgedPress:
 
 @dataclass(frozen=True)
 class PressReport:
-    """One press as it was recorded and as it will be published."""
+    """One press as recorded and as published."""
 
     result: ResultPayload
     gel: GelRecord
@@ -41,7 +41,7 @@ class PressReport:
 class Recorder:
     """Writes presses of one sensor, judged with one bundle at one place in the plant, into the store.
 
-    wear_index: the gel's optical wear when it was last seen free, noted with every press; None until measured.
+    wear_index: the gel's optical wear when it was last free, stored with every press; None until measured.
     """
 
     wear_index: float | None = None
@@ -54,7 +54,7 @@ class Recorder:
         self._clock = clock
 
     def prepare(self, inspection: Inspection) -> JudgedPress:
-        """Everything of a press but its place in the ledger."""
+        """Everything of a press except its place in the ledger."""
         press = self._press(inspection)
         heatmap = self._heatmap(press, inspection)
         result = {

@@ -1,4 +1,4 @@
-"""The loop of a running station: frames, calls of other threads, presses to be recorded, and what is said every 10 s.
+"""The loop of a running station: frames, calls of other threads, presses to record, and the report every 10 s.
 
 `step` is one turn without waiting, so a test can drive it in any order; `run` adds the waiting.
 """
@@ -32,12 +32,12 @@ __all__ = ["OnPress", "Parts", "StationLoop"]
 
 log = logging.getLogger(__name__)
 
-# The loop looks up from waiting for a frame this often, to serve calls and notice faults.
+# While it waits for a frame the loop wakes this often, to serve calls and detect faults.
 WAIT_S: Final = 0.2
 STATS_EVERY_S: Final = 10.0
-# A frame older than this when it is looked at could not be judged any more.
+# A frame older than this when it is processed cannot be judged any more.
 LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
-# How long a store that refuses writes is left alone before it is tried again.
+# The pause before a store that refuses writes is tried again.
 STORE_RETRY_S: Final = 1.0
 
 OnPress = Callable[[PressReport], None]
@@ -45,7 +45,7 @@ OnPress = Callable[[PressReport], None]
 
 @dataclass(frozen=True)
 class Parts:
-    """What a station is made of, built and not yet started. Whoever built it closes it."""
+    """The parts of a station, built and not yet started. Their builder closes them."""
 
     inspector: Inspector
     contact: ContactSettings
@@ -61,9 +61,9 @@ class Parts:
 
 
 class StationLoop:
-    """What a station does between reading and publishing. One thread uses it; others go through `Parts.calls`.
+    """The work of a station between reading and publishing. One thread uses it; others use `Parts.calls`.
 
-    is_halted: the store refused a press or a gel in the last step; no frame should be looked at until it takes it.
+    is_halted: the store refused a press or a gel in the last step; no frame is processed until it accepts it.
     """
 
     def __init__(self, parts: Parts, on_press: OnPress = lambda report: None) -> None:
@@ -79,20 +79,22 @@ class StationLoop:
 
     @property
     def calls(self) -> "LoopCalls[StationLoop]":
-        """By which other threads have something done."""
+        """The calls of other threads."""
         return self._parts.calls
 
     @property
     def session(self) -> InspectionSession:
         """The sensor and its gel. Errors: DeviceNotFound before the first frame."""
         if self._session is None:
-            raise DeviceNotFound("no frame has arrived from a sensor yet, so it is not known what is meant")
+            raise DeviceNotFound(
+                "no frame has arrived from a sensor yet, so its gel is not known; try again later"
+            )
         return self._session
 
     def run(self, stop: threading.Event, presses: int | None = None) -> None:
         """Step until `stop` is set, a recording ends, or that number of presses was recorded.
 
-        Errors: StoreError when the store refuses a press to the end; BundleMismatch for a sensor of another mode.
+        Errors: StoreError when the store still refuses a press at the end; BundleMismatch for a sensor of another mode.
         """
         try:
             while not stop.is_set() and (presses is None or self.summary.presses < presses):
@@ -108,7 +110,7 @@ class StationLoop:
         self.publish_stats()
 
     def step(self, frame: CameraFrame | None) -> None:
-        """One turn, with the next frame if there is one. A halted loop is given none."""
+        """One turn, with the next frame if there is one. A halted loop gets no frame."""
         self.is_halted = False
         self._parts.calls.serve(self)
         try:
@@ -127,7 +129,7 @@ class StationLoop:
         self.session.see_gel(self._parts.store.replace_gel(serial, time_ns, gel_id, limit_presses, note))
 
     def publish_stats(self) -> None:
-        """Say what was counted so far, and look for a gel that another process replaced."""
+        """Publish the counts so far, and check whether another process replaced the gel."""
         parts = self._parts
         self._last_stats_ns = parts.clock.monotonic_ns()
         self.summary.see(parts.acquisition.status, self._session.corrupt if self._session else 0)
@@ -151,11 +153,11 @@ class StationLoop:
         session.feed(frame)
 
     def _start_session(self) -> InspectionSession:
-        """The first frame: now the sensor is known, and with it the gel that is worn. Errors: StoreError."""
+        """The first frame: now the sensor is known, and with it the gel. Errors: StoreError."""
         parts = self._parts
         identity = parts.acquisition.status.identity
         if identity is None:
-            raise DeviceNotFound("a frame arrived from a sensor that has not said who it is")
+            raise DeviceNotFound("a frame arrived from a sensor without an identity")
         self._check_mode(identity)
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
         parts.status.clear_fault("store")
@@ -176,7 +178,7 @@ class StationLoop:
             )
 
     def _count_lost(self, frame: CameraFrame, session: InspectionSession) -> None:
-        """Note what this machine was too slow for."""
+        """Count the frames for which this machine was too slow."""
         dropped, now_ns = self._parts.acquisition.status.dropped, self._parts.clock.monotonic_ns()
         self.summary.add_lost(
             is_late=not frame.is_on_demand and now_ns - frame.timestamp_ns > LATE_NS,
@@ -185,7 +187,7 @@ class StationLoop:
         self._dropped_before = dropped
 
     def _record(self) -> None:
-        """Write the presses that wait. Errors: StoreError; nothing is lost by it."""
+        """Write the presses that wait. Errors: StoreError; no press is lost."""
         for report in self._session.record() if self._session else ():
             self._parts.status.clear_fault("store")
             self._parts.publisher.wake()
@@ -198,7 +200,7 @@ class StationLoop:
             log.error("%s", error)
 
     def _say_load(self) -> None:
-        """Frames that a refusing store cost have their own alarm."""
+        """Frames lost because the store refuses writes have their own alarm."""
         if self._was_held_up:
             self._overload.skip(self.summary.frames)
             self._was_held_up = False

@@ -1,4 +1,4 @@
-"""What a station says of itself: state, info, gel, alarms and stats, each as the message it becomes."""
+"""The status messages of a station: state, info, gel, alarms and stats."""
 
 import logging
 import threading
@@ -35,13 +35,13 @@ log = logging.getLogger(__name__)
 
 
 class StationStatus:
-    """Puts what is true now into words and hands it to `announce`, which leaves out what is no news."""
+    """Makes messages of the current status for `announce`, which sends only changes."""
 
     def __init__(self, announce: Callable[[Message], object], clock: Clock) -> None:
         self._announce = announce
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
-        self._lock = threading.Lock()  # the reader thread tells of the sensor, the loop of everything else
+        self._lock = threading.Lock()  # the reader thread reports the sensor, the loop everything else
         self._faults: dict[str, str] = {}
         self._raised: set[str] = set()
         self._waiting_for: str | None = None
@@ -50,13 +50,13 @@ class StationStatus:
         self._drops_before: Mapping[str, int] | None = None
 
     def set_waiting_for(self, what: str | None) -> None:
-        """What must come before anything can be inspected, None when it has come."""
+        """The thing that the station waits for before it can inspect, None when it inspects."""
         with self._lock:
             self._waiting_for = what
             self._say_state()
 
     def set_fault(self, alarm: str, text: str) -> bool:
-        """Nothing can be inspected until `clear_fault`: an alarm, and the state. Gives whether that is news."""
+        """Nothing can be inspected until `clear_fault`: an alarm, and the state. Returns whether this is a change."""
         with self._lock:
             is_new = alarm not in self._faults
             if self._faults.get(alarm) != text:
@@ -66,7 +66,7 @@ class StationStatus:
             return is_new
 
     def clear_fault(self, alarm: str) -> None:
-        """It is over; other faults may last."""
+        """The fault is over; other faults may remain."""
         with self._lock:
             if self._faults.pop(alarm, None) is not None:
                 self.clear(alarm)
@@ -78,12 +78,12 @@ class StationStatus:
             log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
             self.clear_fault("device")
         elif sensor.state is AcquisitionState.FAULT:
-            reason = sensor.fault or "the sensor stopped without saying why"
+            reason = sensor.fault or "the sensor stopped without a reason"
             log.warning("%s", reason)
             self.set_fault("device", reason)
 
     def stopped(self) -> None:
-        """The end, on purpose."""
+        """The intended end."""
         with self._lock:
             self._is_stopped = True
             self._say_state()
@@ -107,7 +107,7 @@ class StationStatus:
         )
 
     def alarm(self, alarm: str, text: str, severity: Literal["warning", "error"] = "error") -> None:
-        """Something that a person should look at. The log has it once, until it is cleared."""
+        """Raise an alarm for a person. The log has it once, until it is cleared."""
         if (
             alarm not in self._raised and alarm not in self._faults
         ):  # a fault is logged by the one who found it
@@ -117,12 +117,12 @@ class StationStatus:
         self._announce(alarm_message(payload))
 
     def clear(self, alarm: str) -> None:
-        """It is over."""
+        """Clear the alarm."""
         self._raised.discard(alarm)
         self._announce(alarm_cleared(alarm))
 
     def gel(self, gel: GelRecord) -> None:
-        """The mounted gel, where no press says it."""
+        """The mounted gel, when there is no press to report it."""
         self._announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
         self.gel_wear(gel)
 
@@ -136,7 +136,7 @@ class StationStatus:
         self.alarm("gel", text, "warning" if gel.state is GelState.DUE else "error")
 
     def info(self, bundle: Bundle, identity: DeviceIdentity) -> None:
-        """What is installed and plugged in."""
+        """The installed software and the connected sensor."""
         manifest = bundle.manifest
         payload = InfoPayload(
             time_ns=self._clock.time_ns(),
@@ -188,7 +188,7 @@ class StationStatus:
             self.alarm("overload", sentence)
 
     def refused(self, count: int, errors: list[str]) -> None:
-        """An alarm while messages are kept that a receiver would not have."""
+        """An alarm while refused messages are kept."""
         if count:
             self.alarm("refused", f"{count} messages were refused and are kept: {'; '.join(errors)}")
         else:
@@ -201,4 +201,4 @@ class StationStatus:
         new = {kind: n - self._drops_before.get(kind, 0) for kind, n in dropped.items()}
         if any(new.values()):
             words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
-            self.alarm("outbox_full", f"unsent messages were dropped for want of room: {words}")
+            self.alarm("outbox_full", f"unsent messages were dropped because the outbox is full: {words}")

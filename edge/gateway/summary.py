@@ -1,4 +1,4 @@
-"""What a run did, counted by the loop: presses, verdicts, times, and what became of the frames."""
+"""The summary of a run, counted by the loop: presses, verdicts, times and frames."""
 
 from collections import Counter, deque
 from dataclasses import dataclass, field, replace
@@ -16,12 +16,11 @@ LATENCIES_KEPT: Final = 1000
 
 @dataclass
 class Summary:
-    """What a run did. verdicts: word to number, `error` for a press without a verdict.
+    """The counts of a run. verdicts: word to number, `error` for a press without a verdict.
 
-    latencies_ms: frame to verdict of the newest presses that were scored; one that was rejected or ended in an error
-    came back sooner, and says nothing about how long a score takes. frames: what became of the sensor's frames.
-    frames_corrupt: not delivered, or delivered and not decodable. frames_stale: came twice. has_ended: a recording was
-    played to its end.
+    latencies_ms: frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so
+    they do not count. frames: the fate of the sensor's frames. frames_corrupt: not delivered, or delivered and not
+    decodable. frames_stale: came twice. has_ended: a recording was played to its end.
     """
 
     presses: int = 0
@@ -43,7 +42,7 @@ class Summary:
             self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
 
     def add_lost(self, *, is_late: bool, was_interrupted: bool) -> None:
-        """What this machine was too slow for at one frame (see FrameCounts)."""
+        """Count a frame for which this machine was too slow (see FrameCounts)."""
         self.frames = replace(
             self.frames,
             late=self.frames.late + is_late,
@@ -51,7 +50,7 @@ class Summary:
         )
 
     def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
-        """Take over what the reader thread counted. undecodable: frames that arrived and could not be decoded."""
+        """Add the reader thread's counts. undecodable: frames that arrived and could not be decoded."""
         self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
         self.frames_corrupt = sensor.corrupt + undecodable
         self.frames_stale = sensor.stale

@@ -1,4 +1,4 @@
-"""What is asked of a station and what it answers: one pydantic model per payload of `cmd/`."""
+"""Requests to a station and its responses: one pydantic model per payload of `cmd/`."""
 
 from collections.abc import Mapping
 from typing import Any, Literal, Self
@@ -17,7 +17,7 @@ class CommandRequest(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
     transaction: str = Field(
-        min_length=1, max_length=128, description="chosen by the asker, returned in the response"
+        min_length=1, max_length=128, description="chosen by the requester, returned in the response"
     )
     arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
 

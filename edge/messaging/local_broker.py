@@ -1,6 +1,6 @@
 """A real MQTT broker on this machine, for the demo and for tests: mosquitto if it is installed, else amqtt.
 
-It listens on a loopback port, lets everybody in, and keeps nothing on disk: not a broker for a plant.
+It listens on a loopback port, accepts every client, and keeps nothing on disk: not a broker for a plant.
 """
 
 import shutil
@@ -26,7 +26,7 @@ STOP_TIMEOUT_S: Final = 5.0
 
 _MOSQUITTO: Final = "listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{extra}\n"
 
-# Without its plugins amqtt 0.12 lets nobody in; these two are what "anonymous" takes.
+# Without its plugins amqtt 0.12 refuses every client; these two allow anonymous clients.
 _AMQTT: Final = """\
 listeners:
   default:
@@ -44,7 +44,7 @@ def _mosquitto() -> str | None:
 
 
 def available_brokers() -> list[BrokerKind]:
-    """What can be started here, the better one first."""
+    """The brokers that can be started here, the better one first."""
     found: list[BrokerKind] = ["mosquitto"] if _mosquitto() else []
     return [*found, "amqtt"] if find_spec("amqtt") else found
 
@@ -52,8 +52,8 @@ def available_brokers() -> list[BrokerKind]:
 class LocalBroker:
     """A broker process. `start` returns once it accepts connections; `stop` ends it; both may be repeated.
 
-    port None takes a free one, and every later start takes the same. extra: further lines for mosquitto's file.
-    Errors: SinkUnavailable if none is installed or it does not come up.
+    port None takes a free one, and every later start takes the same. extra: more lines for mosquitto's file.
+    Errors: SinkUnavailable if no broker is installed or it does not start.
     """
 
     def __init__(self, kind: BrokerKind | None = None, port: int | None = None, extra: str = "") -> None:
@@ -88,17 +88,17 @@ class LocalBroker:
                 self.stop()
                 last = log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:]
                 raise SinkUnavailable(
-                    f"the broker {self.kind} does not come up on port {self.port}: {''.join(last) or 'no word from it'}"
+                    f"the broker {self.kind} does not start on port {self.port}: {''.join(last) or 'no output'}"
                 )
             time.sleep(0.02)
         return self
 
     def stop(self) -> None:
-        """End it in good order."""
+        """End it properly."""
         self._end(lambda process: process.terminate())
 
     def kill(self) -> None:
-        """End it as a power cut would."""
+        """Kill it, as in a power failure."""
         self._end(lambda process: process.kill())
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ class LocalBroker:
 
     def _command(self) -> list[str]:
         folder = Path(self._folder.name)
-        folder.chmod(0o755)  # mosquitto started by root reads its file as a user of its own
+        folder.chmod(0o755)  # mosquitto started by root reads its file as its own user
         config = folder / ("mosquitto.conf" if self.kind == "mosquitto" else "amqtt.yaml")
         text = (_MOSQUITTO if self.kind == "mosquitto" else _AMQTT).format(port=self.port, extra=self._extra)
         config.write_text(text, encoding="utf-8")

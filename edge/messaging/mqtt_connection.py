@@ -1,7 +1,7 @@
-"""One connection to an MQTT broker, at the level it speaks: 5, or 3.1.1 where 5 is refused.
+"""One connection to an MQTT broker, at its protocol level: 5, or 3.1.1 where 5 is refused.
 
-Used by the MQTT sink, and by whoever listens. A `Connection` never reconnects: when it is lost it is thrown away with
-everything the library had queued, so a message that was given up is never sent later behind one's back.
+Used by the MQTT sink and by subscribers. A `Connection` never reconnects. When it is lost it is discarded with
+everything that the library had queued, so a message that was given up is not sent later.
 
 Ref: MQTT 5.0 (OASIS, 2019), MQTT 3.1.1 (OASIS, 2014), paho-mqtt 2.x. Seen with mosquitto 2.0 (both levels) and amqtt
 0.12 (3.1.1 alone; it drops a level 5 CONNECT without an answer, or waits).
@@ -29,15 +29,15 @@ __all__ = ["Broker", "Connection", "Level", "LevelRefused", "Outgoing", "Receive
 
 Level = Literal["5", "3.1.1"]
 
-# PUBACK codes that say "not this message, ever": not authorized, topic name invalid, payload format invalid. The other
-# failures (quota, unspecified, implementation specific) are about the broker's present state and may pass.
+# PUBACK codes that refuse a message for ever: not authorized, topic name invalid, payload format invalid. The other
+# failures (quota, unspecified, implementation specific) are about the broker's present state and may end.
 _REFUSALS: Final = frozenset({0x87, 0x90, 0x99})
 
-# Room for a PUBLISH packet's own fields beside topic and payload: header, ids and our three properties.
+# Room for a PUBLISH packet's fields other than topic and payload: header, ids and our three properties.
 _PACKET_OVERHEAD_BYTES: Final = 128
 
-# In search of the level, a silent broker is not waited for in full: amqtt 0.12 reads a level 5 CONNECT with a will as
-# one of 3.1.1, and waits for bytes that never come.
+# While the level is not known, the wait for a silent broker is shorter: amqtt 0.12 reads a level 5 CONNECT with a will
+# as one of 3.1.1, and waits for bytes that never come.
 _LEVEL_TRIAL_S: Final = 2.0
 
 _RETAIN_SEND_ON_SUBSCRIBE: Final = 0
@@ -66,7 +66,7 @@ class Tls:
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is and how to speak to it. level None tries 5, then 3.1.1."""
+    """The broker's address and protocol. level None tries 5, then 3.1.1."""
 
     host: str
     port: int
@@ -100,7 +100,7 @@ class Outgoing:
 
 @dataclass(frozen=True)
 class Received:
-    """A message from the broker. response_topic and correlation exist at level 5 alone."""
+    """A message from the broker. response_topic and correlation exist only at level 5."""
 
     topic: str
     payload: bytes
@@ -114,7 +114,7 @@ OnReceived = Callable[[Received], None]
 
 
 class Connection:
-    """One connection, up when it is made and for ever down once it is lost. Any thread may publish.
+    """One connection, up when it is made; once lost, it stays down. Any thread may publish.
 
     on_received: called from the connection's own thread; it must return at once. on_lost: likewise, once.
     """
@@ -127,9 +127,9 @@ class Connection:
         on_received: OnReceived | None = None,
         on_lost: Callable[[], None] = lambda: None,
     ) -> Self:
-        """Connect and wait for the broker's consent.
+        """Connect and wait for the broker's acknowledgement.
 
-        Errors: SinkUnavailable, its sentence saying whether the broker is absent, silent, or refuses us.
+        Errors: SinkUnavailable, which says whether the broker is absent, silent, or refuses the connection.
         """
         if broker.level is not None:
             return cls(broker, broker.level, will, on_received, on_lost)
@@ -171,7 +171,7 @@ class Connection:
         """Send and wait for the acknowledgement; QoS 0 waits until it is written.
 
         Errors: SinkRejected for this message; SinkUnavailable when the connection is lost meanwhile, or when the
-        broker stays silent, and then the connection is given up.
+        broker does not answer, and then the connection is given up.
         """
         size = len(message.payload) + len(message.topic.encode()) + _PACKET_OVERHEAD_BYTES
         if self._largest_packet is not None and size > self._largest_packet:
@@ -190,7 +190,7 @@ class Connection:
         self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
 
     def subscribe(self, topic_filter: str, *, wants_retained: bool = True) -> None:
-        """Ask for messages and wait for consent. Errors: SinkRejected, SinkUnavailable."""
+        """Subscribe and wait for the acknowledgement. Errors: SinkRejected, SinkUnavailable."""
         if self.level == "5":
             handling = _RETAIN_SEND_ON_SUBSCRIBE if wants_retained else _RETAIN_DO_NOT_SEND
             options = SubscribeOptions(qos=1, retainHandling=handling)
@@ -204,7 +204,7 @@ class Connection:
             raise SinkRejected(f"broker {self.broker} refuses the subscription to {topic_filter}: {reason}")
 
     def close(self) -> None:
-        """Say goodbye: the will is not published. Harmless when repeated."""
+        """Disconnect: the will is not published. May be called again."""
         with self._changed:
             self.why_lost = self.why_lost or "closed here"
         self._client.disconnect()
@@ -212,7 +212,7 @@ class Connection:
         self.abandon("closed here")
 
     def abandon(self, why: str) -> None:
-        """Cut the line without a goodbye, and forget everything queued. Harmless when repeated."""
+        """Close the socket without a DISCONNECT, and discard everything queued. May be called again."""
         with self._changed:
             self.why_lost = self.why_lost or why
         sock = self._client.socket()
@@ -276,7 +276,7 @@ class Connection:
                 f"broker {self.broker} does not speak MQTT 5 ({consent or why or 'no answer'})"
             )
         if consent is None:
-            return SinkUnavailable(f"broker {self.broker} gives no consent ({why or 'no answer in time'})")
+            return SinkUnavailable(f"broker {self.broker} does not accept us ({why or 'no answer in time'})")
         return SinkUnavailable(
             f"broker {self.broker} refuses the connection: {consent}; check user name, password file and client id"
         )
@@ -329,10 +329,10 @@ class Connection:
             self._is_lost = True
             self.why_lost = self.why_lost or why
             self._changed.notify_all()
-        if self._is_established:  # an attempt that failed was told by its exception
+        if self._is_established:  # an attempt that failed was reported by its exception
             self._on_lost()
 
-    # The callbacks: the library's thread brings news, and never waits here.
+    # The callbacks, called by the library's thread, which never waits here.
 
     def _connected(
         self,

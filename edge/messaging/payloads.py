@@ -1,7 +1,7 @@
-"""What is published: one pydantic model per payload, and the topic, delivery and retention of each.
+"""The published messages: one pydantic model per payload, and the topic, delivery and retention of each.
 
-Every payload carries `version`, and its moment three times: `time` for people (ISO 8601, UTC), `time_ns` for programs
-with 64-bit integers and `time_ms` for those without (JavaScript rounds what lies beyond 2^53).
+Every payload has `version`, and its time three times: `time` for people (ISO 8601, UTC), `time_ns` for programs with
+64-bit integers and `time_ms` for the others (JavaScript rounds integers above 2^53).
 Units are in the names. Within version 1 fields may be added; a subscriber ignores those it does not know.
 docs/mqtt.md is printed from this file.
 """
@@ -51,13 +51,13 @@ PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25
 ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or sends broken frames",
     "store": "the database or its disk refuses writes; inspection halts",
-    "outbox_full": "unsent messages were dropped for want of room: heatmaps first, passes next, fails last",
+    "outbox_full": "unsent messages were dropped because the outbox is full: heatmaps first, passes next, fails last",
     "refused": "a receiver refused a message; it is kept and offered again every hour and at each start",
-    "free_gel": "the free gel was learnt while something pressed; nothing is scored until it was seen at rest",
+    "free_gel": "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at rest",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
 }
-"""Alarm id to meaning. All are cleared at start, so that none outlives the process that raised it."""
+"""Alarm id to meaning. All are cleared at start, so that no alarm outlives the process that raised it."""
 
 
 def iso_time(time_ns: int) -> str:
@@ -68,7 +68,7 @@ def iso_time(time_ns: int) -> str:
 
 
 class Payload(BaseModel):
-    """What every JSON payload has. `time` is filled in from `time_ns` and must agree with it."""
+    """The fields of every JSON payload. `time` is computed from `time_ns` and must agree with it."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -106,13 +106,13 @@ class StatePayload(Payload):
 
     state: Literal["starting", "ready", "halted", "stopped", "lost"] = Field(
         description="starting: not yet inspecting; ready: inspecting; halted: running but unable to inspect, see "
-        "`reason`; stopped: ended on purpose; lost: gone without a word (`time` is then that of its start)"
+        "`reason`; stopped: ended on purpose; lost: ended without a message (`time` is then that of its start)"
     )
     reason: str | None = Field(default=None, description="one sentence, for people")
 
 
 class InfoPayload(Payload):
-    """What is installed here."""
+    """The installed software, bundle and sensor."""
 
     gelgate_version: str
     sensor_product: str | None = None
@@ -124,9 +124,9 @@ class InfoPayload(Payload):
     backbone: str | None = None
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
     threshold: float | None = None
-    false_alarms: str | None = Field(default=None, description="what the threshold promises, in words")
+    false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
     warnings: tuple[str, ...] = Field(
-        default=(), description="what `fit` warned of, such as a press that stands apart"
+        default=(), description="the warnings of `fit`, such as an outlier among the presses"
     )
 
 
@@ -138,9 +138,9 @@ Box = tuple[float, float, float, float]
 
 
 class DefectPlace(BaseModel):
-    """A connected part of the score map that lies above the threshold.
+    """A connected part of the score map above the threshold.
 
-    Places are counted from the top left corner of the inspected region, which is what the picture shows.
+    Places are counted from the top left corner of the inspected region, which the picture shows.
     """
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
@@ -185,7 +185,7 @@ class ResultPayload(Payload):
         default=None, ge=0, description="scores this near the threshold are unsure"
     )
     score_ratio: float | None = Field(
-        default=None, description="score / threshold: above 1 fails, whatever the detector"
+        default=None, description="score / threshold: above 1 fails, with every detector"
     )
     defects: list[DefectPlace] | None = Field(
         default=None,
@@ -193,14 +193,16 @@ class ResultPayload(Payload):
         f"at most {MOST_DEFECTS}; null for a pass and for a press without a score",
     )
     defect_area_mm2: float | None = Field(
-        default=None, ge=0, description="all of the map above the threshold, also what `defects` leaves out"
+        default=None,
+        ge=0,
+        description="all of the map above the threshold, also the parts that `defects` omits",
     )
     mm_per_pixel: Pair | None = Field(default=None, description="x, y of the picture")
     method: str | None = None
     bundle_id: str | None = None
     sensor_serial: str
     gel_id: str
-    gel_presses: int = Field(ge=0, description="presses of this gel, this one included")
+    gel_presses: int = Field(ge=0, description="presses of this gel, including this one")
     gel_limit_presses: int = Field(ge=1)
     latency_ms: dict[str, float] = Field(
         default_factory=dict, description="stage to milliseconds; `total` is frame to verdict"
@@ -249,7 +251,7 @@ class GelPayload(Payload):
 
 
 class AlarmPayload(Payload):
-    """Something that a person should look at. The topic is emptied when it is over."""
+    """A fault that a person should check. The topic is emptied when it is over."""
 
     alarm: str
     severity: Literal["warning", "error"] = "error"
@@ -267,7 +269,7 @@ class StatsPayload(Payload):
     frames_dropped: int = Field(
         default=0, ge=0, description="delivered, and dropped: this machine was too slow"
     )
-    frames_late: int = Field(default=0, ge=0, description="looked at too late to be judged")
+    frames_late: int = Field(default=0, ge=0, description="processed too late to be judged")
     delivered_fps: float = Field(ge=0)
     presses: int = Field(ge=0)
     presses_interrupted: int = Field(
@@ -277,9 +279,7 @@ class StatsPayload(Payload):
     )
     verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
     reconnects: int = Field(default=0, ge=0, description="of the sensor")
-    latency_ms_p50: float | None = Field(
-        default=None, description="frame to verdict, of scored presses alone"
-    )
+    latency_ms_p50: float | None = Field(default=None, description="frame to verdict, of scored presses only")
     latency_ms_max: float | None = Field(default=None, description="likewise")
     outbox_rows: int = Field(default=0, ge=0)
     outbox_bytes: int = Field(default=0, ge=0)
@@ -306,7 +306,7 @@ def heatmap_message(press_id: str, png: bytes) -> Message:
 def press_messages(
     result: ResultPayload, gel: GelRecord, heatmap_png: bytes | None = None
 ) -> Sequence[Message]:
-    """All that one press publishes, in order: result, its picture, then the retained picture, `last` and `gel`.
+    """All messages of one press, in order: result, its picture, then the retained picture, `last` and `gel`.
 
     The retained picture is always that of `last`: a press without one empties the topic.
     """

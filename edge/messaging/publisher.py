@@ -1,7 +1,7 @@
-"""The publisher: one thread per sink that takes the outbox out in order, and never gives up on it.
+"""The publisher: one thread per sink that sends the outbox in order, and never gives up.
 
-A `SinkWorker` is all that happens for one sink, one step at a time and without a thread; `Publisher` gives each worker
-its thread. A sink that is away does not hold up the others: a row leaves the outbox when every sink acknowledged it.
+A `SinkWorker` does the work of one sink, one step at a time and without a thread; `Publisher` gives each worker its
+thread. A sink that is away does not delay the others: a row leaves the outbox when every sink acknowledged it.
 """
 
 import fcntl
@@ -26,30 +26,30 @@ __all__ = ["OnChange", "Publisher", "PublisherLock", "SinkCounters", "SinkWorker
 
 log = logging.getLogger(__name__)
 
-# Rows in memory at a time: enough to keep a broker busy, few enough that sixteen heatmaps fit in any gateway.
+# Rows in memory at a time: enough to keep a broker busy, and sixteen heatmaps fit in any gateway.
 BATCH_ROWS: Final = 16
 
-# An idle worker looks at the outbox this often by itself: other processes (`gelgate gel replace`) cannot wake it.
+# An idle worker checks the outbox this often: other processes (`gelgate gel replace`) cannot wake it.
 IDLE_S: Final = 5.0
 
-# An attempt on a sink that is away costs nothing, it does its own connecting: so the pauses stay short.
+# The pauses are short: an attempt on a sink that is away costs nothing, because the sink itself connects.
 BACKOFF_FIRST_S: Final = 0.1
 BACKOFF_CEILING_S: Final = 5.0
 
-# What a sink refused is offered again this often: permissions get repaired, size limits raised.
+# Refused rows are offered again this often: permissions may be corrected, size limits raised.
 OFFER_REFUSED_S: Final = 3600.0
 
-# A sink's last send and its `close` come back within this time; shipped sinks need less than a second.
+# A sink's last send and its `close` return within this time; shipped sinks need less than a second.
 CLOSE_S: Final = 5.0
 
 OnChange = Callable[[str, bool, str], None]
-"""(sink name, whether it takes messages now, one sentence). Called on changes only, from the worker's thread."""
+"""(sink name, whether it accepts messages now, one sentence). Called on changes only, from the worker's thread."""
 
 
 @dataclass(frozen=True)
 class SinkCounters:
     """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
-    refused: rows that the sink will not have. is_up: the last attempt was taken. last_error: its sentence, or empty."""
+    refused: rows that the sink refuses. is_up: the last attempt succeeded. last_error: its sentence, or empty."""
 
     sent: int = 0
     replayed: int = 0
@@ -60,7 +60,7 @@ class SinkCounters:
 
 
 class SinkWorker:
-    """One sink's way through the outbox. `step` does one batch and says how long to wait before the next."""
+    """Sends the outbox to one sink. `step` does one batch and returns how long to wait before the next."""
 
     def __init__(
         self,
@@ -83,21 +83,21 @@ class SinkWorker:
         self._has_changed = False  # whether `on_change` was ever called
         self._said = 0  # version of the retained state that this sink has
         self._passed = 0  # every row up to this one is settled with this sink
-        self._taken: int | None = None  # the row that the sink took last; the store may not know it yet
+        self._taken: int | None = None  # the last row that the sink accepted; the store may not know it yet
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
         self._offered_ns: int | None = None
 
     def step(self) -> float:
-        """Send what has changed and at most one batch of rows; gives seconds until the next step, 0 for at once.
+        """Send changed state and at most one batch of rows; returns seconds until the next step, 0 for at once.
 
-        Never raises a SinkError or a StoreError: both are counted and retried. A sink's is told through `on_change`;
-        while the store refuses, a row that the sink has taken is not sent again, only noted again.
+        Never raises a SinkError or a StoreError: both are counted and retried. A SinkError is reported by `on_change`.
+        While the store refuses, a row that the sink has accepted is not sent again, only acknowledged again.
         """
         has_failed = self._backoff.failures > 0
         try:
-            self._say()  # first: what is true now needs no store
+            self._say()  # first: the current state needs no store
             if has_failed:
                 self._late_up_to = self._outbox.newest()
             self._offer_refused()
@@ -112,7 +112,7 @@ class SinkWorker:
         return 0.0 if len(rows) == BATCH_ROWS else IDLE_S
 
     def broken(self) -> float:
-        """Note that `step` raised what it must not; gives the seconds to wait, as for any failure."""
+        """Count an unexpected exception of `step`; returns the seconds to wait, as for any failure."""
         return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
 
     def _offer_refused(self) -> None:
@@ -133,7 +133,7 @@ class SinkWorker:
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to
         message = as_replayed(row.message) if is_late else row.message
-        # A row that was taken before waits for its acknowledgement alone: a full disk is no reason to send it again.
+        # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
         if row.row_id != self._taken:
             try:
                 self._deliver(message)
@@ -157,20 +157,20 @@ class SinkWorker:
         self._backoff.succeeded()
         if not self.counters.is_up:
             self.counters = replace(self.counters, is_up=True, last_error="")
-            self._change(True, f"sink {self.name} takes messages")
+            self._change(True, f"sink {self.name} accepts messages")
 
     def _recorded(self) -> None:
         self._backoff.succeeded()
         if self._is_store_failing:
             self._is_store_failing = False
-            log.info("what sink %s takes is noted again", self.name)
+            log.info("the acknowledgements of sink %s are stored again", self.name)
 
     def _unrecorded(self, error: StoreError) -> float:
-        """The database refused: the sink is not to blame, so what is true now goes on being said. Logged once."""
+        """The database refused, not the sink, so the current state is still sent. Logged once."""
         self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
         if not self._is_store_failing:
             self._is_store_failing = True
-            log.error("what sink %s takes cannot be noted: %s", self.name, error)
+            log.error("the acknowledgements of sink %s cannot be stored: %s", self.name, error)
         return self._backoff.failed()
 
     def _failed(self, error: SinkError) -> float:
@@ -196,8 +196,8 @@ class Publisher:
     """All workers over one database, each in its own thread.
 
     database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
-    lock: that of the database, by whoever took it before opening the sinks; the publisher gives it back.
-    Errors: StoreError if another process publishes from this database: two would overtake each other.
+    lock: that of the database, if it was taken before the sinks were opened; the publisher releases it.
+    Errors: StoreError if another process publishes from this database: two would mix the order.
     """
 
     def __init__(
@@ -239,12 +239,12 @@ class Publisher:
             thread.start()
 
     def wake(self) -> None:
-        """There is something new in the outbox. A worker that waits after a failure goes on waiting."""
+        """There is something new in the outbox. A worker that waits after a failure keeps waiting."""
         for wake in self._wakes.values():
             wake.set()
 
     def announce(self, message: Message) -> None:
-        """Say what is true now: state, info, alarm, stats. It is said again on every connection until it changes."""
+        """Publish the current state, info, alarm or stats. It is sent again on every connection until it changes."""
         if self._retained_state.announce(message):
             self.wake()
 
@@ -255,15 +255,15 @@ class Publisher:
         return self._outbox.status()
 
     def stop(self, drain_s: float = 2.0) -> None:
-        """Send what can be sent in that time, then close the sinks; what is left stays in the outbox.
+        """Send as much as possible in that time, then close the sinks; the rest stays in the outbox.
 
-        Harmless when repeated.
+        May be called again.
         """
         self._stopping.set()
         self.wake()
         _join(self._started(), drain_s)
-        # A send that still waits ends with SinkUnavailable when its sink is closed. Each is closed in a thread of its
-        # own: one that never comes back must not keep the others open.
+        # A send that still waits ends with SinkUnavailable when its sink is closed. Each is closed in its own thread:
+        # one that never returns must not keep the others open.
         closers = [
             threading.Thread(target=self._close, args=(name,), name=f"close-{name}", daemon=True)
             for name in self._sinks
@@ -273,9 +273,9 @@ class Publisher:
         _join([*closers, *self._started()], CLOSE_S)
         stuck = [thread.name for thread in (*closers, *self._started()) if thread.is_alive()]
         if stuck:
-            # What they hold stays theirs until the process ends: another publisher would overtake them.
+            # They keep the lock until the process ends: another publisher would mix the order.
             log.error(
-                "%s did not come back within %g s, a fault in the plugin; what it has not taken stays in the outbox",
+                "%s did not return within %g s, a fault in the plugin; its unsent messages stay in the outbox",
                 ", ".join(stuck),
                 CLOSE_S,
             )
@@ -295,9 +295,7 @@ class Publisher:
     def _run(self, worker: SinkWorker) -> None:
         while True:
             self._wakes[worker.name].clear()
-            is_last = (
-                self._stopping.is_set()
-            )  # only a step that begins after `stop` has seen all there is to say
+            is_last = self._stopping.is_set()  # only a step that starts after `stop` has seen all messages
             try:
                 pause_s = worker.step()
             except Exception:
@@ -312,7 +310,7 @@ class Publisher:
 
 
 def _join(threads: Sequence[threading.Thread], seconds: float) -> None:
-    """Wait for all of them, together at most so long."""
+    """Wait for all of them, together at most this long."""
     deadline = time.monotonic() + seconds
     for thread in threads:
         thread.join(max(0.0, deadline - time.monotonic()))
@@ -341,7 +339,7 @@ class PublisherLock:
             ) from error
 
     def close(self) -> None:
-        """Give it back; harmless when repeated."""
+        """Release it. May be called again."""
         file, self._file = self._file, None
         if file is not None:
             os.close(file)

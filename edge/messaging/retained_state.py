@@ -1,6 +1,6 @@
-"""What is true now: state, info, alarms and stats. The latest message per topic; said again on every connection.
+"""The current state, info, alarms and stats. The latest message per topic, sent again on every connection.
 
-These bypass the outbox: an old state is worth nothing, and a late one would be a lie.
+These bypass the outbox: an old state is useless, and a late one would be wrong.
 """
 
 import threading
@@ -15,7 +15,7 @@ __all__ = ["RetainedState"]
 class RetainedState:
     """The latest message per topic. Any thread may use it.
 
-    It begins with every known alarm cleared, so that an alarm retained from a process that died does not stay.
+    At first every known alarm is cleared, so that an alarm retained from a killed process does not stay.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class RetainedState:
             self.announce(alarm_cleared(alarm))
 
     def announce(self, message: Message) -> bool:
-        """From now on this is what its topic says; gives whether that is news."""
+        """Set the message of its topic; returns whether it is a change."""
         with self._lock:
             known = self._latest.get(message.topic)
             if known is not None and known[1] == message:
@@ -37,10 +37,10 @@ class RetainedState:
             return True
 
     def remember(self, message: Message, row_id: int) -> None:
-        """A retained message from the outbox was delivered: from now on it is said again on every connection.
+        """A retained message from the outbox was delivered: from now on it is sent again on every connection.
 
-        A broker that restarts without its retained messages, or one that only knows an older one, is thus put right.
-        Sinks are at different rows; an older row never takes the place of a newer one.
+        This corrects a broker that restarts without its retained messages, or with an older one. Sinks are at
+        different rows; an older row never replaces a newer one.
         """
         with self._lock:
             if row_id > self._rows.get(message.topic, 0):
@@ -49,11 +49,11 @@ class RetainedState:
                 self._latest[message.topic] = (version, message)
 
     def all(self) -> Sequence[Message]:
-        """What a new connection says first: the retained ones, oldest change first."""
+        """The first messages of a new connection: the retained ones, oldest change first."""
         return [message for _, message in self.since(-1) if message.retain]
 
     def since(self, version: int) -> list[tuple[int, Message]]:
-        """What changed after that version, oldest change first, each with its own version."""
+        """The changes after that version, oldest first, each with its own version."""
         with self._lock:
             return sorted(
                 (entry for entry in self._latest.values() if entry[0] > version), key=lambda entry: entry[0]

@@ -1,4 +1,4 @@
-"""Listening to stations: results as they arrive, each press once, and their heatmaps into a folder."""
+"""Subscribes to stations: results as they arrive, each press once, and their heatmaps into a folder."""
 
 import json
 import queue
@@ -17,19 +17,19 @@ from edge.store.ulid import is_ulid
 
 __all__ = ["Seen", "describe", "station_filter", "watch"]
 
-# Press ids remembered in order to leave out repetitions: more than any outbox replays in one go.
+# Press ids remembered in order to leave out repetitions: more than an outbox replays at once.
 REMEMBERED: Final = 100_000
 
-# How long the picture of the last wanted press is waited for; it follows its result at once.
+# The longest wait for the picture of the last wanted press; it follows its result at once.
 LAST_PICTURE_S: Final = 2.0
 
-# Pauses between attempts to return to a broker that went away while we listened.
+# Pauses between attempts to return to a broker that went away.
 RETURN_S: Final = 1.0
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One thing heard. kind: `result`, `heatmap`, `state` or `alarm`. station: the levels before `/gel/`.
+    """One received message. kind: `result`, `heatmap`, `state` or `alarm`. station: the levels before `/gel/`.
 
     content: the JSON payload; for a heatmap its `press_id` and the `path` it was saved to, for an alarm its id too.
     """
@@ -52,9 +52,9 @@ def watch(
     timeout_s: float | None = None,
     tell: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Seen]:
-    """What is heard, until `count` results or `timeout_s` seconds, else for ever. A press id is given once.
+    """The received messages, until `count` results or `timeout_s` seconds, else for ever. A press id comes once.
 
-    save: heatmaps become `<press id>.png` there. tell: hears of trouble that does not end the watch.
+    save: heatmaps become `<press id>.png` there. tell: called with problems that do not end the watch.
     Errors: SinkUnavailable if there is no broker at the start, or the subscription is refused.
     """
     end = _End(None if timeout_s is None else time.monotonic() + timeout_s)
@@ -65,7 +65,7 @@ def watch(
         if seen is None or (seen.kind == "result" and not _is_news(known, seen.content["press_id"])):
             continue
         if seen.kind == "result" and awaited is not None:
-            continue  # enough were seen; only the last one's picture is still to come
+            continue  # all results have come; only the last one's picture is missing
         yield seen
         if seen.kind == "heatmap" and seen.content["press_id"] == awaited:
             return
@@ -79,7 +79,7 @@ def watch(
 
 
 def describe(result: Mapping[str, Any], station: str) -> str:
-    """A result as one line: when, where, what, by how much, the gel, the time it took."""
+    """A result as one line: time, station, verdict, score, gel, latency."""
     verdict, score, threshold = result.get("verdict"), result.get("score"), result.get("threshold")
     words = [str(result.get("time", "?")), station, str(result.get("part", "?"))]
     if result.get("position"):

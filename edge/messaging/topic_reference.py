@@ -1,4 +1,4 @@
-"""docs/mqtt.md, printed from the payload models, so that it cannot disagree with them."""
+"""docs/mqtt.md, printed from the payload models, so that both always agree."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any, Final, Protocol
@@ -23,7 +23,7 @@ __all__ = ["TOPICS", "reference"]
 
 
 class DocumentedCommand(Protocol):
-    """What the page says of a command: its verb, the model of its arguments, and what it does."""
+    """A command on the page: its verb, the model of its arguments, and its effect."""
 
     @property
     def verb(self) -> str: ...
@@ -33,19 +33,19 @@ class DocumentedCommand(Protocol):
     def help(self) -> str: ...
 
 
-# topic below the root, QoS, whether retained, payload, what it is for
+# topic below the root, QoS, whether retained, payload, purpose
 TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
-    ("info", 1, True, InfoPayload, "what is installed"),
-    ("result", 1, False, ResultPayload, "one message a press"),
+    ("info", 1, True, InfoPayload, "the installed software, bundle and sensor"),
+    ("result", 1, False, ResultPayload, "one message per press"),
     ("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
-    ("last", 1, True, ResultPayload, "the newest result, for whoever connects later"),
+    ("last", 1, True, ResultPayload, "the newest result, for clients that connect later"),
     (
         "last/heatmap",
         1,
         True,
         "PNG",
-        "the picture of `last`, on a topic that a dashboard can name; empty without one",
+        "the picture of `last`, on a fixed topic for dashboards; empty without one",
     ),
     ("gel", 1, True, GelPayload, "wear of the mounted gel"),
     ("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
@@ -62,16 +62,16 @@ This page is printed by `gelgate topics` from the payload models; a test compare
 Every topic is below `<prefix>/<site>/<line>/<station>/gel/{TOPIC_VERSION}/`. The four levels come from the
 configuration: 1 to 64 characters each, without blanks and without `+ # / $`.
 
-Payloads are JSON in UTF-8, except the pictures. Every field is always there; what may be null says so. Within
-{TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names. Times are given three times:
-`time` for people, `time_ns` for programs with 64-bit integers, and `time_ms` for the others: JavaScript, and so
-Node-RED, rounds integers beyond 2^53 without an error.
+Payloads are JSON in UTF-8, except the pictures. Every field is always there; its type says whether it may be null.
+Within {TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names. Times are given three
+times: `time` for people, `time_ns` for programs with 64-bit integers, and `time_ms` for the others. JavaScript, and so
+Node-RED, rounds integers above 2^53 without an error.
 
-What a subscriber can rely on:
+A subscriber can rely on this:
 
 - **A result arrives at least once**, and again only with the same `press_id` and content: drop the second by its id.
-- **Results keep their order** at one broker. What could not be sent at once is marked `is_replayed`; its `time` is that
-  of the press. A refused message is set aside and comes later.
+- **Results keep their order** at one broker. A result that is sent late is marked `is_replayed`; its `time` is that of
+  the press. A refused message is kept and comes later.
 - **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
 - **`last/heatmap` comes just before its `last`** and is empty for a press without a picture, so the two always belong
   together. The press id is in the picture's text chunks as well.
@@ -81,12 +81,12 @@ What a subscriber can rely on:
 - **An empty payload on a retained topic means "nothing here"**: MQTT removes a retained message in this way. On every
   connection each `alarm/<alarm>` that is not raised is emptied, so that no alarm outlives the process that raised it.
   Look at the payload's length before you parse it.
-- `state`, `info`, `alarm` and `stats` say what is true now. They are not kept for later, and are said again on every
+- `state`, `info`, `alarm` and `stats` are the current ones. They are not kept for later, and are sent again on every
   connection.
 - MQTT 5 and 3.1.1 carry the same topics and payloads. At level 5 messages also have a content type, a request may name
-  its response topic, and the correlation data comes back. At 3.1.1 a broker may discard silently what its access rules
-  forbid.
-- The client id of a station must be unique: two stations with one id push each other off the broker for ever.
+  its response topic, and the correlation data comes back. At 3.1.1 a broker may discard forbidden messages without an
+  error.
+- The client id of a station must be unique: two stations with one id disconnect each other for ever.
 """
 
 
@@ -94,15 +94,15 @@ _PICTURES: Final = f"""
 ## Pictures
 
 `heatmap/<press id>` and `last/heatmap` are PNG files of 8-bit RGB. Left is the inspected region as the sensor saw it,
-with a line around what lies above the threshold and nothing painted over it. Right are the scores in colour, from 0 to
-{FULL_SCALE:g} times the threshold, the same on every press and for every detector; the colour map is Inferno, whose
-lightness rises evenly with the score, so that it reads the same in grey and to colour-blind eyes. A scale bar, verdict,
-score and names are written around them. The text chunks (iTXt) hold {{keywords}}.
+with a line around each part above the threshold. Right are the scores in colour, from 0 to {FULL_SCALE:g} times the
+threshold, the same for every press and every detector. The colour map is Inferno: its lightness rises evenly with the
+score, so it also works in grey and for colour-blind people. A scale bar, verdict, score and names are around them. The
+text chunks (iTXt) hold {{keywords}}.
 """
 
 
 def reference(commands: Iterable[DocumentedCommand]) -> str:
-    """The complete page, Markdown. commands: what a station answers to."""
+    """The complete page, Markdown. commands: those of a station."""
     pictures = _PICTURES.format(keywords=", ".join(f"`{keyword}`" for keyword in TEXT_KEYWORDS))
     parts = [_HEAD, *_overview(), pictures.rstrip(), *_commands(commands), *_alarms(), *_payloads()]
     return "\n".join(parts) + "\n"

@@ -1,4 +1,4 @@
-"""What may be asked of a running station, by any thread: trigger, relearn, replace_gel."""
+"""Requests to a running station, from any thread: trigger, relearn, replace_gel."""
 
 import threading
 import time
@@ -19,7 +19,7 @@ Refusals = (GelgateError, ValueError)
 
 
 def answered(ask: Callable[[], object]) -> str:
-    """The answer's sentence, empty when it was done."""
+    """The answer's sentence, empty on success."""
     try:
         ask()
     except Refusals as error:
@@ -30,7 +30,7 @@ def answered(ask: Callable[[], object]) -> str:
 def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
     tmp_path: Path, bundle: Path
 ) -> None:
-    """No press, no verdict; one press, one verdict, however often it is asked for; then the gel is replaced."""
+    """No press, no verdict; one press, one verdict, for any number of requests; then the gel is replaced."""
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(hold=24, idle=10), seed=4)
     config = load_config(
         station_config(tmp_path / "station", recording, bundle, trigger="command", loop=True)

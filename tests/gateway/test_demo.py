@@ -1,4 +1,4 @@
-"""The demonstration's own wiring: the station that it writes runs, over a broker, to its subscriber."""
+"""The demonstration's wiring: its station runs, over a broker, to its subscriber."""
 
 from pathlib import Path
 

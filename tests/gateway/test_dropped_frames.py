@@ -1,4 +1,4 @@
-"""A station on a machine that is too slow: what it lost is counted and said, and a held press keeps its verdict."""
+"""A station on a machine that is too slow: lost frames are counted and reported, and a held press keeps its verdict."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ def long_presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_press_that_is_held_while_frames_are_dropped_has_one_verdict(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
-    """The loop looks at nothing for 2 s of the first press: an interruption is counted, and both presses are judged."""
+    """The loop processes no frame for 2 s of the first press: an interruption is counted, and both presses are judged."""
     with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         station.play(33)  # the sensor is open, and pressed for four frames
         station.read(38)
@@ -56,7 +56,7 @@ def test_what_was_dropped_is_published_and_the_alarm_is_cleared_when_it_heals(
 def test_frames_that_a_halted_store_costs_are_no_overload(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
-    """A full disk has its own alarm; that the queue ran over meanwhile says nothing of the machine's speed."""
+    """A full disk has its own alarm; frames dropped meanwhile do not count as a slow machine."""
     with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         with station.refusing("presses"):
             station.play_until(lambda: station.loop.is_halted)

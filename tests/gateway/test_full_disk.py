@@ -14,7 +14,7 @@ PROGRAM = Path(gateway_on_a_full_disk.__file__)
 
 
 def test_a_full_disk_halts_the_station_and_loses_no_press(tmp_path: Path, bundle: Path) -> None:
-    """The press that finds no room is kept in hand: announced as a halt and an alarm, recorded once there is room.
+    """The press that finds no room is kept: reported as a halt and an alarm, recorded once there is room.
 
     Each press is counted once and published once; the alarm is cleared and the station ready again.
     """

@@ -60,7 +60,7 @@ def test_each_press_is_counted_once(finished: tuple[Path, list[PressReport]]) ->
 
 
 def test_a_press_publishes_result_heatmap_last_and_gel(finished: tuple[Path, list[PressReport]]) -> None:
-    """What a subscriber needs arrives once per press, matched by its id; the retained picture is that of `last`."""
+    """The messages of a press arrive once, matched by its id; the retained picture is that of `last`."""
     config, reports = finished
     topics = Counter(str(line["topic"]).split("/")[0] for line in published(config))
 
@@ -71,7 +71,7 @@ def test_a_press_publishes_result_heatmap_last_and_gel(finished: tuple[Path, lis
 
 
 def test_a_result_says_where_the_defect_is(finished: tuple[Path, list[PressReport]]) -> None:
-    """The strongest part of the dented press lies at the dent, in pixels and in millimetres; a pass has none."""
+    """The strongest part of the dented press is at the dent, in pixels and in millimetres; a pass has none."""
     _, reports = finished
     assert reports[0].result.defects is None
     assert reports[1].result.defects
@@ -105,7 +105,7 @@ def test_a_result_says_where_it_comes_from_and_how_far_it_is(
 
 
 def test_the_picture_names_its_press(finished: tuple[Path, list[PressReport]]) -> None:
-    """A picture that was saved under any name says which press it shows, and the verdict of that press."""
+    """A picture saved under any name contains the id and the verdict of its press."""
     from edge.pictures import png
 
     _, reports = finished
@@ -124,7 +124,7 @@ def test_latencies_are_told_per_stage(finished: tuple[Path, list[PressReport]]) 
 
 
 def test_the_state_ends_with_stopped(finished: tuple[Path, list[PressReport]]) -> None:
-    """A gateway that ends on purpose says so."""
+    """A gateway that is stopped publishes `stopped`."""
     config, _ = finished
     states = [line["payload"]["state"] for line in published(config) if line["topic"] == "state"]  # type: ignore[index]
 
@@ -152,7 +152,7 @@ def test_a_sensor_pulled_out_during_twenty_presses_is_reconnected_each_time(
 
 
 def test_broken_frames_are_counted_and_passed_over(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """A truncated JPEG, a packet with an error and a stale frame cost nothing but themselves."""
+    """A truncated JPEG, a packet with an error and a stale frame are lost alone, and nothing else."""
     config = station_config(
         tmp_path,
         recording,
@@ -173,7 +173,7 @@ def test_broken_frames_are_counted_and_passed_over(tmp_path: Path, recording: Pa
 def test_a_saturated_press_is_rejected_and_a_black_stream_is_no_press(
     tmp_path: Path, bundle: Path, value: int, reason: str | None
 ) -> None:
-    """A press that clips has no verdict but wears the gel; black frames tell nothing."""
+    """A press that clips has no verdict but wears the gel; black frames are not used."""
     import numpy as np
 
     folder, rng = tmp_path / "odd", np.random.default_rng(5)

@@ -56,7 +56,7 @@ class Results:
         self._client.loop_stop()
 
 
-# Every process is forked from one that has the imports behind it: they cost more than a press.
+# Every process is forked from one that has done the imports: they cost more than a press.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["edge.gateway.gateway"])
 
@@ -82,7 +82,7 @@ def killed_again_and_again(config: Path, deadly: Sequence[int]) -> list[int]:
 def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
     tmp_path: Path, bundle: Path, one_press: Path, broker: LocalBroker
 ) -> None:
-    """Whichever write is the last one, no press is lost, doubled or counted twice."""
+    """For every last write, no press is lost, doubled or counted twice."""
 
     def config(station: str) -> Path:
         # A recording is one sensor, which one process holds at a time.

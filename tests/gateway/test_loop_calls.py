@@ -1,4 +1,4 @@
-"""What other threads ask of the gateway's loop."""
+"""Requests of other threads to the gateway's loop."""
 
 import threading
 
@@ -9,7 +9,7 @@ from edge.gateway.loop_calls import LoopCalls
 
 
 def test_the_loop_does_what_is_asked_and_the_asker_gets_the_answer() -> None:
-    """The answer comes from the thread that serves, out of the state that it gives."""
+    """The answer comes from the thread that serves, and from the state that it passes."""
     calls, answers = LoopCalls[str](), []
     asker = threading.Thread(
         target=lambda: answers.append(calls.ask(lambda name: (name, threading.get_ident())))
@@ -22,10 +22,10 @@ def test_the_loop_does_what_is_asked_and_the_asker_gets_the_answer() -> None:
 
 
 def test_what_was_refused_is_not_done_later() -> None:
-    """An asker who was told that nothing happened is not surprised afterwards."""
+    """A call that was refused is not done afterwards."""
     calls, done = LoopCalls[str](answer_s=0.01), []
 
-    with pytest.raises(GelgateError, match=r"did not get to it within 0\.01 s, and has not done it"):
+    with pytest.raises(GelgateError, match=r"did not answer within 0\.01 s, and has not done it"):
         calls.ask(lambda _: done.append(1))
     calls.serve("loop")
 
@@ -33,7 +33,7 @@ def test_what_was_refused_is_not_done_later() -> None:
 
 
 def test_a_fault_is_the_askers() -> None:
-    """It is raised where it was asked for, and the loop goes on."""
+    """It is raised in the caller's thread, and the loop continues."""
     calls, told = LoopCalls[str](), []
 
     def fault(_: object) -> None:
@@ -54,7 +54,7 @@ def test_a_fault_is_the_askers() -> None:
 
 
 def test_after_the_end_nothing_is_taken() -> None:
-    """Nobody waits for a loop that is over."""
+    """A call to a loop that has ended does not wait."""
     calls = LoopCalls[str]()
     calls.close("loop")
 

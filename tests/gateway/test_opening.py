@@ -17,7 +17,7 @@ from edge.messaging.publisher import PublisherLock
 
 @pytest.fixture
 def broker() -> Iterator[socket.socket]:
-    """Something that would notice a connection."""
+    """A listener that detects a connection."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.3)
         yield server
@@ -26,7 +26,7 @@ def broker() -> Iterator[socket.socket]:
 def test_a_second_gateway_never_reaches_the_broker(
     tmp_path: Path, recording: Path, bundle: Path, broker: socket.socket
 ) -> None:
-    """Both have one client id: a connection of the second would push the first off its broker."""
+    """Both have one client id: a connection of the second would disconnect the first from its broker."""
     config = load_config(station_config(tmp_path, recording, bundle, sinks=MQTT % broker.getsockname()[1]))
     first = PublisherLock(config.store.path)
     try:
@@ -122,7 +122,7 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     messages = [json.loads(line) for line in log.read_text().splitlines()]
     states = [message["payload"]["state"] for message in messages if message["topic"] == "state"]
 
-    # What a start waits for may change on the way: a slow one finds the gel pressed when it first looks.
+    # The reason to wait may change: a slow start finds the gel pressed at its first frame.
     told = [state for state, _ in groupby(states[states.index("halted") :])]
     assert told == ["halted", "starting", "ready", "stopped"]
     assert gateway.summary.presses == 1

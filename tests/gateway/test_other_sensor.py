@@ -1,4 +1,4 @@
-"""A sensor with other colours at a station that has learnt one: its presses are rejected, whatever they would score."""
+"""A sensor with other colours at a station that has learnt one: its presses are rejected, with any score."""
 
 import json
 import threading
@@ -26,7 +26,7 @@ PROFILE = profile("cropped_lr")
 
 @pytest.fixture(scope="module")
 def lenient(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bundle whose threshold passes everything, so that only the check before the score can stop a press."""
+    """A bundle whose threshold passes everything, so that only the check before the score can reject a press."""
     folder = tmp_path_factory.mktemp("lenient")
     region = Region.centre(PROFILE.size)
     presses = read_presses([press_recording(folder / "nominal", 4, seed=1)], PROFILE, region)
@@ -72,7 +72,7 @@ def test_presses_of_another_sensor_are_rejected(
 
 
 def test_a_bundle_without_colours_does_not_check(tmp_path: Path, lenient: Path, strangers: Path) -> None:
-    """A bundle from before the check scores them as ever; this is what the check prevents."""
+    """A bundle from before the check scores them as before; the check prevents this."""
     old = tmp_path / "old"
     old.mkdir()
     for file in lenient.rglob("*"):

@@ -1,4 +1,4 @@
-"""A machine that is too slow says so: the rule, the counters behind it, and what a run prints at its end."""
+"""A machine that is too slow is reported: the rule, its counters, and the summary at the end of a run."""
 
 import json
 from dataclasses import replace
@@ -47,7 +47,7 @@ def rejected(reason: str, total_ms: float) -> PressReport:
 
 
 def test_a_machine_that_keeps_up_raises_nothing() -> None:
-    """One frame in a hundred lost is an accident."""
+    """One lost frame in a hundred raises no alarm."""
     assert OverloadRule().step(FrameCounts(frames=190, dropped=1)) is None
 
 
@@ -67,7 +67,7 @@ def test_one_press_that_could_not_be_followed_is_an_alarm(missed: dict[str, int]
 
 
 def test_the_alarm_lasts_until_a_window_is_clean() -> None:
-    """Raised at 8 %, kept at 3 %, over at 0.5 %; only what is new counts."""
+    """Raised at 8 %, kept at 3 %, cleared at 0.5 %; only new frames count."""
     rule = OverloadRule()
     counts = [FrameCounts(200, 16), FrameCounts(400, 22), FrameCounts(600, 23), FrameCounts(800, 24)]
 
@@ -75,7 +75,7 @@ def test_the_alarm_lasts_until_a_window_is_clean() -> None:
 
 
 def test_what_a_full_disk_costs_is_left_out() -> None:
-    """A window that something else held up has that one's alarm."""
+    """A window that something else delayed has another alarm."""
     rule = OverloadRule()
     rule.skip(FrameCounts(200, 150))
 
@@ -83,7 +83,7 @@ def test_what_a_full_disk_costs_is_left_out() -> None:
 
 
 def test_latencies_are_those_of_scored_presses() -> None:
-    """A press that was rejected after 0.05 ms says nothing about how long a score takes."""
+    """A press that was rejected after 0.05 ms does not count in the times of a score."""
     summary = Summary()
     for one in (rejected("stale: old", 0.05), rejected("black: dark", 0.05), scored(191.0), scored(193.0)):
         summary.add(one)
@@ -92,7 +92,7 @@ def test_latencies_are_those_of_scored_presses() -> None:
 
 
 def test_stats_say_what_became_of_the_frames() -> None:
-    """Dropped, late, stale and corrupt frames and interrupted presses, and the median of scored presses alone."""
+    """Dropped, late, stale and corrupt frames and interrupted presses, and the median of scored presses only."""
     said: list[Message] = []
     summary = Summary()
     summary.frames = replace(summary.frames, late=3, interrupted=2)

@@ -1,4 +1,4 @@
-"""A recording played on demand misses nothing, and a run that missed a press says so."""
+"""A recording played on demand misses nothing, and a run that missed a press fails."""
 
 import threading
 from collections import Counter
@@ -36,7 +36,7 @@ def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_played_on_demand_every_press_is_seen(
     tmp_path: Path, recording: Path, bundle: Path, device: str
 ) -> None:
-    """Contact is told by the recording's time: with pace 0 each press is found, whatever the machine's speed."""
+    """Contact uses the recording's time: with pace 0 each press is found, whatever the machine's speed."""
     config = station_config(tmp_path, recording, bundle, pace=0)
     text = config.read_text().replace('"usb_mock"', f'"{device}"')
     if device == "recorded":
@@ -52,7 +52,7 @@ def test_played_on_demand_every_press_is_seen(
 
 
 def test_a_frame_on_demand_has_no_age(bundle: Path, recording: Path) -> None:
-    """A machine that is slower than the recording inspects frames whose time is long over; they are not stale."""
+    """A machine that is slower than the recording inspects frames of long ago; they are not stale."""
     inspector = Inspector(Scorer(Bundle.load(bundle), 1), SystemClock())
     payload = Recording.open(recording)[0].frame.payload
     touch = Touch(0.1)

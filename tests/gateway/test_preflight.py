@@ -1,4 +1,4 @@
-"""What is tried before the start: every part once, and what was opened is what the start goes on with."""
+"""The check before the start: every part is tried once, and the start uses the opened parts."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from plugins.devices.usb_mock import UsbMock
 
 @pytest.mark.parametrize("host", ["broker..plant", "x" * 70 + ".plant"])
 def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
-    """Python refuses to look such a name up with an error of its own kind."""
+    """Python refuses such a name with another kind of error."""
     with pytest.raises(ConfigError, match=r"cannot be the name of a host; correct sinks\.1\.options\.host"):
         _reachable(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
 
 
 class Counted:
-    """How often each thing that costs time at a start was done."""
+    """The number of calls of each slow step of a start."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""A station that is started while a part presses: an alarm, nothing scored, and every later press as ever."""
+"""A station that is started while a part presses: an alarm, nothing scored, and every later press as usual."""
 
 import json
 import threading
@@ -46,7 +46,7 @@ def test_nothing_is_scored_until_the_free_gel_was_seen(tmp_path: Path, bundle: P
 
 
 def test_the_bundles_free_gel_notices_it_at_once(tmp_path: Path, bundle: Path) -> None:
-    """No alarm is needed: the station waits for the free gel, and says so."""
+    """No alarm is needed: the state is that the station waits for the free gel."""
     config = load_config(station_config(tmp_path, pressed_start(tmp_path / "pressed", 2), bundle))
     reports: list[PressReport] = []
     with Gateway.open(config, SystemClock(), reports.append) as gateway:
@@ -59,7 +59,7 @@ def test_the_bundles_free_gel_notices_it_at_once(tmp_path: Path, bundle: Path) -
 
 
 def without_free_view(bundle: Path) -> Path:
-    """The bundle as a program before this one would have written it, beside the real one."""
+    """The bundle as a program before this one would have written it, and the real one."""
     manifest = json.loads((bundle / "manifest.json").read_text())
     old = bundle.with_name(bundle.name + " without")
     if not old.exists():

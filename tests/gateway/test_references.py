@@ -1,4 +1,4 @@
-"""Pictures of the free gel are aids: what cannot be used is learnt again."""
+"""Pictures of the free gel that cannot be used are learnt again."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def test_a_picture_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"not an array", b"\x93NUMPY\x01\x00"])
 def test_a_damaged_picture_is_none(tmp_path: Path, content: bytes) -> None:
-    """An empty file is what a power cut leaves behind."""
+    """A power failure leaves an empty file."""
     path = tmp_path / "S1" / "g.last.npy"
     path.parent.mkdir()
     path.write_bytes(content)

@@ -1,4 +1,4 @@
-"""What is learnt is what is scored: `fit` and the gateway choose the same frames of any recording."""
+"""Learnt and scored frames are the same: `fit` and the gateway choose the same frames of any recording."""
 
 import tempfile
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ def picture(depth: float) -> bytes:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Some frames of one kind: `what` is a depth, or how the frame is spoilt."""
+    """Some frames of one kind: `what` is a depth, or the fault of the frame."""
 
     what: float | str
     frames: int
@@ -92,7 +92,7 @@ def recorded(folder: Path, stretches: list[Stretch], fps: float) -> Path:
 
 
 class Listener:
-    """An inspector that keeps what it is asked to judge."""
+    """An inspector that keeps the frames to judge."""
 
     def __init__(self) -> None:
         self.asked: list[bytes] = []
@@ -103,7 +103,7 @@ class Listener:
 
 
 def scored_by_the_gateway(folder: Path) -> list[bytes]:
-    """The gateway's own chain, from a recorded device that plays at the recorded times."""
+    """The gateway's chain, from a recorded device that plays at the recorded times."""
     clock, listener = FakeClock(), Listener()
     sensor = RecordedSensor(Recording.open(folder), clock, pace=1.0, loop=False)
     pipeline = PressPipeline(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]

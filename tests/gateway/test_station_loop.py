@@ -1,4 +1,4 @@
-"""The station's loop, one step at a time: nothing sleeps, and a test decides what comes when."""
+"""The station's loop, one step at a time: nothing sleeps, and a test decides the order."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_a_recording_gives_its_presses_without_any_time_passing(
 def test_nothing_can_be_asked_before_the_sensor_is_known(
     tmp_path: Path, recording: Path, bundle: Path, verb: str
 ) -> None:
-    """Which gel would be meant? The refusal says that no frame has come yet."""
+    """The gel is not known. The refusal says that no frame has come yet."""
     with (
         SteppedStation(station_config(tmp_path, recording, bundle)) as station,
         pytest.raises(DeviceNotFound, match="no frame has arrived"),
@@ -60,7 +60,7 @@ def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(
 def test_a_run_that_ends_with_a_press_it_cannot_record_says_so(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
-    """A verdict that is nowhere is an error of the run, not a line in a log."""
+    """A verdict that was not stored is an error of the run, not a line in a log."""
     import threading
 
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station, station.refusing("presses"):
@@ -73,7 +73,7 @@ def test_a_run_that_ends_with_a_press_it_cannot_record_says_so(
 
 
 def test_a_new_gel_starts_from_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """Its count is 0, its picture is learnt again, and the sequence of presses goes on."""
+    """Its count is 0, its picture is learnt again, and the sequence of presses continues."""
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
         station.play_until(lambda: bool(station.reports))
         replace = VERBS["replace_gel"]

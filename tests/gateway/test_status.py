@@ -1,4 +1,4 @@
-"""The one word that a station says of itself, from all that is wrong with it."""
+"""The state of a station, from all its faults."""
 
 import json
 
@@ -13,7 +13,7 @@ from edge.model.manifest import Provenance
 
 
 class Heard:
-    """What was announced: the states in order, and the alarms that stand."""
+    """The published states in order, and the raised alarms."""
 
     def __init__(self) -> None:
         self.states: list[str] = []
@@ -35,7 +35,7 @@ class Heard:
 
 
 def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
-    """A sensor alone is not enough: before the free gel is learnt no press is seen."""
+    """A sensor alone is not enough: before the free gel is learnt no press is detected."""
     heard = Heard()
     status = StationStatus(heard, FakeClock())
     status.set_waiting_for("the sensor")
@@ -72,7 +72,7 @@ def test_a_fault_that_lasts_is_said_once() -> None:
 
 
 def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
-    """Who reads only the log learns of an overload, and not every ten seconds."""
+    """The log has an overload once, not every ten seconds."""
     status = StationStatus(Heard(), FakeClock())
     for text in ("96 of 179 frames were dropped", "40 of 100 frames were dropped", None, "again"):
         status.overload(text)
@@ -84,7 +84,7 @@ def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptu
 
 
 def test_info_says_what_the_fit_warned_of_and_what_is_promised() -> None:
-    """Who only sees the broker learns that a press stood apart, and how often sound presses fail."""
+    """The broker has the warnings of the fit, and how often sound presses fail."""
     heard = Heard()
     said = "press 'a' stands apart"
     facts = tiny.tiny_files(provenance=Provenance(created="2026-01-01", warnings=(said,)))

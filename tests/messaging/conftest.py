@@ -1,4 +1,4 @@
-"""Real brokers: mosquitto where it is installed, amqtt as well; each missing one is a loud skip."""
+"""Real brokers: mosquitto where it is installed, amqtt as well; each missing one is skipped with a message."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ def mosquitto() -> Iterator[LocalBroker]:
 
 @pytest.fixture(params=["mosquitto-5", "mosquitto-3.1.1", "amqtt"])
 def any_broker(request: pytest.FixtureRequest) -> Iterator[tuple[LocalBroker, str]]:
-    """Each broker, with the protocol option to use: MQTT 5, 3.1.1 by choice, and 3.1.1 because nothing else goes."""
+    """Each broker, with the protocol option to use: MQTT 5, 3.1.1 by choice, and 3.1.1 because nothing else works."""
     kind, _, level = request.param.partition("-")
     require(kind)
     with LocalBroker(kind) as broker:
@@ -39,7 +39,7 @@ def any_broker(request: pytest.FixtureRequest) -> Iterator[tuple[LocalBroker, st
 
 
 class Listener:
-    """A subscriber that remembers what it heard."""
+    """A subscriber that keeps its messages."""
 
     def __init__(
         self, broker: LocalBroker, topic_filter: str = "gelgate/#", client_id: str = "listener"

@@ -26,7 +26,7 @@ T0 = 1_780_000_000 * 10**9
 
 
 def record(store: Store, n: int) -> str:
-    """Record the n-th press as the gateway does; gives its id."""
+    """Record the n-th press as the gateway does; returns its id."""
     time_ns = T0 + n * 10**9
     press_id = new_ulid(time_ns)
 
@@ -98,7 +98,7 @@ def results(listener: Listener) -> list[str]:
 
 
 def hears_all_acknowledged(heard: list[Listener], ids: list[str], outbox: Outbox) -> None:
-    """Wait until every row that the broker acknowledged was heard: a broker that is killed forgets what it holds."""
+    """Wait until every row that the broker acknowledged has arrived: a killed broker loses its messages."""
     waiting = [row.message for row in outbox.pending("mqtt", 1000)]
     acknowledged = set(ids) - {json.loads(m.payload)["press_id"] for m in waiting if m.topic == "result"}
     pictures = {f"heatmap/{press_id}" for press_id in ids} - {m.topic for m in waiting}
@@ -141,7 +141,7 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
     sink_to: Callable[..., MqttSink],
     listen: Callable[..., Listener],
 ) -> None:
-    """The gateway's own composition in small: retained state, outbox, commands on one connection."""
+    """The gateway's composition in small: retained state, outbox, commands on one connection."""
     listener = listen(mosquitto)
     commands = Commands({"ping": lambda arguments: {"echo": arguments["text"]}}, SystemClock())
     sink = sink_to(mosquitto, commands)

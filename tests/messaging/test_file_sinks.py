@@ -33,7 +33,7 @@ def test_each_is_found_by_its_name(name: str) -> None:
 
 
 def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
-    """Birth first, then what was sent."""
+    """Birth first, then the sent messages."""
     sink = memory.plugin.open(memory.MemoryOptions(), STATION)
     sink.send(Message("result", b"1"))
     sink.close()
@@ -70,7 +70,7 @@ def test_a_folder_that_cannot_be_made_is_unavailable(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
-    """What did not fit is taken back, so the next line can be read when there is room again."""
+    """A partly written line is removed, so the next line can be read when there is room again."""
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path), STATION)
     sink.send(Message("result", b'{"n":1}'))
     child = os.fork()

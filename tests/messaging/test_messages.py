@@ -1,4 +1,4 @@
-"""Payloads: strict, complete, and described by a page that cannot disagree with them."""
+"""Payloads: strict, complete, and described by a page that always agrees with them."""
 
 import json
 from collections.abc import Mapping
@@ -58,7 +58,7 @@ def test_the_reference_page_is_the_one_the_models_print() -> None:
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
-    """A topic with another QoS or retention than the page says is a fault in one of them."""
+    """The page has the QoS and retention of every topic."""
     said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
     for message in press_messages(result(), GEL, b"png"):
@@ -66,7 +66,7 @@ def test_the_reference_names_every_topic_a_press_publishes() -> None:
 
 
 def test_the_time_is_given_twice_and_agrees() -> None:
-    """ISO 8601 UTC in microseconds beside the nanoseconds; two different times are refused."""
+    """ISO 8601 UTC in microseconds with the nanoseconds; two different times are refused."""
     assert iso_time(1_769_860_800_000_250_999) == "2026-01-31T12:00:00.000250Z"
     assert json.loads(result().encode())["time"] == "2026-01-31T12:00:00.000250Z"
     with pytest.raises(ValidationError, match="time_ns says"):
@@ -74,7 +74,7 @@ def test_the_time_is_given_twice_and_agrees() -> None:
 
 
 def test_the_time_is_exact_for_programs_that_round_large_integers() -> None:
-    """`time_ms` is below 2^53, where a double still counts by one; a wrong one is refused."""
+    """`time_ms` is below 2^53, where a double is exact; a wrong one is refused."""
     payload = json.loads(result().encode())
 
     assert payload["time_ms"] == 1_769_860_800_000
@@ -84,7 +84,7 @@ def test_the_time_is_exact_for_programs_that_round_large_integers() -> None:
 
 
 def test_a_payload_survives_the_wire() -> None:
-    """Encoded and read back it is the same value, its verdict included."""
+    """Encoded and read back it is the same value, with its verdict."""
     assert ResultPayload.model_validate_json(result().encode()) == result()
 
 
@@ -108,14 +108,14 @@ def test_a_result_refuses_nonsense(changes: Mapping[str, object]) -> None:
 
 
 def test_a_press_without_a_score_is_an_error_and_no_verdict() -> None:
-    """The subscriber sees a null verdict and why."""
+    """The subscriber sees a null verdict and the reason."""
     payload = json.loads(result(verdict=None, score=None, threshold=None, error="saturated").encode())
 
     assert (payload["verdict"], payload["error"]) == (None, "saturated")
 
 
 def test_a_press_publishes_result_picture_last_and_gel() -> None:
-    """`last` repeats the result byte for byte; the gel says what its record says."""
+    """`last` repeats the result byte for byte; the gel has the numbers of its record."""
     messages = press_messages(result(), GEL, b"png")
 
     assert [(m.topic, m.retain) for m in messages] == [
@@ -138,7 +138,7 @@ def test_a_press_without_a_picture_empties_that_of_the_last() -> None:
 
 
 def test_being_late_changes_the_mark_alone() -> None:
-    """Every other field stays; what has no mark stays as it is, byte for byte."""
+    """Every other field stays; a payload without the mark stays the same, byte for byte."""
     message = press_messages(result(), GEL)[0]
 
     late = json.loads(as_replayed(message).payload)
@@ -229,7 +229,7 @@ ANSWERS = Commands(
             "no command is named 'pong'; known: break, ping, refuse",
         ),
         ("refuse", b'{"transaction":"7"}', "7", "error", "no bundle is named 'x'"),
-        ("break", b'{"transaction":"7"}', "7", "error", "it failed inside"),
+        ("break", b'{"transaction":"7"}', "7", "error", "it failed with an internal error"),
         ("ping", b"not json", None, "error", "docs/mqtt.md"),
         ("ping", b'{"arguments":{}}', None, "error", "transaction: Field required"),
         ("ping", b'{"transaction":7}', None, "error", "transaction"),

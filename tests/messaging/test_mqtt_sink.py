@@ -64,7 +64,7 @@ def test_auto_speaks_level_5_where_it_can(mosquitto: LocalBroker, sink_to: SinkT
 def test_birth_is_heard_on_every_connection_and_before_anything_else(
     any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:
-    """The state is `ready` first, and retained for whoever comes later."""
+    """The state is `ready` first, and retained for later subscribers."""
     broker, protocol = any_broker
     early = listen(broker)
     sink = sink_to(broker, protocol=protocol)
@@ -82,7 +82,7 @@ def test_birth_is_heard_on_every_connection_and_before_anything_else(
 def test_what_the_birth_has_said_is_not_said_twice(
     any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:
-    """The publisher has the same state to say; only another one, or the same one again later, is published."""
+    """The publisher has the same state to send; only another one, or the same one again later, is published."""
     broker, protocol = any_broker
     listener = listen(broker)
     sink = sink_to(broker, protocol=protocol)
@@ -97,7 +97,7 @@ def test_what_the_birth_has_said_is_not_said_twice(
 def test_the_will_is_published_when_the_process_dies(
     any_broker: tuple[LocalBroker, str], listen: Listen
 ) -> None:
-    """Killed, it says nothing: the broker publishes `lost`."""
+    """Killed, it sends nothing: the broker publishes `lost`."""
     broker, protocol = any_broker
     listener = listen(broker)
     program = f"""
@@ -140,7 +140,7 @@ def test_a_goodbye_publishes_no_will(mosquitto: LocalBroker, sink_to: SinkTo, li
 def test_a_broker_that_is_down_at_start_is_normal(
     any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:
-    """Opening succeeds, sending says what is wrong, and goes through once the broker is up."""
+    """Opening succeeds; sending reports the fault, and succeeds once the broker is up."""
     broker, protocol = any_broker
     broker.stop()
     sink = sink_to(broker, protocol=protocol)
@@ -170,7 +170,7 @@ def test_a_broker_that_is_killed_and_returns_is_found_again(
 
 
 def test_what_was_given_up_is_never_sent_later(tmp_path: Path, sink_to: SinkTo, listen: Listen) -> None:
-    """A broker that stops answering: `send` gives up, and the library's queue dies with the connection.
+    """A broker that stops answering: `send` gives up, and the library's queue is discarded with the connection.
 
     Checked by letting the library reconnect: its thread, and with it the message, then stays alive.
     """
@@ -241,7 +241,7 @@ def test_wrong_credentials_keep_the_message_and_say_so(sink_to: SinkTo, tmp_path
 
 @pytest.fixture
 def certificates(tmp_path: Path) -> Path:
-    """ca, server and client keys and certificates, made here; skipped loudly where there is no openssl."""
+    """ca, server and client keys and certificates, made here; skipped with a message where there is no openssl."""
     if shutil.which("openssl") is None:
         pytest.skip("SKIPPED, NOT TESTED: TLS needs openssl to make certificates")
 
@@ -255,7 +255,7 @@ def certificates(tmp_path: Path) -> Path:
         signed = f"-in {name}.csr -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names -out {name}.pem"
         openssl(f"x509 -req -days 2 {signed}")
     for path in (*tmp_path.iterdir(), tmp_path, *tmp_path.parents[:3]):
-        path.chmod(path.stat().st_mode | 0o055)  # mosquitto started by root reads them as a user of its own
+        path.chmod(path.stat().st_mode | 0o055)  # mosquitto started by root reads them as its own user
     return tmp_path
 
 
@@ -294,7 +294,7 @@ def test_requests_are_answered_at_each_level(
 
 
 def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: SinkTo) -> None:
-    """It would be carried out again on every connection."""
+    """It would be done again on every connection."""
     asked: list[str] = []
     other = Connection.open(Broker(mosquitto.host, mosquitto.port, "other"))
     other.publish(Outgoing(f"{ROOT}/cmd/old", b"", retain=False))
@@ -369,11 +369,11 @@ class FalseBroker:
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (None, "gives no consent"),
-        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "gives no consent"),
-        (b"\x20\x02\x00\x01", "refuses the connection|gives no consent"),
+        (None, "does not accept us"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not accept us"),
+        (b"\x20\x02\x00\x01", "refuses the connection|does not accept us"),
         (b"\x20\x02\x00\x05", "refuses the connection"),
-        (b"\xff\xff\xff\xff\xff\xff", "gives no consent"),
+        (b"\xff\xff\xff\xff\xff\xff", "does not accept us"),
     ],
     ids=["silence", "a web server", "unsupported level", "not authorized", "garbage"],
 )

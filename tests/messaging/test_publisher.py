@@ -1,4 +1,4 @@
-"""The publisher: in order, at least once, each sink independently, and without end."""
+"""The publisher: in order, at least once, each sink independently, without giving up."""
 
 import json
 import random
@@ -39,7 +39,7 @@ class HandClock:
 
 
 class ScriptedSink:
-    """Takes messages; a test can make it unreachable, lose an acknowledgement or refuse a topic."""
+    """Accepts messages; a test can make it unreachable, lose an acknowledgement or refuse a topic."""
 
     def __init__(self) -> None:
         self.taken: list[Message] = []
@@ -142,7 +142,7 @@ def test_a_sink_that_is_away_loses_nothing(
 
 
 class FullOutbox(Outbox):
-    """Its disk may be full: then nothing can be noted."""
+    """Its disk may be full: then nothing can be stored."""
 
     is_full = False
 
@@ -159,9 +159,9 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
     messages_of: MessagesOf,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Acknowledgements that find no room are noted later; the pauses grow, one log line, and the state is reported.
+    """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
 
-    Without the memory of what was taken, a result went out again at every attempt, as long as the disk was full.
+    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full.
     """
     sink, changes, retained_state = ScriptedSink(), [], RetainedState()
     with FullOutbox(path) as outbox:
@@ -189,7 +189,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
 def test_rows_that_waited_are_marked_as_replayed(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """Recorded before the start or while the sink was away: late. Recorded while it takes messages: not."""
+    """Recorded before the start or while the sink was away: late. Recorded while it accepts messages: not."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     record(store, messages_of, make_press(1))
@@ -212,7 +212,7 @@ def test_rows_that_waited_are_marked_as_replayed(
 def test_a_lost_acknowledgement_means_the_same_press_twice(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """At least once: the repetition has the same id and, but for its mark, the same content."""
+    """At least once: the repetition has the same id and, except for its mark, the same content."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     one = worker(outbox, sink)
@@ -289,7 +289,7 @@ def test_retained_topics_never_go_back_in_time(
 def test_a_new_connection_hears_the_newest_retained_messages(
     store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """A broker that restarted without memory gets the delivered `gel`, not the one announced at start."""
+    """A broker that restarted without memory gets the delivered `gel`, not the one sent at the start."""
     retained_state, sink = RetainedState(), ScriptedSink()
     retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
     outbox.register(["mqtt"])
@@ -305,7 +305,7 @@ def test_a_new_connection_hears_the_newest_retained_messages(
 
 
 def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
-    """An older row delivered later by another sink is not remembered over a newer one."""
+    """An older row delivered later by another sink does not replace a newer one."""
     retained_state = RetainedState()
     retained_state.remember(Message("gel", b"5", retain=True), 50)
     retained_state.remember(Message("gel", b"3", retain=True), 30)
@@ -314,7 +314,7 @@ def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
 
 
 def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outbox) -> None:
-    """A state that changed twice while the sink was away is published once, with its present value."""
+    """A state that changed twice while the sink was away is published once, with its current value."""
     retained_state, sink = RetainedState(), ScriptedSink()
     one = worker(outbox, sink, retained_state=retained_state)
     sink.is_away = True
@@ -380,7 +380,7 @@ def publisher(path: Path, **sinks: ScriptedSink) -> Publisher:
 def test_stopping_sends_what_is_there_and_closes_the_sinks(
     store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """The threads take the outbox out; after `stop` it is empty and both sinks are closed."""
+    """The threads send the outbox; after `stop` it is empty and both sinks are closed."""
     a, b = ScriptedSink(), ScriptedSink()
     running = publisher(path, a=a, b=b)
     running.start()
@@ -397,7 +397,7 @@ def test_stopping_sends_what_is_there_and_closes_the_sinks(
 def test_what_is_announced_just_before_the_end_is_said(
     store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """The last word, `stopped`, arrives even when the worker is in the middle of a row while it is spoken."""
+    """The last state, `stopped`, arrives even when the worker is in the middle of a row."""
 
     class Slow(ScriptedSink):
         def __init__(self) -> None:
@@ -416,7 +416,7 @@ def test_what_is_announced_just_before_the_end_is_said(
     running.start()
     assert sink.is_sending.wait(20)
     running.announce(state_message(StatePayload(time_ns=1, state="stopped")))
-    threading.Timer(0.2, sink.may_go_on.set).start()  # when `stop` has long been called
+    threading.Timer(0.2, sink.may_go_on.set).start()  # long after the call of `stop`
     running.stop(drain_s=20)
 
     assert sink.topics()[-1] == "state"
@@ -480,7 +480,7 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
     assert sound.is_closed
     assert len(sound.results()) == 1
     stuck = {"send": "publish-hanging", "close": "close-hanging"}[hangs_in]
-    assert f"{stuck} did not come back within 0.5 s" in caplog.text
+    assert f"{stuck} did not return within 0.5 s" in caplog.text
     if hangs_in == "send":
         with Outbox(path) as outbox:
             assert outbox.status().rows > 0
