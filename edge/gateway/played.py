@@ -27,7 +27,7 @@ def check_played(recording: Recording, summary: Summary, status: AcquisitionStat
         f"{status.dropped} of its {status.frames} frames were dropped because they were not processed in time; "
         "play it with pace = 0"
         if status.dropped
-        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows the contact state of each frame"
+        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
     )
     cut = "; its index ends in the middle of a line, so the end of it is lost" if recording.is_cut else ""
     raise PressesMissed(f"recording {recording.folder}: {found}; {why}{cut}")

@@ -36,7 +36,7 @@ _REFUSALS: Final = frozenset({0x87, 0x90, 0x99})
 # Room for a PUBLISH packet's fields other than topic and payload: header, ids and our three properties.
 _PACKET_OVERHEAD_BYTES: Final = 128
 
-# While the level is not known, the wait for a silent broker is shorter: amqtt 0.12 reads a level 5 CONNECT with a will
+# While the level is not known, the wait for a silent broker is shorter. amqtt 0.12 reads a level 5 CONNECT with a will
 # as one of 3.1.1, and waits for bytes that never come.
 _LEVEL_TRIAL_S: Final = 2.0
 

@@ -1,7 +1,7 @@
 """The published messages: one pydantic model per payload, and the topic, delivery and retention of each.
 
-Every payload has `version`, and its time three times: `time` for people (ISO 8601, UTC), `time_ns` for programs with
-64-bit integers and `time_ms` for the others (JavaScript rounds integers above 2^53).
+Every payload has `version`, and its time in three forms. `time` is for people (ISO 8601, UTC), `time_ns` for programs
+with 64-bit integers and `time_ms` for the others (JavaScript rounds integers above 2^53).
 Units are in the names. Within version 1 fields may be added; a subscriber ignores those it does not know.
 docs/mqtt.md is printed from this file.
 """

@@ -81,9 +81,11 @@ class SinkWorker:
         self._backoff = backoff
         self._on_change = on_change
         self._has_changed = False  # whether `on_change` was ever called
-        self._said = 0  # version of the retained state that this sink has
+        self._sent_version = 0  # version of the retained state that this sink has
         self._passed = 0  # every row up to this one is settled with this sink
-        self._taken: int | None = None  # the last row that the sink accepted; the store may not know it yet
+        self._accepted: int | None = (
+            None  # the last row that the sink accepted; the store may not know it yet
+        )
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
@@ -123,25 +125,25 @@ class SinkWorker:
             self._offered_ns = now_ns
 
     def _say(self) -> None:
-        for version, message in self._retained_state.since(self._said):
+        for version, message in self._retained_state.since(self._sent_version):
             try:
                 self._deliver(message)
             except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
                 self._refused(message.topic, error)
-            self._said = version
+            self._sent_version = version
 
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to
         message = as_replayed(row.message) if is_late else row.message
         # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
-        if row.row_id != self._taken:
+        if row.row_id != self._accepted:
             try:
                 self._deliver(message)
             except SinkRejected as error:
                 self._outbox.refuse(row.row_id, self.name, str(error))
                 self._refused(row.message.topic, error)
                 return
-            self._taken = row.row_id
+            self._accepted = row.row_id
         if message.retain:
             self._retained_state.remember(message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)

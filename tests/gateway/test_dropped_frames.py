@@ -18,7 +18,7 @@ def long_presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_press_that_is_held_while_frames_are_dropped_has_one_verdict(
     tmp_path: Path, bundle: Path, long_presses: Path
 ) -> None:
-    """The loop processes no frame for 2 s of the first press: an interruption is counted, and both presses are judged."""
+    """The loop processes no frame for 2 s of the first press: one interruption, and both presses are judged."""
     with SteppedStation(station_config(tmp_path, long_presses, bundle, pace=1.0)) as station:
         station.play(33)  # the sensor is open, and pressed for four frames
         station.read(38)

@@ -34,7 +34,7 @@ def test_what_was_refused_is_not_done_later() -> None:
 
 def test_a_fault_is_the_askers() -> None:
     """It is raised in the caller's thread, and the loop continues."""
-    calls, told = LoopCalls[str](), []
+    calls, errors = LoopCalls[str](), []
 
     def fault(_: object) -> None:
         raise ValueError("no such gel")
@@ -43,14 +43,14 @@ def test_a_fault_is_the_askers() -> None:
         try:
             calls.ask(fault)
         except ValueError as error:
-            told.append(str(error))
+            errors.append(str(error))
 
     asker = threading.Thread(target=ask)
     asker.start()
     while asker.is_alive():
         calls.serve("loop")
 
-    assert told == ["no such gel"]
+    assert errors == ["no such gel"]
 
 
 def test_after_the_end_nothing_is_taken() -> None:

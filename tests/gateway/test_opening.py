@@ -123,6 +123,6 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     states = [message["payload"]["state"] for message in messages if message["topic"] == "state"]
 
     # The reason to wait may change: a slow start finds the gel pressed at its first frame.
-    told = [state for state, _ in groupby(states[states.index("halted") :])]
-    assert told == ["halted", "starting", "ready", "stopped"]
+    published = [state for state, _ in groupby(states[states.index("halted") :])]
+    assert published == ["halted", "starting", "ready", "stopped"]
     assert gateway.summary.presses == 1
