@@ -6,12 +6,12 @@ Every file that is missing, misnamed, of the wrong size or unreadable is listed 
 from calibration.dataset.files import pool_mask
 from calibration.dataset.layouts import SIZES, Resolution, resolution_of
 from calibration.dataset.opening import Dataset, layout_of, open_dataset
-from calibration.dataset.press import Press, Split, split_by_specimen
+from calibration.dataset.press import LabelledPress, Split, split_by_specimen
 
 __all__ = [
     "SIZES",
     "Dataset",
-    "Press",
+    "LabelledPress",
     "Resolution",
     "Split",
     "layout_of",

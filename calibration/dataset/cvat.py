@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from calibration.dataset.files import Faults, pictures_in, size_of
-from calibration.dataset.press import Press, parse_name
+from calibration.dataset.press import LabelledPress, parse_name
 from calibration.dataset.shapes import Polygon, Runs, Shape
 from edge.core.errors import DatasetError
 
@@ -23,7 +23,7 @@ _BACKGROUND = "background"
 _ELLIPSE_POINTS = 72
 
 
-def read_cvat_xml(root: Path, faults: Faults) -> list[Press]:
+def read_cvat_xml(root: Path, faults: Faults) -> list[LabelledPress]:
     """The presses of an export with annotations.xml and images/. Errors: DatasetError for invalid XML."""
     annotations = root / "annotations.xml"
     presses = []
@@ -62,7 +62,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 def _annotated(
     root: Path, path: Path, image: ElementTree.Element, annotations: Path, faults: Faults
-) -> Press | None:
+) -> LabelledPress | None:
     size = size_of(path)
     if size is None:
         faults.add(path, "is listed in annotations.xml, but is missing or unreadable")
@@ -115,7 +115,7 @@ def _rotated(points: list[tuple[float, float]], centre: tuple[float, float], deg
     return Polygon(tuple((centre[0] + c * x - s * y, centre[1] + s * x + c * y) for x, y in moved))
 
 
-def read_cvat_masks(root: Path, faults: Faults) -> list[Press]:
+def read_cvat_masks(root: Path, faults: Faults) -> list[LabelledPress]:
     """The presses of an export with SegmentationClass/ and JPEGImages/ (or images/).
 
     Every pixel that is not black, the colour of `background`, is a defect. A picture without a mask file is a fault:
@@ -152,8 +152,8 @@ def _press(
     mask_file: Path | None = None,
     shapes: tuple[Shape, ...] = (),
     folder: tuple[str, ...] = (),
-) -> Press:
+) -> LabelledPress:
     """Part and position from `images/<part>/<position>/`, else the export's own name and `all`."""
     part, position = folder[-2:] if len(folder) >= 3 else (root.name, "all")
     specimen, press, _ = parse_name(path.stem, part, position)
-    return Press(path, part, position, size, specimen, press, defect, mask_file, shapes)
+    return LabelledPress(path, part, position, size, specimen, press, defect, mask_file, shapes)

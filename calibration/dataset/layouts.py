@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from calibration.dataset.files import Faults, pictures_in, size_of
-from calibration.dataset.press import Press, parse_name
+from calibration.dataset.press import LabelledPress, parse_name
 
 __all__ = [
     "SIZES",
@@ -44,13 +44,13 @@ def positions(root: Path) -> list[Path]:
     )
 
 
-def read_paper(root: Path, resolution: Resolution, faults: Faults) -> list[Press]:
+def read_paper(root: Path, resolution: Resolution, faults: Faults) -> list[LabelledPress]:
     """The presses of every part and position at one resolution.
 
     A position with pictures of the other resolution only is left out (in the study PZ1 and PZ2 have no 1280x720). If no
     position has the resolution, every file is missing.
     """
-    presses: list[Press] = []
+    presses: list[LabelledPress] = []
     name = f"rgb{_SUFFIX[resolution]}"
     acquired = [f for f in positions(root) if (f / name).is_dir() or (f / "fault" / name).is_dir()]
     for folder in acquired or positions(root):
@@ -62,7 +62,7 @@ def read_paper(root: Path, resolution: Resolution, faults: Faults) -> list[Press
 
 def _frames(
     home: Path, folder: Path, defect: str | None, resolution: Resolution, faults: Faults
-) -> list[Press]:
+) -> list[LabelledPress]:
     part, position = home.parent.name, home.name
     frames_folder = folder / f"rgb{_SUFFIX[resolution]}"
     frames = pictures_in(frames_folder, faults)
@@ -82,7 +82,7 @@ def _frames(
             defect is None or _has_mask(path, mask_file, SIZES[resolution], faults)
         ):
             presses.append(
-                Press(path, part, position, SIZES[resolution], specimen, number, defect, mask_file)
+                LabelledPress(path, part, position, SIZES[resolution], specimen, number, defect, mask_file)
             )
     for mask_file in masks.values():
         faults.add(mask_file, f"is a mask without a frame in {frames_folder.name}")
@@ -129,12 +129,12 @@ def _categories(root: Path) -> list[Path]:
     return [p for p in folders if (p / "train" / "good").is_dir() or (p / "test").is_dir()]
 
 
-def read_mvtec(root: Path, faults: Faults) -> list[Press]:
+def read_mvtec(root: Path, faults: Faults) -> list[LabelledPress]:
     """The presses of MVTec-style categories: train/good, test/<defect>, ground_truth/<defect>/<name>_mask.png.
 
     The part is the category; the position is `train` or `test`, as the authors divided it.
     """
-    presses: list[Press] = []
+    presses: list[LabelledPress] = []
     for category in _categories(root):
         for folder in sorted(
             p for p in category.glob("t*/*") if p.is_dir() and p.parent.name in ("train", "test")
@@ -143,7 +143,7 @@ def read_mvtec(root: Path, faults: Faults) -> list[Press]:
     return presses
 
 
-def _category_frames(category: Path, folder: Path, faults: Faults) -> list[Press]:
+def _category_frames(category: Path, folder: Path, faults: Faults) -> list[LabelledPress]:
     defect = None if folder.name == "good" else folder.name
     masks = pictures_in(category / "ground_truth" / folder.name, faults) if defect else {}
     by_stem = {path.stem.removesuffix("_mask"): path for path in masks.values()}
@@ -156,7 +156,9 @@ def _category_frames(category: Path, folder: Path, faults: Faults) -> list[Press
         elif defect is None or _has_mask(path, mask_file, size, faults):
             specimen, number, _ = parse_name(path.stem, category.name, folder.parent.name)
             presses.append(
-                Press(path, category.name, folder.parent.name, size, specimen, number, defect, mask_file)
+                LabelledPress(
+                    path, category.name, folder.parent.name, size, specimen, number, defect, mask_file
+                )
             )
     for mask_file in by_stem.values():
         faults.add(mask_file, f"is a mask without a frame in test/{folder.name}")

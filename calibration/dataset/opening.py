@@ -9,7 +9,7 @@ from typing import Literal
 from calibration.dataset.cvat import read_cvat_masks, read_cvat_xml
 from calibration.dataset.files import Faults
 from calibration.dataset.layouts import Resolution, is_mvtec, is_paper, read_mvtec, read_paper
-from calibration.dataset.press import Press
+from calibration.dataset.press import LabelledPress
 from edge.core.errors import DatasetError
 
 __all__ = [
@@ -38,14 +38,14 @@ class Dataset:
 
     root: Path
     layout: Layout
-    presses: tuple[Press, ...]
+    presses: tuple[LabelledPress, ...]
 
     @property
-    def good(self) -> tuple[Press, ...]:
+    def good(self) -> tuple[LabelledPress, ...]:
         return tuple(p for p in self.presses if not p.is_defective)
 
     @property
-    def defective(self) -> tuple[Press, ...]:
+    def defective(self) -> tuple[LabelledPress, ...]:
         return tuple(p for p in self.presses if p.is_defective)
 
     @property
@@ -91,7 +91,7 @@ def layout_of(root: Path) -> Layout | None:
     return "paper" if is_paper(root) else None
 
 
-def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, list[Press]]:
+def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, list[LabelledPress]]:
     if not root.is_dir():
         raise DatasetError(f"dataset '{root}' is not a folder; give the folder that holds the parts")
     layout = layout_of(root)
@@ -135,7 +135,7 @@ def _check_summary(root: Path) -> None:
         )
 
 
-def _with_specimens(root: Path, presses: list[Press], faults: Faults) -> list[Press]:
+def _with_specimens(root: Path, presses: list[LabelledPress], faults: Faults) -> list[LabelledPress]:
     """Specimen ids from specimens.csv if it lists a file, else from the file's name."""
     table = root / SPECIMENS_FILE
     if not table.is_file():

@@ -13,14 +13,14 @@ from calibration.dataset.files import read_mask, read_rgb
 from calibration.dataset.shapes import Shape, rasterise
 from edge.core.errors import DatasetError
 
-__all__ = ["Press", "Split", "numbered", "parse_name", "split_by_specimen"]
+__all__ = ["LabelledPress", "Split", "numbered", "parse_name", "split_by_specimen"]
 
 # <part>_<position>_s<specimen>_p<press>, as `gelgate simulate` writes it: at least three digits and two.
 _NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
 
 
 @dataclass(frozen=True)
-class Press:
+class LabelledPress:
     """One frame of a part, with its mask if the part is defective.
 
     specimen: id of the physical part, None when unknown. defect: its kind, None for a good part. size: (width, height).
@@ -55,8 +55,8 @@ class Press:
 class Split(NamedTuple):
     """Two sets of presses without a common specimen."""
 
-    kept: tuple[Press, ...]
-    held_out: tuple[Press, ...]
+    kept: tuple[LabelledPress, ...]
+    held_out: tuple[LabelledPress, ...]
 
 
 class Numbered(NamedTuple):
@@ -86,7 +86,7 @@ def parse_name(stem: str, part: str, position: str) -> tuple[str | None, int | N
     return f"{part}_s{name.specimen}", name.press, False
 
 
-def split_by_specimen(presses: Sequence[Press], held_out: float, seed: int = 0) -> Split:
+def split_by_specimen(presses: Sequence[LabelledPress], held_out: float, seed: int = 0) -> Split:
     """Hold out about the share `held_out` of the presses, with all presses of a specimen on one side.
 
     Specimens are drawn in an order fixed by the seed, until the share is reached; each side keeps at least one.

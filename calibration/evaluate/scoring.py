@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import Dataset, Press, open_dataset, resolution_of
+from calibration.dataset import Dataset, LabelledPress, open_dataset, resolution_of
 from calibration.metrics import Measure, measure
 from calibration.progress import Advance
 from calibration.threads import one_blas_thread
@@ -31,7 +31,7 @@ EVERY = "*"
 class ScoredPress:
     """One press with its map, float32 (h, w) of the region, and its mask in the same pixels."""
 
-    press: Press
+    press: LabelledPress
     score_map: NDArray[np.float32]
     mask: NDArray[np.bool_]
     anomaly_score: float
@@ -53,7 +53,7 @@ class Evaluation:
     measures: tuple[Measure, ...]
     left_out: int
     seen_specimens: int
-    unscorable: tuple[tuple[Press, str], ...]
+    unscorable: tuple[tuple[LabelledPress, str], ...]
     limit: float
     replicates: int
     seed: int
@@ -142,12 +142,12 @@ def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | 
         ) from None
 
 
-def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:
+def _fitted(presses: Sequence[LabelledPress], names: Sequence[str]) -> set[Path]:
     """The files named in the provenance: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
 
     MVTec folders have the same file names in train/good and test/good; if a name fits both, train was fitted.
     """
-    ending: dict[str, list[Press]] = {}
+    ending: dict[str, list[LabelledPress]] = {}
     for press in presses:
         parts = press.path.parts
         for k in range(1, len(parts)):
@@ -160,8 +160,8 @@ def _fitted(presses: Sequence[Press], names: Sequence[str]) -> set[Path]:
 
 
 def score_presses(
-    scorer: Scorer, presses: tuple[Press, ...], show: Show
-) -> tuple[tuple[ScoredPress, ...], tuple[tuple[Press, str], ...]]:
+    scorer: Scorer, presses: tuple[LabelledPress, ...], show: Show
+) -> tuple[tuple[ScoredPress, ...], tuple[tuple[LabelledPress, str], ...]]:
     """Score each press in the bundle's region. Errors: DatasetError when a picture does not fit the profile."""
     region, size = scorer.bundle.region, scorer.bundle.profile.size
     wrong = [p for p in presses if p.size != size]
@@ -171,7 +171,7 @@ def score_presses(
             f"'{scorer.bundle.profile.name}', such as '{wrong[0].path}' at {wrong[0].size[0]}x{wrong[0].size[1]}"
         )
     scored: list[ScoredPress] = []
-    unscorable: list[tuple[Press, str]] = []
+    unscorable: list[tuple[LabelledPress, str]] = []
     with show("scoring presses", len(presses)) as advance:
         for done, press in enumerate(presses, start=1):
             try:

@@ -4,7 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calibration.dataset import Dataset, Press, layout_of, open_dataset, resolution_of, split_by_specimen
+from calibration.dataset import (
+    Dataset,
+    LabelledPress,
+    layout_of,
+    open_dataset,
+    resolution_of,
+    split_by_specimen,
+)
 from edge.core.errors import ConfigError, DatasetError
 
 __all__ = ["Sources", "find_sources", "is_dataset"]
@@ -58,7 +65,7 @@ def find_sources(
             raise ConfigError("--holdout divides a dataset by its specimens, and no source is a dataset")
         return Sources(part, position or DEFAULT_POSITION, others)
     part, position = _the_one(datasets, part, position)
-    kept: list[Press] = []
+    kept: list[LabelledPress] = []
     held_out: set[str] = set()
     for dataset in datasets:
         presses = dataset.select(part, position).good
