@@ -114,7 +114,7 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
 def _fitted(nominal: Path, path: Path) -> Path:
     import datetime
 
-    from calibration.fitting.fit import Recipe, fit_bundle
+    from calibration.fitting.fit import FitConfig, fit_bundle
     from calibration.fitting.nominal_presses import read_presses
     from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
     from calibration.progress import Stages
@@ -126,11 +126,11 @@ def _fitted(nominal: Path, path: Path) -> Path:
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     region = Region.centre(sensor.size)
     typer.echo(f"fitting PaDiM on the backbone {trunk.id}")
-    recipe = Recipe(PART, POSITION, sensor, region, detector, trunk, alpha=ALPHA)
+    config = FitConfig(PART, POSITION, sensor, region, detector, trunk, alpha=ALPHA)
     presses = read_presses([nominal], sensor, region)
     with Stages() as report:
         today = datetime.date.today().isoformat()
-        return fit_bundle(path, presses, recipe, created=today, report=report, overwrite=True).resolve()
+        return fit_bundle(path, presses, config, created=today, report=report, overwrite=True).resolve()
 
 
 @dataclass

@@ -31,12 +31,12 @@ from edge.model.bundle import Graphs, bundle_files
 from edge.model.manifest import Facts, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 
-__all__ = ["WrapRecipe", "wrap_files"]
+__all__ = ["WrapConfig", "wrap_files"]
 
 
 @dataclass(frozen=True)
-class WrapRecipe:
-    """What to make. method: the name in the results. The other fields are those of `Recipe`."""
+class WrapConfig:
+    """What to make. method: the name in the results. The other fields are those of `FitConfig`."""
 
     part: str
     position: str
@@ -56,7 +56,7 @@ class WrapRecipe:
 def wrap_files(
     graph: bytes,
     presses: NominalPresses,
-    recipe: WrapRecipe,
+    config: WrapConfig,
     *,
     created: str,
     report: Report = lambda stage, fraction: None,
@@ -66,20 +66,20 @@ def wrap_files(
     presses: nominal ones that the graph was not trained on. Errors: BundleCorrupt for a graph that breaks the contract,
     FitError for too few presses, NotScorable.
     """
-    region, is_given = recipe.region, recipe.threshold is not None
+    region, is_given = config.region, config.threshold is not None
     if not is_given:
-        require_enough(len(presses), recipe.alpha)
-    said = warnings(presses, (region.height, region.width), None if is_given else recipe.alpha)
+        require_enough(len(presses), config.alpha)
+    said = warnings(presses, (region.height, region.width), None if is_given else config.alpha)
     colours = nominal_colours(presses.frames)
     said += colour_warnings(colours)
     graphs = Graphs(detector=graph)
 
     def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
         return Facts(
-            part=recipe.part,
-            position=recipe.position,
-            method=recipe.method,
-            profile=ProfileEntry.of(recipe.profile),
+            part=config.part,
+            position=config.position,
+            method=config.method,
+            profile=ProfileEntry.of(config.profile),
             region=RegionEntry.of(region),
             threshold=threshold,
             tolerance=tolerance,
@@ -88,18 +88,18 @@ def wrap_files(
             provenance=provenance(created, presses, None, said),
         )
 
-    scorer = Scorer(Fitted(*bundle_files(facts(*placeholders()), graphs)).bundle(), recipe.threads)
+    scorer = Scorer(Fitted(*bundle_files(facts(*placeholders()), graphs)).bundle(), config.threads)
     scores = np.empty(len(presses))
     for k, frame in enumerate(presses.frames):
         scores[k] = scorer.score(frame).anomaly_score
         report("score", (k + 1) / len(presses))
     golden = golden_frames(scorer, presses.frames)
-    tolerance = measured_tolerance(scorer, golden, recipe.threads)
+    tolerance = measured_tolerance(scorer, golden, config.threads)
     threshold = (
-        given_threshold(recipe.threshold, recipe.alpha)
-        if recipe.threshold is not None
+        given_threshold(config.threshold, config.alpha)
+        if config.threshold is not None
         else conformal_threshold(
-            scores, recipe.alpha, tolerance.around(float(scores.max())), "split-conformal", presses.specimens
+            scores, config.alpha, tolerance.around(float(scores.max())), "split-conformal", presses.specimens
         )
     )
     apart = [] if is_given else apart_warnings(scores, presses.names)
@@ -108,8 +108,8 @@ def wrap_files(
     is_refused = refuses(colours, black)
     said += black_warnings(scorer.score(black).anomaly_score, threshold, is_refused, apart)
     manifest_facts = facts(threshold, tolerance).model_copy(
-        update={"cost": cost_card(scorer, presses.frames, recipe.threads, {})}
+        update={"cost": cost_card(scorer, presses.frames, config.threads, {})}
     )
     fitted = Fitted(*bundle_files(manifest_facts, graphs, golden=golden))
-    Scorer(fitted.bundle(), recipe.threads).check_golden()
+    Scorer(fitted.bundle(), config.threads).check_golden()
     return fitted

@@ -59,7 +59,7 @@ def wrap(
     )
     from edge.core.errors import ConfigError
     from edge.core.imaging.region import Region
-    from export.external_graph import WrapRecipe, wrap_files
+    from export.external_graph import WrapConfig, wrap_files
 
     refuse_existing(output, overwrite)
     try:
@@ -71,7 +71,7 @@ def wrap(
     sensor = chosen_profile(profile, sources)
     inspected = Region.parse(region, sensor.size)
     found = found_sources(sources, part, position, sensor)
-    recipe = WrapRecipe(found.part, found.position, sensor, inspected, method, alpha, threshold, threads)
+    config = WrapConfig(found.part, found.position, sensor, inspected, method, alpha, threshold, threads)
     presses = nominal_presses(found, sensor, inspected, no_contact, resize)
     typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
-    make(partial(wrap_files, content, presses, recipe), output, overwrite)
+    make(partial(wrap_files, content, presses, config), output, overwrite)

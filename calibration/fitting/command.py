@@ -76,13 +76,13 @@ def fit(
     The bundle holds bank, threshold and golden frames. Of a dataset (the paper's layout, MVTec's, CVAT's) the good
     presses of one part and position are learnt.
     """
-    from calibration.fitting.fit import Recipe, fit_files
+    from calibration.fitting.fit import FitConfig, fit_files
     from edge.core.imaging.region import Region
 
     refuse_existing(output, overwrite)
     sensor = chosen_profile(profile, sources)
     found = found_sources(sources, part, position, sensor, holdout, seed)
-    recipe = Recipe(
+    config = FitConfig(
         part=found.part,
         position=found.position,
         profile=sensor,
@@ -96,13 +96,13 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
     )
-    presses = nominal_presses(found, sensor, recipe.region, no_contact, resize, leave_out, pattern)
-    typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {recipe.trunk.id}, region {recipe.region}")
-    make(partial(fit_files, presses, recipe), output, overwrite)
+    presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
+    typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")
+    make(partial(fit_files, presses, config), output, overwrite)
 
 
 def _detection(method: str, mode: str, settings: list[str], backbone: str) -> dict[str, Any]:
-    """The detector, its parameters and its trunk, as a recipe takes them. Errors: ConfigError, FitError."""
+    """The detector, its parameters and its trunk, as `FitConfig` takes them. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
     from edge.cli.named_values import named_values

@@ -57,11 +57,11 @@ from edge.model.tile_runner import most_typical, untouched_tiles
 
 T = TypeVar("T")
 
-__all__ = ["Fitted", "Recipe", "fit_bundle", "fit_files"]
+__all__ = ["FitConfig", "Fitted", "fit_bundle", "fit_files"]
 
 
 @dataclass(frozen=True)
-class Recipe:
+class FitConfig:
     """What is to be made.
 
     overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm rate asked for.
@@ -109,7 +109,7 @@ class Fitted:
 def fit_bundle(
     path: Path,
     presses: NominalPresses,
-    recipe: Recipe,
+    config: FitConfig,
     *,
     created: str,
     report: Report = lambda stage, fraction: None,
@@ -121,7 +121,7 @@ def fit_bundle(
     """
     if path.exists() and not overwrite:
         raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
-    fitted = fit_files(presses, recipe, created=created, report=report)
+    fitted = fit_files(presses, config, created=created, report=report)
     report("write", 0.0)
     write_bundle(path, fitted.files, overwrite=overwrite)
     report("write", 1.0)
@@ -130,44 +130,44 @@ def fit_bundle(
 
 @one_blas_thread()
 def fit_files(
-    presses: NominalPresses, recipe: Recipe, *, created: str, report: Report = lambda stage, fraction: None
+    presses: NominalPresses, config: FitConfig, *, created: str, report: Report = lambda stage, fraction: None
 ) -> Fitted:
     """Fit a bundle in memory. Errors as `fit_bundle`."""
-    return _Fit(presses, recipe, created, report).run()
+    return _Fit(presses, config, created, report).run()
 
 
 class _Fit:
     """One fit. Its stages are the methods in the order in which `run` calls them."""
 
-    def __init__(self, presses: NominalPresses, recipe: Recipe, created: str, report: Report) -> None:
-        self.presses, self.recipe, self.created, self.report = presses, recipe, created, report
-        self.detector = recipe.detector
-        self.parameters = self.detector.parameters(recipe.mode, **recipe.overrides)
+    def __init__(self, presses: NominalPresses, config: FitConfig, created: str, report: Report) -> None:
+        self.presses, self.config, self.created, self.report = presses, config, created, report
+        self.detector = config.detector
+        self.parameters = self.detector.parameters(config.mode, **config.overrides)
         self.specimens = presses.specimens or (None,) * len(presses)
-        promised = recipe.alpha if recipe.threshold is None else None
-        self.warnings = warnings(presses, (recipe.region.height, recipe.region.width), promised)
-        if recipe.threshold is None:
-            require_enough(len(presses), recipe.alpha)
-            rng = np.random.default_rng(recipe.seed)
-            self.folds, said = held_out_folds(self.specimens, recipe.folds, rng)
+        promised = config.alpha if config.threshold is None else None
+        self.warnings = warnings(presses, (config.region.height, config.region.width), promised)
+        if config.threshold is None:
+            require_enough(len(presses), config.alpha)
+            rng = np.random.default_rng(config.seed)
+            self.folds, said = held_out_folds(self.specimens, config.folds, rng)
             self.warnings += said
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
         self.warnings += free_gel_warnings(presses)
-        self.warnings += scatter_warnings(presses, recipe.profile, self.detector, recipe.is_scattered)
+        self.warnings += scatter_warnings(presses, config.profile, self.detector, config.is_scattered)
         self.seconds: dict[str, float] = {}
-        self.trunks = TrunkSessions(recipe.threads)
+        self.trunks = TrunkSessions(config.threads)
 
     def run(self) -> Fitted:
         features, no_contact = self._timed("features", self._features)
         nominal = Nominal(features, self.presses.touched, no_contact)
         self.learner = Learner(
-            self.detector, self.grid, self.parameters, self.recipe.seed, self.recipe.threads
+            self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
         )
         bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
         self.warnings += room_warnings(room)
         self.warnings += bank.facts.get("warnings", ())
-        self.graphs = Graphs(trunk=self.recipe.trunk.graph, head=self.learner.head(bank))
+        self.graphs = Graphs(trunk=self.config.trunk.graph, head=self.learner.head(bank))
         self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
         self.warnings += self.apart
         return self._measured(bank, scores)
@@ -177,7 +177,7 @@ class _Fit:
         return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
 
     def _limit(self, scores: NDArray[np.float64], slack: float = 0.0) -> ThresholdEntry:
-        return conformal_threshold(scores, self.recipe.alpha, slack, specimens=self.specimens)
+        return conformal_threshold(scores, self.config.alpha, slack, specimens=self.specimens)
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
@@ -190,14 +190,14 @@ class _Fit:
 
     def _features(self) -> tuple[Features, Features | None]:
         session = open_session(
-            self.recipe.trunk.graph, self.recipe.threads, f"trunk '{self.recipe.trunk.id}'"
+            self.config.trunk.graph, self.config.threads, f"trunk '{self.config.trunk.id}'"
         )
-        region = self.recipe.region
+        region = self.config.region
         self.grid = trunk_grid(
             session,
             self.detector.taps(self.parameters),
             (region.height, region.width),
-            self.recipe.profile.pixels_per_mm,
+            self.config.profile.pixels_per_mm,
         )
         check_head(self.detector, self.grid, self.parameters)
         features = extract(session, self.presses.frames, self.grid, self._progress("features"))
@@ -206,7 +206,7 @@ class _Fit:
 
     def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
         """Anomaly scores of every press by a bank that did not know it; None where the threshold is given."""
-        if self.recipe.threshold is not None:
+        if self.config.threshold is not None:
             return None
         return held_out_scores(self.learner, nominal, self.folds, self._progress("threshold"))
 
@@ -214,25 +214,25 @@ class _Fit:
         """Score with the bundle as it will be loaded, then write down what it measured."""
         self.report("golden", 0.0)
         provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
-        scorer = Scorer(provisional.bundle(), self.recipe.threads, self.trunks)
+        scorer = Scorer(provisional.bundle(), self.config.threads, self.trunks)
         golden = golden_frames(scorer, self.presses.frames)
         black = np.zeros_like(self.presses.frames[0])
         black_score = scorer.score(black).anomaly_score
-        tolerance = measured_tolerance(scorer, golden, self.recipe.threads)
-        cost = cost_card(scorer, self.presses.frames, self.recipe.threads, self.seconds)
+        tolerance = measured_tolerance(scorer, golden, self.config.threads)
+        cost = cost_card(scorer, self.presses.frames, self.config.threads, self.seconds)
         threshold = self._threshold(scores, tolerance)
         is_refused = refuses(self.colours, black)
         self.warnings += black_warnings(black_score, threshold, is_refused, self.apart)
         facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
         fitted = Fitted(*self._files(bank, facts, golden))
-        Scorer(fitted.bundle(self.trunks), self.recipe.threads, self.trunks).check_golden()
+        Scorer(fitted.bundle(self.trunks), self.config.threads, self.trunks).check_golden()
         self.report("golden", 1.0)
         return fitted
 
     def _threshold(self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry) -> ThresholdEntry:
-        alpha = self.recipe.alpha
-        if self.recipe.threshold is not None:
-            return given_threshold(self.recipe.threshold, alpha)
+        alpha = self.config.alpha
+        if self.config.threshold is not None:
+            return given_threshold(self.config.threshold, alpha)
         if scores is None:
             raise FitError("no threshold: neither given nor found from the presses")
         return self._limit(scores, tolerance.around(float(scores.max())))
@@ -240,13 +240,13 @@ class _Fit:
     def _files(
         self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]
     ) -> tuple[Manifest, dict[str, bytes]]:
-        with_trunk = self.recipe.with_trunk or not golden
+        with_trunk = self.config.with_trunk or not golden
         return bundle_files(
             facts,
             self.graphs,
             bank,
             golden,
-            backbone=self.recipe.trunk.id,
+            backbone=self.config.trunk.id,
             with_trunk=with_trunk,
             free_gel=self._free_gel(),
             free_view=self.presses.free_view,
@@ -264,23 +264,23 @@ class _Fit:
         return most_typical(free) if free is not None and self._skipped() else None
 
     def _facts(self, bank: Bank, threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
-        recipe = self.recipe
+        config = self.config
         return Facts(
-            part=recipe.part,
-            position=recipe.position,
+            part=config.part,
+            position=config.position,
             method=self.detector.name,
-            mode=recipe.mode,
+            mode=config.mode,
             parameters=_plain(self.parameters),
             repairs=tuple(bank.facts.get("repairs", ())),
-            facts={"backbone": recipe.trunk.facts, **{k: v for k, v in bank.facts.items() if k != "repairs"}},
-            profile=ProfileEntry.of(recipe.profile),
-            region=RegionEntry.of(recipe.region),
+            facts={"backbone": config.trunk.facts, **{k: v for k, v in bank.facts.items() if k != "repairs"}},
+            profile=ProfileEntry.of(config.profile),
+            region=RegionEntry.of(config.region),
             grid=GridEntry.of(self.grid, self._skipped()),
             threshold=threshold,
             tolerance=tolerance,
             contact=contact_range(self.presses),
             colours=self.colours,
-            provenance=provenance(self.created, self.presses, recipe.seed, self.warnings),
+            provenance=provenance(self.created, self.presses, config.seed, self.warnings),
         )
 
 

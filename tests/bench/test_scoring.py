@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, open_trunk
 from edge import registry
@@ -74,7 +74,7 @@ def test_score_against_bare_trunk(row: Row) -> None:
     parameters = detector.parameters(row.mode, **row.overrides)
     trunk = open_trunk(row.backbone, detector.taps(parameters))
     h, w = row.frame
-    recipe = Recipe(
+    config = FitConfig(
         part="bench",
         position="any",
         profile=SensorProfile("bench", (w, h), (0.0, 0.0), (w, h), 1, LR_PIXELS_PER_MM * max(1.0, w / 320)),
@@ -86,7 +86,7 @@ def test_score_against_bare_trunk(row: Row) -> None:
         threads=THREADS,
     )
     frames = pictures(row.presses, row.frame)
-    fitted = fit_files(NominalPresses(frames, ("",) * row.presses), recipe, created="bench")
+    fitted = fit_files(NominalPresses(frames, ("",) * row.presses), config, created="bench")
     sessions = TrunkSessions(THREADS)
     scorer = Scorer(fitted.bundle(), THREADS, sessions)
     bare, full = interleaved(scorer, sessions, trunk, frames)

@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.region import Region
@@ -66,7 +66,7 @@ def scorer(detector: Any, trunk: bytes, region: Region, is_skipping: bool = True
         touched=region.crop(touched).copy(),
         no_contact=np.stack([region.crop(f) for f in gel]),
     )
-    recipe = Recipe(
+    config = FitConfig(
         part="bench",
         position="any",
         profile=SensorProfile("bench", (W, H), (0.0, 0.0), (W, H), 1, 63.0),
@@ -76,7 +76,7 @@ def scorer(detector: Any, trunk: bytes, region: Region, is_skipping: bool = True
         threshold=1.0,
         threads=THREADS,
     )
-    bundle = fit_files(presses, recipe, created="bench").bundle()
+    bundle = fit_files(presses, config, created="bench").bundle()
     return Scorer(bundle, THREADS, is_skipping=is_skipping)
 
 

@@ -124,7 +124,7 @@ class Blocked(MetaPathFinder):
 sys.meta_path.insert(0, Blocked())
 import numpy as np
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from edge import registry
 from edge.core.errors import FitError
@@ -144,8 +144,8 @@ def fit(method, **overrides):
     detector = registry.detector(method)
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters(**overrides)))
     region = Region.centre(sensor.size)
-    recipe = Recipe("bolt", "top", sensor, region, detector, trunk, overrides=overrides, alpha=0.5, folds=2)
-    return Scorer(fit_files(presses, recipe, created="today").bundle()).score(frames[0])
+    config = FitConfig("bolt", "top", sensor, region, detector, trunk, overrides=overrides, alpha=0.5, folds=2)
+    return Scorer(fit_files(presses, config, created="today").bundle()).score(frames[0])
 
 for method in registry.names("detectors"):
     print(method, fit(method).anomaly_score >= 0)

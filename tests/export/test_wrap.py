@@ -15,9 +15,9 @@ from edge import cli
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from export.external_graph import WrapRecipe, wrap_files
+from export.external_graph import WrapConfig, wrap_files
 
-RECIPE = WrapRecipe("bolt", "crest", tiny.PROFILE, tiny.REGION, "theirs")
+CONFIG = WrapConfig("bolt", "crest", tiny.PROFILE, tiny.REGION, "theirs")
 
 
 def graph(batch: str = "n") -> bytes:
@@ -41,7 +41,7 @@ def steps(n: int) -> NominalPresses:
 
 def test_the_threshold_is_the_conformal_quantile_of_its_scores() -> None:
     """39 presses of brightness 101 to 139: rank 38 is 138, and the scores are the graph's own."""
-    manifest = wrap_files(graph(), steps(39), RECIPE, created="2026-01-01").manifest
+    manifest = wrap_files(graph(), steps(39), CONFIG, created="2026-01-01").manifest
     assert manifest.threshold.value == pytest.approx(138)
     assert manifest.threshold.method == "split-conformal quantile, rank 38 of 39"
     assert (manifest.method, manifest.backbone, manifest.bank) == ("theirs", None, {})
@@ -50,7 +50,7 @@ def test_the_threshold_is_the_conformal_quantile_of_its_scores() -> None:
 @pytest.mark.parametrize("batch", ["n", "1"])
 def test_it_is_scored_and_checked_like_any_other(batch: str) -> None:
     """Golden frames hold, also for a graph that takes one frame at a time."""
-    bundle = wrap_files(graph(batch), steps(5), RECIPE, created="").bundle()
+    bundle = wrap_files(graph(batch), steps(5), CONFIG, created="").bundle()
     scorer = Scorer(bundle)
     assert scorer.check_golden() == 0.0
     assert scorer.score(np.full((32, 32, 3), 7, np.uint8)).anomaly_score == 7
@@ -59,7 +59,7 @@ def test_it_is_scored_and_checked_like_any_other(batch: str) -> None:
 def test_a_threshold_that_is_none_is_refused() -> None:
     """No score compares with it."""
     with pytest.raises(FitError, match="a threshold is a finite number, found nan"):
-        dataclasses.replace(RECIPE, threshold=float("nan"))
+        dataclasses.replace(CONFIG, threshold=float("nan"))
 
 
 def test_a_graph_that_breaks_the_contract_is_a_sentence() -> None:
@@ -68,14 +68,14 @@ def test_a_graph_that_breaks_the_contract_is_a_sentence() -> None:
     model.graph.input[0].name = "image"
     model.graph.node[0].input[0] = "image"
     with pytest.raises(BundleCorrupt, match="expected one, 'frames' uint8"):
-        wrap_files(model.SerializeToString(), steps(5), RECIPE, created="")
+        wrap_files(model.SerializeToString(), steps(5), CONFIG, created="")
 
 
 def test_too_few_presses_and_a_given_threshold() -> None:
     """One press gives no threshold, but a stated one is taken."""
     with pytest.raises(FitError, match="gives no threshold"):
-        wrap_files(graph(), steps(1), RECIPE, created="")
-    given = dataclasses.replace(RECIPE, threshold=200.0)
+        wrap_files(graph(), steps(1), CONFIG, created="")
+    given = dataclasses.replace(CONFIG, threshold=200.0)
     assert wrap_files(graph(), steps(1), given, created="").manifest.threshold.value == 200
 
 

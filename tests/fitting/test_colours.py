@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from calibration.benchmark.presses import Sizes, part_trial
 from calibration.fitting.colours import LEAST_LIMIT, LIMIT_FACTOR, colour_warnings, nominal_colours
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge import cli
@@ -26,8 +26,10 @@ def flat(*colours: tuple[int, int, int]) -> np.ndarray:
 
 
 def fitted(frames: np.ndarray) -> dict[str, bytes]:
-    recipe = Recipe("bolt", "crest", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk()))
-    return fit_files(NominalPresses(frames, ("",) * len(frames)), recipe, created="").files
+    config = FitConfig(
+        "bolt", "crest", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk())
+    )
+    return fit_files(NominalPresses(frames, ("",) * len(frames)), config, created="").files
 
 
 def test_like_presses_have_the_least_limit() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
@@ -28,7 +28,7 @@ def frames(n: int, seed: int) -> np.ndarray:
 @pytest.fixture(scope="module", params=registry.names("detectors"))
 def bundle(request: pytest.FixtureRequest) -> Bundle:
     detector = registry.detector(request.param)
-    recipe = Recipe(
+    config = FitConfig(
         part="pin",
         position="top",
         profile=SensorProfile("small", (SIDE, SIDE), (0.0, 0.0), (SIDE, SIDE), 1, 15.77),
@@ -37,7 +37,7 @@ def bundle(request: pytest.FixtureRequest) -> Bundle:
         trunk=open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters())),
         threshold=1.0,
     )
-    return fit_files(NominalPresses(frames(8, 0), ("",) * 8), recipe, created="2026-01-01").bundle()
+    return fit_files(NominalPresses(frames(8, 0), ("",) * 8), config, created="2026-01-01").bundle()
 
 
 def beyond(found: list[Scored], expected: list[Scored], bundle: Bundle) -> float:

@@ -9,7 +9,7 @@ import pytest
 import tiny
 
 from calibration.fitting.bundle_measurements import scatter_warnings
-from calibration.fitting.fit import Recipe, fit_bundle, fit_files
+from calibration.fitting.fit import FitConfig, fit_bundle, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
@@ -29,8 +29,8 @@ def presses(n: int, **changes: object) -> NominalPresses:
     return dataclasses.replace(NominalPresses(frames, tuple(f"press {k}" for k in range(n))), **changes)  # type: ignore[arg-type]
 
 
-def recipe(**changes: object) -> Recipe:
-    whole = Recipe(
+def config(**changes: object) -> FitConfig:
+    whole = FitConfig(
         part="bolt",
         position="crest",
         profile=tiny.PROFILE,
@@ -44,7 +44,7 @@ def recipe(**changes: object) -> Recipe:
 def test_the_bank_is_the_mean_of_the_presses() -> None:
     """Worked by hand: the tiny detector's bank is the mean colour of each 8x8 cell over all presses."""
     nominal = presses(6)
-    bank = fit_files(nominal, recipe(), created="2026-01-01").bundle().bank["mean"]
+    bank = fit_files(nominal, config(), created="2026-01-01").bundle().bank["mean"]
     cells = nominal.frames.reshape(6, 4, 8, 4, 8, 3).astype(np.float64).mean(axis=(0, 2, 4)) / 255
     np.testing.assert_allclose(bank, cells.transpose(2, 0, 1), rtol=1e-6)
 
@@ -52,14 +52,14 @@ def test_the_bank_is_the_mean_of_the_presses() -> None:
 def test_what_is_missing_of_the_presses_is_in_the_manifest() -> None:
     """Whoever runs the bundle reads it, too."""
     said = "recording a ends within a line of its index: what came later is not learnt"
-    bundle = fit_files(presses(6, faults=(said,)), recipe(), created="2026-01-01").bundle()
+    bundle = fit_files(presses(6, faults=(said,)), config(), created="2026-01-01").bundle()
 
     assert said in bundle.manifest.provenance.warnings
 
 
 def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:
     """The bundle does its job: threshold from nominal presses alone, a painted square lies far above it."""
-    bundle = fit_files(presses(40), recipe(), created="2026-01-01").bundle()
+    bundle = fit_files(presses(40), config(), created="2026-01-01").bundle()
     limit, scorer = bundle.manifest.threshold, Scorer(bundle)
     fresh = tiny.presses(50, seed=7)
     marked = fresh[0].copy()
@@ -73,7 +73,7 @@ def test_scores_for_the_threshold_are_out_of_fold() -> None:
     """A press that is unlike all others scores high, because the bank that scored it did not know it."""
     frames = np.full((10, 32, 32, 3), 100, np.uint8)
     frames[4] = 200
-    manifest = fit_files(NominalPresses(frames, ("",) * 10), recipe(), created="").manifest
+    manifest = fit_files(NominalPresses(frames, ("",) * 10), config(), created="").manifest
     assert manifest.threshold.nominal_scores[-1] == pytest.approx(np.sqrt(3) * 100 / 255, rel=1e-4)
 
 
@@ -83,15 +83,15 @@ def test_a_specimen_is_held_out_whole() -> None:
     frames[4:6] = 200
     stranger = np.sqrt(3) * 100 / 255
     grouped = NominalPresses(frames, ("",) * 10, tuple("aabbooccdd"))
-    scores = fit_files(grouped, recipe(), created="").manifest.threshold.nominal_scores
+    scores = fit_files(grouped, config(), created="").manifest.threshold.nominal_scores
     assert scores[-2:] == pytest.approx((stranger, stranger), rel=1e-4)
-    apart = fit_files(NominalPresses(frames, ("",) * 10), recipe(seed=3), created="").manifest
+    apart = fit_files(NominalPresses(frames, ("",) * 10), config(seed=3), created="").manifest
     assert apart.threshold.nominal_scores[-1] < 0.9 * stranger
 
 
 def test_one_specimen_is_said_to_be_one() -> None:
     """Folds within one specimen know nothing of other parts; the bundle says so."""
-    manifest = fit_files(presses(5, specimens=("a",) * 5), recipe(), created="").manifest
+    manifest = fit_files(presses(5, specimens=("a",) * 5), config(), created="").manifest
     assert any("of 1 piece, too few to hold one out" in warning for warning in manifest.provenance.warnings)
     assert (manifest.threshold.n, manifest.threshold.pieces) == (5, 1)
 
@@ -99,7 +99,7 @@ def test_one_specimen_is_said_to_be_one() -> None:
 def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
     """24 presses of 6 pieces: 1/7 at best, in the manifest, in words and as a warning."""
     limit = (
-        manifest := fit_files(presses(24, specimens=tuple("abcdef" * 4)), recipe(), created="").manifest
+        manifest := fit_files(presses(24, specimens=tuple("abcdef" * 4)), config(), created="").manifest
     ).threshold
     assert (limit.n, limit.pieces) == (24, 6)
     assert limit.alpha_floor == pytest.approx(1 / 7)
@@ -116,9 +116,9 @@ def test_a_press_that_stands_apart_is_named() -> None:
     frames = nominal.frames.copy()
     frames[7, 4:12, 4:12] = 60
     painted = dataclasses.replace(nominal, frames=frames)
-    (said,) = fit_files(painted, recipe(), created="").manifest.provenance.warnings
+    (said,) = fit_files(painted, config(), created="").manifest.provenance.warnings
     assert "'press 7' stands apart" in said
-    sound = fit_files(nominal, recipe(), created="").manifest
+    sound = fit_files(nominal, config(), created="").manifest
     assert not any("stands apart" in warning for warning in sound.provenance.warnings)
 
 
@@ -129,7 +129,7 @@ def test_no_bundle_passes_a_black_frame() -> None:
     with pytest.raises(
         FitError, match=r"a black frame scores .* and would pass: press 'press 3' stands apart"
     ):
-        fit_files(dataclasses.replace(presses(12), frames=frames), recipe(), created="")
+        fit_files(dataclasses.replace(presses(12), frames=frames), config(), created="")
 
 
 def test_a_fold_has_the_room_of_its_share_of_the_presses() -> None:
@@ -148,7 +148,7 @@ def test_a_fold_has_the_room_of_its_share_of_the_presses() -> None:
             rooms.append(nominal.room)
             return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
 
-    fit_files(presses(20), recipe(detector=Watching()), created="")
+    fit_files(presses(20), config(detector=Watching()), created="")
     assert rooms == pytest.approx([1.0, 0.8, 0.8, 0.8, 0.8, 0.8])
 
 
@@ -172,7 +172,7 @@ class Forgetful(tiny.TinyDetector):
 def test_a_bank_that_lacks_a_place_gets_more_room() -> None:
     """Twice the usual room is enough here, and the bundle says so; its own presses pass."""
     nominal = presses(20)
-    fitted = fit_files(nominal, recipe(detector=Forgetful(2.0)), created="")
+    fitted = fit_files(nominal, config(detector=Forgetful(2.0)), created="")
     assert any("2 times its usual room" in warning for warning in fitted.manifest.provenance.warnings)
     scored = Scorer(fitted.bundle()).score_batch(nominal.frames)
     assert sum(s.anomaly_score > fitted.manifest.threshold.value for s in scored) <= 1
@@ -181,12 +181,12 @@ def test_a_bank_that_lacks_a_place_gets_more_room() -> None:
 def test_a_bank_that_lacks_a_place_in_any_room_is_refused() -> None:
     """A sentence instead of a bundle that fails the presses it was learnt from."""
     with pytest.raises(FitError, match="lacks what its own nominal presses show"):
-        fit_files(presses(20), recipe(detector=Forgetful(9.0)), created="")
+        fit_files(presses(20), config(detector=Forgetful(9.0)), created="")
 
 
 def test_the_floor_is_stated() -> None:
     """Four presses cannot promise one in twenty: stated in the manifest and as a warning."""
-    manifest = fit_files(presses(4), recipe(), created="").manifest
+    manifest = fit_files(presses(4), config(), created="").manifest
     assert manifest.threshold.is_floored
     assert manifest.threshold.alpha_floor == pytest.approx(0.2)
     assert any("1/5 at best; 19 presses are needed" in warning for warning in manifest.provenance.warnings)
@@ -194,7 +194,7 @@ def test_the_floor_is_stated() -> None:
 
 def test_nineteen_presses_need_no_warning() -> None:
     """n = 19 promises 0.05 exactly."""
-    manifest = fit_files(presses(19), recipe(), created="").manifest
+    manifest = fit_files(presses(19), config(), created="").manifest
     assert manifest.provenance.warnings == ()
     assert not manifest.threshold.is_floored
 
@@ -202,7 +202,7 @@ def test_nineteen_presses_need_no_warning() -> None:
 def test_copies_of_a_press_are_pointed_out() -> None:
     """Some identical presses give a bundle with a warning."""
     frames = tiny.presses(4)[[0, 0, 0, 1, 2, 3]]
-    fitted = fit_files(NominalPresses(frames, ("",) * 6), recipe(), created="")
+    fitted = fit_files(NominalPresses(frames, ("",) * 6), config(), created="")
     assert any(
         "2 of 6 presses are exact copies" in warning for warning in fitted.manifest.provenance.warnings
     )
@@ -212,14 +212,14 @@ def test_copies_of_one_press_give_no_threshold() -> None:
     """Of one picture n times no threshold can be learnt: refused, unless one is stated."""
     frames = np.repeat(tiny.presses(1), 5, axis=0)
     with pytest.raises(FitError, match=r"all 5 presses are one picture.*state a threshold"):
-        fit_files(NominalPresses(frames, ("",) * 5), recipe(), created="")
-    fitted = fit_files(NominalPresses(frames, ("",) * 5), recipe(threshold=1.0), created="")
+        fit_files(NominalPresses(frames, ("",) * 5), config(), created="")
+    fitted = fit_files(NominalPresses(frames, ("",) * 5), config(threshold=1.0), created="")
     assert "4 of 5 presses are exact copies" in fitted.manifest.provenance.warnings[0]
 
 
 def test_a_threshold_can_be_given() -> None:
     """One press and a threshold from elsewhere make a bundle."""
-    manifest = fit_files(presses(1), recipe(threshold=0.25), created="").manifest
+    manifest = fit_files(presses(1), config(threshold=0.25), created="").manifest
     assert manifest.threshold.value == 0.25
     assert manifest.threshold.method == "given by hand"
 
@@ -244,7 +244,7 @@ def test_a_threshold_can_be_given() -> None:
 def test_what_cannot_be_fitted_is_a_sentence(nominal: NominalPresses, changes: dict, reason: str) -> None:
     """Before any long work."""
     with pytest.raises(FitError, match=reason):
-        fit_files(nominal, recipe(**changes), created="")
+        fit_files(nominal, config(**changes), created="")
 
 
 def test_a_trunk_without_the_tap_is_a_sentence() -> None:
@@ -255,13 +255,13 @@ def test_a_trunk_without_the_tap_is_a_sentence() -> None:
             return ("layer1", "layer4")
 
     with pytest.raises(FitError, match="trunk gives layer1, layer2; export a trunk with layer4"):
-        fit_files(presses(4), recipe(detector=Deep()), created="")
+        fit_files(presses(4), config(detector=Deep()), created="")
 
 
 def test_a_trunk_that_is_no_graph_is_a_sentence() -> None:
     """A wrong file given as the backbone."""
     with pytest.raises(BundleCorrupt, match="trunk 'x' is refused"):
-        fit_files(presses(4), recipe(trunk=Trunk("x", b"not a graph")), created="")
+        fit_files(presses(4), config(trunk=Trunk("x", b"not a graph")), created="")
 
 
 def test_features_that_are_not_finite_are_refused() -> None:
@@ -278,7 +278,7 @@ def test_features_that_are_not_finite_are_refused() -> None:
         }
     """)
     with pytest.raises(FitError, match="not finite at layer1"):
-        fit_files(presses(4), recipe(trunk=Trunk("broken", model.SerializeToString())), created="")
+        fit_files(presses(4), config(trunk=Trunk("broken", model.SerializeToString())), created="")
 
 
 def test_as_many_folds_as_presses_leave_one_out() -> None:
@@ -297,15 +297,15 @@ def test_as_many_folds_as_presses_leave_one_out() -> None:
             sizes.append(nominal.presses)
             return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
 
-    fit_files(presses(6), recipe(detector=Counting(), folds=6), created="")
+    fit_files(presses(6), config(detector=Counting(), folds=6), created="")
     assert sizes == [6, 5, 5, 5, 5, 5, 5]
     with pytest.raises(FitError, match="at least 2 folds"):
-        recipe(folds=1)
+        config(folds=1)
 
 
 def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
     """Everything but the times that were measured."""
-    first, second = (fit_files(presses(8), recipe(), created="2026-01-01") for _ in range(2))
+    first, second = (fit_files(presses(8), config(), created="2026-01-01") for _ in range(2))
     assert first.manifest.model_copy(update={"cost": None}) == second.manifest.model_copy(
         update={"cost": None}
     )
@@ -317,7 +317,7 @@ def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
 @pytest.mark.parametrize("packing", ["none", "float16", "int8"])
 def test_golden_frames_hold_on_the_written_bundle(tmp_path: Path, packing: str) -> None:
     """Two nominal frames and a marked one are scored again after loading, whatever the packing."""
-    path = fit_bundle(tmp_path / "bolt.zip", presses(8), recipe(overrides={"packing": packing}), created="")
+    path = fit_bundle(tmp_path / "bolt.zip", presses(8), config(overrides={"packing": packing}), created="")
     bundle = Bundle.load(path)
     assert len(bundle.golden) == 3
     assert bundle.golden[2].score > bundle.manifest.threshold.value
@@ -326,7 +326,7 @@ def test_golden_frames_hold_on_the_written_bundle(tmp_path: Path, packing: str) 
 
 def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None:
     """The zip is small; the store holds the trunk under its hash."""
-    path = fit_bundle(tmp_path / "bolt.zip", presses(4), recipe(with_trunk=False), created="")
+    path = fit_bundle(tmp_path / "bolt.zip", presses(4), config(with_trunk=False), created="")
     (tmp_path / "trunks").mkdir()
     (tmp_path / "trunks" / f"{Trunk('', tiny.tiny_trunk()).sha256}.onnx").write_bytes(tiny.tiny_trunk())
     assert Scorer(Bundle.load(path)).check_golden() == 0.0
@@ -335,7 +335,7 @@ def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None
 def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
     """Off-position presses can be told by centroid and area."""
     touches = tuple(Touch(0.10 + 0.01 * k, 0.50 + 0.01 * k, 0.40) for k in range(4))
-    contact = fit_files(presses(4, touches=touches), recipe(), created="").manifest.contact
+    contact = fit_files(presses(4, touches=touches), config(), created="").manifest.contact
     assert contact is not None
 
     def holds(touch: Touch) -> bool:
@@ -366,7 +366,7 @@ def test_the_detector_is_given_touch_and_free_gel() -> None:
     area = np.zeros((32, 32), bool)
     area[8:24, 8:24] = True
     fit_files(
-        presses(5, touched=area, no_contact=tiny.presses(2, seed=3)), recipe(detector=Watching()), created=""
+        presses(5, touched=area, no_contact=tiny.presses(2, seed=3)), config(detector=Watching()), created=""
     )
     assert [n.presses for n in seen] == [5, 4, 4, 4, 4, 4]
     for nominal in seen:
@@ -384,7 +384,7 @@ def test_an_interrupt_at_any_stage_leaves_nothing(tmp_path: Path, stage: str) ->
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit_bundle(tmp_path / "bolt", presses(4), recipe(), created="", report=report)
+        fit_bundle(tmp_path / "bolt", presses(4), config(), created="", report=report)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -393,7 +393,7 @@ def test_an_existing_bundle_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "bolt").mkdir()
     with pytest.raises(FileExistsError, match="exists already"):
         fit_bundle(
-            tmp_path / "bolt", presses(4), recipe(), created="", report=lambda s, f: pytest.fail("it began")
+            tmp_path / "bolt", presses(4), config(), created="", report=lambda s, f: pytest.fail("it began")
         )
 
 
@@ -453,9 +453,9 @@ def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> Non
     )
     assert "fit inreach" in said
     with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
-        fit_files(anywhere, recipe(detector=Padim(), profile=wide), created="test")
+        fit_files(anywhere, config(detector=Padim(), profile=wide), created="test")
     for given, method in ((anywhere, tiny.TINY), (fixed, Padim()), (presses(4), Padim())):
         assert scatter_warnings(given, wide, method) == []
-    meant = recipe(detector=Padim(), profile=wide, is_scattered=True)
+    meant = config(detector=Padim(), profile=wide, is_scattered=True)
     warned = fit_files(anywhere, meant, created="test").manifest
     assert said in warned.provenance.warnings

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
@@ -35,8 +35,8 @@ def scorer(gelslam: Path) -> Scorer:
     assert len(presses.touches) == 24
     detector = registry.detector("subspace")
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
-    recipe = Recipe("ball", "any", PROFILE, REGION, detector, trunk)
-    return Scorer(fit_files(presses, recipe, created="test").bundle())
+    config = FitConfig("ball", "any", PROFILE, REGION, detector, trunk)
+    return Scorer(fit_files(presses, config, created="test").bundle())
 
 
 def load(path: Path) -> np.ndarray:

@@ -12,11 +12,11 @@ from station import press_recording, small_bundle
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from calibration.evaluate.scoring import evaluate_bundle
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from calibration.threads import one_blas_thread
-from export.external_graph import WrapRecipe, wrap_files
+from export.external_graph import WrapConfig, wrap_files
 
 
 def threads() -> int:
@@ -45,9 +45,9 @@ PRESSES = NominalPresses(tiny.presses(12), tuple(f"press {k}" for k in range(12)
 
 def test_fit_uses_one() -> None:
     """From the features to the golden frames."""
-    recipe = Recipe("bolt", "top", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk()))
+    config = FitConfig("bolt", "top", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk()))
 
-    assert during(lambda report: fit_files(PRESSES, recipe, created="2026-01-01", report=report)) == {1}
+    assert during(lambda report: fit_files(PRESSES, config, created="2026-01-01", report=report)) == {1}
 
 
 def test_wrap_uses_one() -> None:
@@ -63,9 +63,9 @@ def test_wrap_uses_one() -> None:
             score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
         }
     """).SerializeToString()
-    recipe = WrapRecipe("bolt", "top", tiny.PROFILE, tiny.REGION, "theirs")
+    config = WrapConfig("bolt", "top", tiny.PROFILE, tiny.REGION, "theirs")
 
-    assert during(lambda report: wrap_files(graph, PRESSES, recipe, created="2026-01-01", report=report)) == {
+    assert during(lambda report: wrap_files(graph, PRESSES, config, created="2026-01-01", report=report)) == {
         1
     }
 

@@ -10,7 +10,7 @@ import pytest
 from station import jpeg, press_recording, station_config
 from tiny import TINY, tiny_trunk
 
-from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_bundle
 from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.clock import SystemClock
@@ -30,8 +30,8 @@ def lenient(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lenient")
     region = Region.centre(PROFILE.size)
     presses = read_presses([press_recording(folder / "nominal", 4, seed=1)], PROFILE, region)
-    recipe = Recipe("PZ0", "pos1", PROFILE, region, TINY, Trunk("tiny", tiny_trunk()), threshold=1e6)
-    return fit_bundle(folder / "pz0", presses, recipe, created="2026-01-01")
+    config = FitConfig("PZ0", "pos1", PROFILE, region, TINY, Trunk("tiny", tiny_trunk()), threshold=1e6)
+    return fit_bundle(folder / "pz0", presses, config, created="2026-01-01")
 
 
 @pytest.fixture(scope="module")

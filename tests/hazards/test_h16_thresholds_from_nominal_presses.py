@@ -12,7 +12,7 @@ import pytest
 import tiny
 from heads import fit, grid, presses_of, run_head, with_spot
 
-from calibration.fitting.fit import Recipe, fit_files
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from plugins.detectors.baselines.patchcore import patchcore
@@ -46,7 +46,7 @@ def test_the_threshold_knows_no_press_of_its_own() -> None:
     """SPADE scores its own presses 0; the threshold, from folds, is as high as the score of a new nominal press."""
     frames = tiny.presses(20)
     nominal = NominalPresses(frames, tuple(f"press {k}" for k in range(20)))
-    recipe = Recipe(
+    config = FitConfig(
         part="bolt",
         position="crest",
         profile=tiny.PROFILE,
@@ -55,8 +55,8 @@ def test_the_threshold_knows_no_press_of_its_own() -> None:
         trunk=Trunk("tiny", tiny.tiny_trunk()),
         overrides={"layers": ["layer1"], "dims": [], "is_balanced": False},
     )
-    manifest = fit_files(nominal, recipe, created="2026-01-01").manifest
-    single = fit_files(nominal, dataclasses.replace(recipe, threshold=1.0), created="2026-01-01").bundle()
+    manifest = fit_files(nominal, config, created="2026-01-01").manifest
+    single = fit_files(nominal, dataclasses.replace(config, threshold=1.0), created="2026-01-01").bundle()
     from edge.model.scorer import Scorer
 
     scorer = Scorer(single)

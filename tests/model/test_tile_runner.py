@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from typer.testing import CliRunner
 
-from calibration.fitting.fit import Fitted, Recipe, fit_files
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.cli import build
@@ -57,7 +57,7 @@ def presses(n: int, seed: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
     nominal = NominalPresses(presses(8, 0), ("",) * 8, touched=TOUCHED, no_contact=free_gel(3, 1))
-    recipe = Recipe(
+    config = FitConfig(
         part="pin",
         position="top",
         profile=SensorProfile("tiled", SIZE, (0.0, 0.0), SIZE, 1, 15.77),
@@ -67,7 +67,7 @@ def fitted() -> Fitted:
         overrides={"rank": 4, "channels": 16},
         folds=2,
     )
-    return fit_files(nominal, recipe, created="2026-01-01")
+    return fit_files(nominal, config, created="2026-01-01")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import pytest
 from station import JSONL, station_config
 
 from calibration.fitting.bundle_measurements import scatter_warnings
-from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_bundle
 from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
@@ -54,7 +54,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     bundle = fit_bundle(
         folder / "ball",
         presses,
-        Recipe("ball", "any", PROFILE, REGION, detector, trunk, folds=2),
+        FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2),
         created="test",
     )
     tested = [unit / "6.310mm" / str(k) / "gelsight.png" for k in TESTED]

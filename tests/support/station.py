@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tiny import TINY, tiny_trunk
 
-from calibration.fitting.fit import Recipe, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_bundle
 from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.known_profiles import profile
@@ -72,8 +72,8 @@ def small_bundle(folder: Path, nominal: Path) -> Path:
     """A bundle fitted on a recording with the smallest detector: what is tested is everything around it."""
     sensor = profile("cropped_lr")
     region = Region.centre(sensor.size)
-    recipe = Recipe("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=0.1)
-    return fit_bundle(folder, read_presses([nominal], sensor, region), recipe, created="2026-01-01")
+    config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=0.1)
+    return fit_bundle(folder, read_presses([nominal], sensor, region), config, created="2026-01-01")
 
 
 CONFIG = """
