@@ -30,7 +30,9 @@ def evaluate_backbone(
     ] = None,
     methods: Annotated[
         list[str] | None,
-        typer.Option("--method", help="a detector to compare with; default: padim, spade, fapm, inreach"),
+        typer.Option(
+            "--method", help="a detector to compare with; default: every installed one that is no baseline"
+        ),
     ] = None,
     trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,

@@ -4,7 +4,7 @@ The numbers are least-squares fits to real GelSight Mini frames (320x240, 1/7 bo
 are not part of the product. u and v run from -1 to 1 across the crop, right and down.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32, Field, unit_grids
 
-__all__ = ["SENSORS", "SensorAppearance", "background", "random_appearance", "response"]
+__all__ = ["SENSORS", "SensorAppearance", "background", "response"]
 
 F64 = NDArray[np.float64]
 
@@ -216,19 +216,6 @@ SENSORS = {
     "unit_b": SensorAppearance("unit_b", _table(_UNIT_B)),
     "unit_c": SensorAppearance("unit_c", _table(_UNIT_C)),
 }
-
-
-def random_appearance(rng: np.random.Generator) -> SensorAppearance:
-    """A sensor between the measured ones, with another exposure and white balance: for training."""
-    share = rng.dirichlet((1.0, 1.0, 1.0))
-    free = sum(w * appearance.free_gel for w, appearance in zip(share, SENSORS.values(), strict=True))
-    # Between units the mean level differs by a factor 0.78 to 1.25, the channels among themselves by about 10 %.
-    level = rng.normal(0.0, 0.12) + rng.normal(0.0, 0.05, 3)
-    gain = np.exp(level) * rng.normal(1.0, 0.1)
-    table = np.asarray(free, dtype=np.float64).copy()
-    table[:, 0] += level
-    base = SENSORS["unit_b"].slope_response
-    return replace(SENSORS["unit_b"], name="random", free_gel=table, slope_response=base * gain[:, None])
 
 
 def background(appearance: SensorAppearance, over: Field) -> F32:

@@ -85,11 +85,6 @@ class InspectionSession:
         """Frames that arrived and could not be decoded."""
         return self._pipeline.detector.corrupt
 
-    @property
-    def has_unrecorded(self) -> bool:
-        """Whether a judged press waits for the store."""
-        return bool(self._unrecorded)
-
     def feed(self, frame: CameraFrame) -> None:
         """One camera frame; a press that it decides waits to be recorded."""
         self._add(self._pipeline.feed(frame))

@@ -190,7 +190,6 @@ parts.PARTS = Guarded(); defects.DEFECTS = Guarded()
 for name in ('_thread', '_connector', '_grooves', '_bracket', '_pinion', 'specimen'):
     assert hasattr(parts, name)
     setattr(parts, name, forbidden)
-sensor_appearance.random_appearance = forbidden
 asked = []
 class Units(dict):
     def __getitem__(self, name):

@@ -91,10 +91,6 @@ class StreamControl:
         clock = _BLOCK_11.unpack_from(block, _BLOCK_10.size)[0] if len(block) >= 34 else 0
         return cls(format_index, frame_index, interval, hint, max_frame, max_payload, clock)
 
-    def answered(self, *, max_frame_bytes: int, max_payload_bytes: int) -> "StreamControl":
-        """The same request with the two limits that only the camera knows."""
-        return replace(self, max_frame_bytes=max_frame_bytes, max_payload_bytes=max_payload_bytes)
-
 
 @dataclass(frozen=True)
 class VideoMode:
