@@ -18,6 +18,7 @@ from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
 from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.contact.mask import Touch, touched, touched_mask
+from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
@@ -29,7 +30,6 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.core.press_detector import PressDetector
 from edge.recording.format import Recording
 from edge.recording.from_images import images_in
 

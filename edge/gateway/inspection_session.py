@@ -17,11 +17,11 @@ from edge.core.contact.events import (
     StartedTouched,
 )
 from edge.core.contact.light import foreign_start
+from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
-from edge.core.press_detector import PressDetector
 from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder

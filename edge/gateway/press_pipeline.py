@@ -10,11 +10,11 @@ from edge.core.contact.events import (
     TriggerRepeated,
     TriggerWithoutContact,
 )
+from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.tracker import ContactTracker
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
-from edge.core.press_detector import PressDetector
 from edge.core.verdict import Verdict
 from edge.gateway.inspector import Inspection, Inspector
 

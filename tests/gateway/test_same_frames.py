@@ -13,12 +13,12 @@ from small_recordings import FakeClock
 
 from calibration.fitting.nominal_presses import read_presses
 from edge.core.contact.mask import Touch
+from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import with_comment
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.core.press_detector import PressDetector
 from edge.gateway.inspector import Inspection
 from edge.gateway.press_pipeline import PressPipeline
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
