@@ -30,9 +30,7 @@ def evaluate_backbone(
     ] = None,
     methods: Annotated[
         list[str] | None,
-        typer.Option(
-            "--method", help="a detector to compare with; default: every installed one that is no baseline"
-        ),
+        typer.Option("--method", help="a detector to compare with; default: all but the baselines"),
     ] = None,
     trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,

@@ -62,10 +62,7 @@ def fit(
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
     threads: Threads = 2,
     scattered: Annotated[
-        bool,
-        typer.Option(
-            "--scattered", help="Fit also a method that compares places to parts that lie anywhere."
-        ),
+        bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")
     ] = False,
     leave_out: Annotated[
         list[str] | None,
