@@ -6,7 +6,6 @@ of the free gel. Pictures are presses already; with a picture of the free gel th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 
@@ -30,6 +29,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.suggest import suggestion
 from edge.recording.format import Recording
 from edge.recording.from_images import images_in
 
@@ -190,12 +190,9 @@ def read_presses(
 
 
 def _require_left_out(gathered: _Gathered) -> None:
-    """Errors: FitError naming the presses that come nearest to one that is not there."""
+    """Errors: FitError with the nearest name for one that is not there."""
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
-        near = get_close_matches(name, gathered.names, cutoff=0.0)
-        raise FitError(
-            f"no press is named '{name}' to be left out; did you mean {' or '.join(repr(other) for other in near)}?"
-        )
+        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, gathered.names)}")
 
 
 def named_presses(

@@ -94,8 +94,7 @@ def record(
         typer.echo(_from_device(out, device, option or [], seconds, frames, profile))
     elif from_video is not None:
         typer.echo(_from_video(out, from_video, profile, resize, product, serial))
-    else:
-        assert from_images is not None
+    elif from_images is not None:
         images = _images(from_images, pattern, reference)
         plan = _plan(fps, lead, repeat_free, repeat_press, number_copies, noise, seed)
         typer.echo(_from_images(out, images, reference, plan, profile, product, serial))

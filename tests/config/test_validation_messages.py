@@ -52,7 +52,8 @@ def test_a_report_numbers_its_faults() -> None:
 
 
 def test_a_suggestion_is_the_nearest_name_or_all_of_them() -> None:
-    """A near name is asked about; where none is near, all are listed; where none is known, that is said."""
+    """A near name is asked about; where none is near, up to 20 are listed; where none is known, that is said."""
     assert suggestion("mqt", ["jsonl", "mqtt"]) == "did you mean 'mqtt'?"
     assert suggestion("zebra", ["jsonl", "mqtt"]) == "known: jsonl, mqtt"
     assert suggestion("zebra", []) == "known: none"
+    assert suggestion("zebra", map(str, range(300))).endswith(", 18, 19 and 280 more")
