@@ -54,7 +54,7 @@ def _report(name: str, given: list[str]) -> dict[str, Any]:
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
             return {"plugin": name, "seen": [], "note": f"needs --option {missing[0]}=..."}
-        seen = plugin.survey(plugin_options("devices", name, plugin.Options, given))
+        seen = plugin.discover(plugin_options("devices", name, plugin.Options, given))
         return {
             "plugin": name,
             "seen": [asdict(one) for one in seen],

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
-from edge.core.ports import Clock, Device, Sighting, Sink
+from edge.core.ports import Clock, Device, DiscoveredDevice, Sink
 from edge.core.sink_context import Station
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class DevicePlugin(Protocol[OptionsT]):
     @property
     def Options(self) -> type[OptionsT]: ...
 
-    def survey(self, options: OptionsT) -> Sequence[Sighting]:
+    def discover(self, options: OptionsT) -> Sequence[DiscoveredDevice]:
         """Every device found that is, or looks like, this plugin's sensor, in a fixed order."""
         ...
 

@@ -10,9 +10,9 @@ __all__ = [
     "CountsStale",
     "Device",
     "DeviceIdentity",
+    "DiscoveredDevice",
     "Message",
     "OnDemand",
-    "Sighting",
     "Sink",
 ]
 
@@ -36,7 +36,7 @@ class DeviceIdentity:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class DiscoveredDevice:
     """One thing found by a device plugin: a sensor, or something similar that is refused.
 
     place: where it is, such as `bus 1 port 2 address 7` or a folder. identity: of a sensor that can be opened.
@@ -50,7 +50,7 @@ class Sighting:
 
     def __post_init__(self) -> None:
         if (self.identity is None) == (self.refusal is None):
-            raise ValueError("a sighting has an identity or a refusal, and not both")
+            raise ValueError("a discovered device has an identity or a refusal, and not both")
 
 
 @runtime_checkable

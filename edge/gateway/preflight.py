@@ -112,9 +112,9 @@ def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
     """Errors: DeviceError. It must also open: another process may hold it."""
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
-    sightings = plugin.survey(options)
-    if not any(one.identity for one in sightings):
-        seen = "; ".join(one.refusal for one in sightings if one.refusal)
+    discovered = plugin.discover(options)
+    if not any(one.identity for one in discovered):
+        seen = "; ".join(one.refusal for one in discovered if one.refusal)
         raise DeviceNotFound(
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")

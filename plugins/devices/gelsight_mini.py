@@ -12,10 +12,10 @@ import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.plugins import DevicePlugin, Resettable
-from edge.core.ports import Clock, Device, Sighting
+from edge.core.ports import Clock, Device, DiscoveredDevice
 from plugins.devices.uvc.controls import report_unset
 from plugins.devices.uvc.faults import guarded
-from plugins.devices.uvc.identity import SensorOnBus, choose, survey
+from plugins.devices.uvc.identity import SensorOnBus, choose, discover
 from plugins.devices.uvc.libusb import LibusbBackend, get_backend
 from plugins.devices.uvc.lock import SensorLock
 from plugins.devices.uvc.stream import UvcSensor
@@ -51,22 +51,22 @@ class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOpt
 
     Options = GelsightMiniOptions
 
-    def survey(self, options: GelsightMiniOptions) -> list[Sighting]:
+    def discover(self, options: GelsightMiniOptions) -> list[DiscoveredDevice]:
         """Errors: DeviceNotFound when libusb cannot be loaded."""
-        return [one.sighting for one in survey(get_backend())]
+        return [one.discovered for one in discover(get_backend())]
 
     def open(self, options: GelsightMiniOptions, clock: Clock) -> Device:
         """Errors: DeviceNotFound, DeviceBusy, DeviceLost, DeviceStalled."""
         backend = get_backend()
-        found = choose(survey(backend), options.serial)
+        found = choose(discover(backend), options.serial)
         if options.stream == "uvc":
             return UvcSensor.open(backend, found, clock, controls=options.controls)
         return _open_v4l2(backend, found, options, clock)
 
     def reset(self, options: GelsightMiniOptions) -> str:
         """Reset the sensor as a re-plug does; returns which one. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
-        found = choose(survey(get_backend()), options.serial)
-        who = f"{found.sighting.product} at {found.sighting.place}"
+        found = choose(discover(get_backend()), options.serial)
+        who = f"{found.discovered.product} at {found.discovered.place}"
         with guarded(who):
             found.device.reset()
             usb.util.dispose_resources(found.device)
@@ -79,9 +79,9 @@ plugin = GelsightMini()
 def _open_v4l2(
     backend: LibusbBackend, found: SensorOnBus, options: GelsightMiniOptions, clock: Clock
 ) -> V4l2Sensor:
-    identity = found.sighting.identity
+    identity = found.discovered.identity
     if identity is None:
-        raise ValueError(f"{found.sighting.place} is not a sensor")
+        raise ValueError(f"{found.discovered.place} is not a sensor")
     lock = SensorLock(identity.serial)
     try:
         node = capture_node(identity.serial)
@@ -100,4 +100,6 @@ def _open_v4l2(
 
 
 def _is_on_bus(backend: LibusbBackend, serial: str) -> bool:
-    return any(one.sighting.identity and one.sighting.identity.serial == serial for one in survey(backend))
+    return any(
+        one.discovered.identity and one.discovered.identity.serial == serial for one in discover(backend)
+    )

@@ -12,7 +12,7 @@ from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingE
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, damage
 from edge.core.plugins import DevicePlugin
-from edge.core.ports import Clock, Device, Sighting
+from edge.core.ports import Clock, Device, DiscoveredDevice
 from edge.recording.format import Recording
 
 __all__ = ["Recorded", "RecordedOptions", "RecordedSensor", "plugin"]
@@ -114,12 +114,12 @@ class Recorded(DevicePlugin[RecordedOptions]):
 
     Options = RecordedOptions
 
-    def survey(self, options: RecordedOptions) -> list[Sighting]:
+    def discover(self, options: RecordedOptions) -> list[DiscoveredDevice]:
         try:
             header = Recording.open(options.recording).header
         except RecordingError as error:
-            return [Sighting(str(options.recording), "", refusal=str(error))]
-        return [Sighting(str(options.recording), header.product, header.identity)]
+            return [DiscoveredDevice(str(options.recording), "", refusal=str(error))]
+        return [DiscoveredDevice(str(options.recording), header.product, header.identity)]
 
     def recording(self, options: RecordedOptions) -> Path:
         return options.recording

@@ -20,9 +20,9 @@ from edge.clock import SystemClock
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.image_bytes import comment, kind, with_comment
 from edge.core.plugins import DevicePlugin
-from edge.core.ports import Clock, Device, Sighting
+from edge.core.ports import Clock, Device, DiscoveredDevice
 from edge.recording.format import Recording, RecordingHeader
-from plugins.devices.uvc.identity import choose, survey
+from plugins.devices.uvc.identity import choose, discover
 from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.virtual.bus import VirtualBus
 from plugins.devices.virtual.camera import VirtualCamera
@@ -107,8 +107,8 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
             options._bench = Bench(options, clock or SystemClock())
         return options._bench
 
-    def survey(self, options: UsbMockOptions) -> list[Sighting]:
-        return [one.sighting for one in survey(self.bench(options).bus)]
+    def discover(self, options: UsbMockOptions) -> list[DiscoveredDevice]:
+        return [one.discovered for one in discover(self.bench(options).bus)]
 
     def recording(self, options: UsbMockOptions) -> Path:
         return options.recording
@@ -116,7 +116,7 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
     def open(self, options: UsbMockOptions, clock: Clock) -> Device:
         """Errors: RecordingError, DeviceNotFound, DeviceBusy (also by another process that plays this recording)."""
         bench = self.bench(options, clock)
-        found = choose(survey(bench.bus), options.serial)
+        found = choose(discover(bench.bus), options.serial)
         lock_name = f"virtual-{options.recording.resolve()}"[-200:]
         sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
         if options.pace == 0:

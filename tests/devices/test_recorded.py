@@ -56,9 +56,9 @@ def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
 def test_survey(tmp_path: Path) -> None:
     """A good folder is a sensor; a bad one is a refusal with the reason."""
     good = RecordedOptions(recording=write_recording(tmp_path / "r", 1))
-    assert [one.identity and one.identity.serial for one in plugin.survey(good)] == [SERIAL]
+    assert [one.identity and one.identity.serial for one in plugin.discover(good)] == [SERIAL]
     bad = RecordedOptions(recording=tmp_path)
-    (seen,) = plugin.survey(bad)
+    (seen,) = plugin.discover(bad)
     assert seen.identity is None
     assert "not a recording" in (seen.refusal or "")
     with pytest.raises(RecordingError):

@@ -18,7 +18,7 @@ from edge.core.errors import (
 )
 from edge.core.ports import Device
 from plugins.devices.usb_mock import Bench, UsbMockOptions, plugin
-from plugins.devices.uvc.identity import survey
+from plugins.devices.uvc.identity import discover
 from plugins.devices.uvc.uvc import mjpeg_formats
 from plugins.devices.virtual.faults import Fault
 
@@ -40,7 +40,7 @@ def read(device: Device, clock: FakeClock, within_s: float = 5) -> bytes:
 
 
 def sensor_on(bench: Bench) -> usb.core.Device:
-    return next(one.device for one in survey(bench.bus) if one.sighting.identity is not None)
+    return next(one.device for one in discover(bench.bus) if one.discovered.identity is not None)
 
 
 class TestDescriptors:
@@ -78,10 +78,10 @@ class TestDescriptors:
         """Both devices have 0c45:636d; only the product string makes a sensor, and the refusal says so."""
         options = options_for(tmp_path)
         plugin.bench(options, clock)
-        refused = [one for one in plugin.survey(options) if one.identity is None]
+        refused = [one for one in plugin.discover(options) if one.identity is None]
         assert [one.product for one in refused] == ["USB 2.0 Camera"]
         assert "shared by webcams" in (refused[0].refusal or "")
-        assert [one.identity.serial for one in plugin.survey(options) if one.identity] == [SERIAL]
+        assert [one.identity.serial for one in plugin.discover(options) if one.identity] == [SERIAL]
 
     def test_a_webcam_alone_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
         """With the sensor unplugged, the matching id of the webcam is not enough; the message names what was seen."""
@@ -97,12 +97,12 @@ class TestDescriptors:
         from plugins.devices.uvc.identity import choose
 
         with pytest.raises(DeviceNotFound, match=SERIAL):
-            choose(survey(bench.bus), "AAAABBBB")
+            choose(discover(bench.bus), "AAAABBBB")
 
     def test_serial_option_changes_the_product_with_it(self, tmp_path: Path, clock: FakeClock) -> None:
         """The product string ends with the serial and a dash, as on real sensors."""
         options = options_for(tmp_path, serial="28D8PXEC")
-        (identity,) = (one.identity for one in plugin.survey(options) if one.identity)
+        (identity,) = (one.identity for one in plugin.discover(options) if one.identity)
         assert (identity.product, identity.serial) == ("GelSight Mini R0B 28D8-PXEC", "28D8PXEC")
 
 

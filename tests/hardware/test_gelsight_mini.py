@@ -23,7 +23,7 @@ SECOND = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def identity() -> DeviceIdentity:
-    found = [one.identity for one in plugin.survey(GelsightMiniOptions()) if one.identity]
+    found = [one.identity for one in plugin.discover(GelsightMiniOptions()) if one.identity]
     if not found:
         pytest.skip("SKIPPED, NOT TESTED: no GelSight Mini is plugged in")
     return found[0]

@@ -12,7 +12,7 @@ import usb.core
 import usb.util
 
 from edge.core.errors import DeviceNotFound
-from edge.core.ports import DeviceIdentity, Sighting
+from edge.core.ports import DeviceIdentity, DiscoveredDevice
 from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_STREAMING, MjpegFormat, VideoMode, mjpeg_formats
 
 __all__ = [
@@ -21,9 +21,9 @@ __all__ = [
     "VENDOR_ID",
     "SensorOnBus",
     "choose",
+    "discover",
     "refusal",
     "streaming_formats",
-    "survey",
 ]
 
 VENDOR_ID, PRODUCT_ID = 0x0C45, 0x636D
@@ -35,7 +35,7 @@ class SensorOnBus:
     """A pyusb device and its identification."""
 
     device: Any
-    sighting: Sighting
+    discovered: DiscoveredDevice
 
 
 def refusal(product: str) -> str | None:
@@ -48,7 +48,7 @@ def refusal(product: str) -> str | None:
     )
 
 
-def survey(backend: Any) -> list[SensorOnBus]:
+def discover(backend: Any) -> list[SensorOnBus]:
     """Everything with the sensor's USB id, in the order of bus, port and address."""
     found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
     seen = [SensorOnBus(device, _look(device)) for device in found]
@@ -57,7 +57,7 @@ def survey(backend: Any) -> list[SensorOnBus]:
 
 def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
     """The sensor with this serial, or the only one. Errors: DeviceNotFound with every device that was seen instead."""
-    sensors = [one for one in seen if one.sighting.identity is not None]
+    sensors = [one for one in seen if one.discovered.identity is not None]
     chosen = [one for one in sensors if serial in (None, _serial(one))]
     if len(chosen) == 1:
         return chosen[0]
@@ -66,8 +66,8 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
             f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial"
         )
     wanted = f"no GelSight Mini with serial {serial}" if serial else "no GelSight Mini"
-    others = [f"{_serial(one)} at {one.sighting.place}" for one in sensors]
-    others += [f"{one.sighting.place}: {one.sighting.refusal}" for one in seen if one.sighting.refusal]
+    others = [f"{_serial(one)} at {one.discovered.place}" for one in sensors]
+    others += [f"{one.discovered.place}: {one.discovered.refusal}" for one in seen if one.discovered.refusal]
     raise DeviceNotFound(f"{wanted} is plugged in; seen: {'; '.join(others) or 'no device with its USB id'}")
 
 
@@ -88,21 +88,21 @@ def _streaming_interfaces(device: Any) -> Iterator[Any]:
 
 
 def _serial(one: SensorOnBus) -> str:
-    return one.sighting.identity.serial if one.sighting.identity else ""
+    return one.discovered.identity.serial if one.discovered.identity else ""
 
 
-def _look(device: Any) -> Sighting:
+def _look(device: Any) -> DiscoveredDevice:
     place = f"bus {device.bus} port {'.'.join(map(str, device.port_numbers or ()))} address {device.address}"
     try:
         product = usb.util.get_string(device, device.iProduct) or ""
         why = refusal(product)
         if why:
-            return Sighting(place, product, refusal=why)
+            return DiscoveredDevice(place, product, refusal=why)
         serial = usb.util.get_string(device, device.iSerialNumber) or _tail(product)
         mode = largest_mode(streaming_formats(device)[1])
     except (usb.core.USBError, ValueError) as error:
         # pyusb answers a missing permission with "The device has no langid", a ValueError.
-        return Sighting(
+        return DiscoveredDevice(
             place,
             "",
             refusal=f"its descriptors cannot be read ({error}); run `gelgate install-service` as root",
@@ -110,7 +110,7 @@ def _look(device: Any) -> Sighting:
     finally:
         usb.util.dispose_resources(device)
     identity = DeviceIdentity(product, serial, (mode.width, mode.height), mode.nominal_fps)
-    return Sighting(place, product, identity)
+    return DiscoveredDevice(place, product, identity)
 
 
 def _tail(product: str) -> str:

@@ -102,13 +102,13 @@ class UvcSensor:
 
         Errors: DeviceBusy, DeviceLost, DeviceStalled.
         """
-        identity = found.sighting.identity
+        identity = found.discovered.identity
         if identity is None:
-            raise ValueError(f"{found.sighting.place} is not a sensor: {found.sighting.refusal}")
+            raise ValueError(f"{found.discovered.place} is not a sensor: {found.discovered.refusal}")
         undo = ExitStack()
         try:
             undo.callback(SensorLock(lock_name or identity.serial).close)
-            with guarded(f"{identity.product} at {found.sighting.place}"):
+            with guarded(f"{identity.product} at {found.discovered.place}"):
                 _quietly(undo, usb.util.dispose_resources, found.device)
                 _take_interfaces(found.device, undo)
                 unset = pin_uvc_controls(found.device, controls or {})

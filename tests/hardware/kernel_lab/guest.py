@@ -61,7 +61,7 @@ def plug_in() -> None:
 
 def sensors() -> list[DeviceIdentity]:
     """The sensors that could be opened."""
-    return [one.identity for one in plugin.survey(GelsightMiniOptions()) if one.identity]
+    return [one.identity for one in plugin.discover(GelsightMiniOptions()) if one.identity]
 
 
 def identity() -> None:
