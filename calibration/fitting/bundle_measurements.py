@@ -1,4 +1,4 @@
-"""What is measured on a bundle before it is written: golden frames, tolerance, costs, where presses touch."""
+"""The measurements on a bundle before it is written: golden frames, tolerance, costs, where presses touch."""
 
 import contextlib
 import importlib.metadata
@@ -48,7 +48,7 @@ PAINTED_LEVEL = 40
 
 
 def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame]:
-    """The nominal frames of middle and highest score, and a painted one, so that a score far out is checked as well.
+    """The nominal frames of middle and highest score, and a painted one, so that a high score is checked as well.
 
     frames: uint8 (n, h, w, 3). Errors: NotScorable.
     """
@@ -75,10 +75,10 @@ def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def measured_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:
-    """What repeated runs, one thread, two threads and another batch size change in the golden frames."""
+    """The change of the golden frames' scores between runs, one or two threads, and another batch size."""
     frames = np.stack([frame.rgb for frame in golden])
     runs = [[scorer.score(frame) for frame in frames] for _ in range(2)]
-    with contextlib.suppress(NotScorable):  # a third party's graph may take one frame at a time
+    with contextlib.suppress(NotScorable):  # a graph of another author may take one frame at a time
         runs.append(scorer.score_batch(frames))
     for count in {1, 2} - {threads}:
         other = Scorer(scorer.bundle, count)
@@ -113,7 +113,7 @@ def cost_card(
 
 
 # Measured: up to 1.8 mm on simulated parts placed by hand, where their contacts are wide and shallow; 4.2 mm and more
-# on balls pressed anywhere, where these methods find a fifth of what inreach does.
+# on balls pressed anywhere, where these methods find a fifth of the damage that inreach finds.
 SCATTERED_MM = 3.0
 
 
@@ -136,7 +136,7 @@ def contact_range(presses: NominalPresses) -> ContactRange | None:
 
 
 def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | None) -> list[str]:
-    """What the user should know of these presses. alpha: None where no rate is promised.
+    """Warnings about these presses. alpha: None where no rate is promised.
 
     Errors: FitError for no presses, for copies of one picture, or for frames that are not (h, w).
     """
@@ -145,13 +145,13 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         raise FitError(f"no nominal press was given; give at least {MIN_PRESSES}")
     if presses.frames.shape[1:3] != frame:
         raise FitError(
-            f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them anew"
+            f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them again"
         )
     found = list(presses.faults)
     distinct = len({rgb.tobytes() for rgb in presses.frames})
     if alpha is not None and distinct == 1 < n:
         raise FitError(
-            f"all {n} presses are one picture: they say nothing of how sound presses differ, so there is no threshold; "
+            f"all {n} presses are one picture: they do not show how sound presses differ, so there is no threshold; "
             "give different presses, or state a threshold yourself"
         )
     if distinct < n:
@@ -178,9 +178,9 @@ def free_gel_warnings(presses: NominalPresses) -> list[str]:
 def scatter_warnings(
     presses: NominalPresses, profile: SensorProfile, detector: Detector, is_scattered: bool = False
 ) -> list[str]:
-    """Whether a method that compares place with place is fitted to contacts that lie anywhere.
+    """Checks that a method that compares place with place is not fitted to scattered contacts.
 
-    Errors: FitError where it is; a warning instead where `is_scattered` says that it is meant.
+    Errors: FitError where it is; a warning instead where `is_scattered` allows it.
     """
     if not detector.compares_places or not presses.touches:
         return []
@@ -200,19 +200,19 @@ def scatter_warnings(
 
 
 def _indifferent() -> list[str]:
-    """The methods that score a press wherever it lies."""
+    """The methods that score a press at any place."""
     methods = (registry.detector(name) for name in registry.names("detectors"))
     return [one.name for one in methods if not (one.compares_places or one.is_baseline)]
 
 
 def check_given(threshold: float | None) -> None:
-    """Errors: FitError for a stated threshold that no score can be compared with."""
+    """Errors: FitError for a given threshold that is not finite."""
     if threshold is not None and not math.isfinite(threshold):
         raise FitError(f"a threshold is a finite number, found {threshold}")
 
 
 def given_threshold(value: float, alpha: float) -> ThresholdEntry:
-    """A threshold that someone stated; it promises no rate."""
+    """A threshold given by the user; it promises no rate."""
     return ThresholdEntry(
         value=value, method="given by hand", alpha=alpha, alpha_floor=1.0, nominal_scores=()
     )

@@ -26,8 +26,8 @@ LEAST_LIMIT: Final = 0.14
 - frames of other sensors: 19.8 for the nearest, one lamp of a bench sensor in grey; 24.6 to 75 for all others (grey
   bench sensors, 9DTact, DM-Tac, DIGIT, Tac3D, two home-built sensors, one held by a finger, screws under a camera).
 
-So the least limit is one and a half times the worst that one unit showed and two thirds of the nearest other sensor.
-Another unit of the same model lies at 3 to 21, one with a marker gel at 9 to 37: some pass and some are refused.
+So the least limit is 1.5 times the largest distance of one unit and two thirds of the nearest other sensor. Other units
+of the same model are at 3 to 21, with a marker gel at 9 to 37: some are accepted and some are refused.
 """
 
 LIMIT_FACTOR: Final = 2.0
@@ -40,7 +40,7 @@ NEAREST_OTHER: Final = 0.198
 
 
 def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
-    """What the presses look like from afar, and how far one may lie from it. frames: uint8 (n, h, w, 3), n at least 1.
+    """The coarse colours of the presses, and the largest distance from them. frames: uint8 (n, h, w, 3), n at least 1.
 
     None where they are black: then there is no colour to compare with.
     """
@@ -62,7 +62,7 @@ def _mean_of_others(mean: NDArray[np.float64], one: NDArray[np.float64], n: int)
 
 
 def colour_warnings(colours: ColourEntry | None) -> list[str]:
-    """What the user should know: presses so unlike each other that another sensor may look like one of them."""
+    """A warning where presses differ so much that another sensor may look like one of them."""
     if colours is None or colours.limit <= NEAREST_OTHER:
         return []
     return [
@@ -72,5 +72,5 @@ def colour_warnings(colours: ColourEntry | None) -> list[str]:
 
 
 def refuses(colours: ColourEntry | None, rgb: NDArray[np.uint8]) -> bool:
-    """Whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where none are known."""
+    """Whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where no colours are known."""
     return colours is not None and check_sensor(rgb, colours.nominal()) is not None

@@ -66,7 +66,7 @@ def fit(
     ] = False,
     leave_out: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="A press that is not to be learnt, as a warning names it."),
+        typer.Option(metavar="NAME", help="A press to leave out, by its name in a warning."),
     ] = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
@@ -128,7 +128,7 @@ def found_sources(
     holdout: float = 0.0,
     seed: int = 0,
 ) -> "Sources":
-    """The sources with datasets resolved; what is held out is said. Errors: as `find_sources`; BadParameter."""
+    """The sources with datasets resolved; prints the held-out specimens. Errors: as `find_sources`; BadParameter."""
     from calibration.fitting.sources import find_sources, is_dataset
 
     if part is None and not any(map(is_dataset, sources)):
@@ -164,7 +164,7 @@ def nominal_presses(
 
 
 def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
-    """Do the work under progress bars, write the bundle and say what was made. work: takes created and report."""
+    """Do the work under progress bars, write the bundle and print a summary. work: takes created and report."""
     import datetime
 
     from calibration.progress import Stages
@@ -176,7 +176,7 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:
-    """Before any work: nothing is written over, and there is a folder to write in. Errors: ConfigError."""
+    """Before any work: nothing is overwritten, and there is a folder to write in. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     if os.path.exists(output) and not overwrite:
@@ -206,7 +206,7 @@ def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
 
 
 def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
-    """The profile asked for, or the one that all recordings among the sources name."""
+    """The requested profile, or the one that all recordings among the sources name."""
     from calibration.fitting.nominal_presses import is_recording
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile
@@ -223,7 +223,7 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 
 def summary(fitted: "Fitted", output: Path) -> None:
-    """What was made, in four lines."""
+    """The summary of the bundle, in four lines."""
     from edge.model.promise import promise
 
     manifest = fitted.manifest

@@ -1,9 +1,9 @@
-"""A bank that knows what its own nominal presses look like: checked, and given more room where it does not.
+"""Checks that a bank covers its own nominal presses, and gives it more room where it does not.
 
-A bank of limited size may leave out a place that every press has, by bad luck where the banks of the folds did not:
-then sound presses score higher by it than the threshold expects, and fail. It shows in the nominal presses
-themselves, which must not score higher by the bank that knows them than by banks that do not. Where a few do, their
-higher score counts for the threshold.
+A bank of limited size may by chance leave out a place that every press has, where the banks of the folds did not. Then
+sound presses score higher with it than the threshold expects, and fail. The nominal presses show this: they must not
+score higher with the final bank than with banks without them. Where a few do, their higher score counts for the
+threshold.
 """
 
 from collections.abc import Callable
@@ -20,13 +20,13 @@ from edge.model.manifest import ThresholdEntry
 __all__ = ["covering_bank", "is_covered"]
 
 ROOMS = (1.0, 1.5, 2.0, 4.0)
-"""How much of its usual room a bank gets, in turn, until it covers its nominal presses."""
+"""The factors of a bank's usual room, tried in turn until it covers its nominal presses."""
 
 COVERED_RATIO = 1.1
-"""How far nominal presses may score above their out-of-fold scores by the bank that knows them, in the median."""
+"""How far nominal presses may score above their out-of-fold scores with the final bank, in the median."""
 
 COVERED_SHARE = 0.25
-"""How many of the nominal presses may fail by it: a place that every press has makes most of them fail."""
+"""The share of nominal presses that may fail with it: a missing place of every press makes most of them fail."""
 
 Learnt = tuple[Bank, NDArray[np.float64] | None]
 
@@ -37,7 +37,7 @@ def covering_bank(
     learnt: Callable[[Nominal], Learnt],
     limit: Callable[[NDArray[np.float64]], ThresholdEntry],
 ) -> tuple[Bank, NDArray[np.float64] | None, float]:
-    """A bank, the scores (n,) that its threshold is found from (None where none is wanted), and the room that it took.
+    """A bank, the scores (n,) for its threshold (None where no threshold is wanted), and the room that it took.
 
     learnt: the bank and the out-of-fold scores for nominal presses and a room. limit: the threshold from scores.
     Errors: FitError where more room does not help.
@@ -61,10 +61,10 @@ def covering_bank(
 
 
 def is_covered(known: NDArray[np.float64], held_out: NDArray[np.float64], limit: float) -> bool:
-    """Whether few nominal presses fail by the bank that knows them, and they do not as a rule score higher by it.
+    """Whether few nominal presses fail with the final bank, and in the median they do not score higher with it.
 
-    known, held_out: their scores by the final bank and by banks that did not know them, (n,) each. limit: the
-    threshold from the latter.
+    known, held_out: their scores with the final bank and with banks without them, (n,) each. limit: the threshold from
+    the latter.
     """
     is_higher = np.median(known) > COVERED_RATIO * np.median(held_out)
     return bool(np.mean(known > limit) <= COVERED_SHARE and not is_higher)

@@ -18,7 +18,7 @@ __all__ = ["extract", "trunk_grid"]
 # A batch costs as much per frame as a single one on two cores; four keeps the progress bar moving and memory small.
 BATCH = 4
 
-# Above this the maps of all presses lie in a temporary file: 100 presses of 1280x720 on Wide-ResNet-50-2 are 10 GB.
+# Above this the maps of all presses are in a temporary file: 100 presses of 1280x720 on Wide-ResNet-50-2 are 10 GB.
 MEMORY_BYTES = 1 << 30
 
 
@@ -48,7 +48,7 @@ def trunk_grid(
 
 
 def _tiles(session: ort.InferenceSession, frame: tuple[int, int]) -> Tiles | None:
-    """The layout of a trunk that sees its frame in tiles; None for one that sees it whole. Errors: FitError."""
+    """The layout of a trunk that sees its frame in tiles; None for one without tiles. Errors: FitError."""
     written = session.get_modelmeta().custom_metadata_map.get(TILES_KEY)
     if written is None:
         return None
@@ -70,7 +70,7 @@ def extract(
 ) -> Features:
     """Tap name to float32 (n, c, h, w) for all frames, uint8 (n, h, w, 3).
 
-    A tap of more than memory_bytes lies in a temporary file. Errors: FitError, non-finite features.
+    A tap of more than memory_bytes is in a temporary file. Errors: FitError, non-finite features.
     """
     taps = list(grid.taps)
     features = {tap: _room((len(frames), *grid.taps[tap]), memory_bytes) for tap in taps}
@@ -98,7 +98,7 @@ def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8], grid: Grid) -> list[
 
 
 def _room(shape: tuple[int, ...], memory_bytes: int) -> NDArray[np.float32]:
-    """An empty array, in a file that vanishes with it where it is large."""
+    """An empty array; a large one is in a file that is deleted with it."""
     if 4 * int(np.prod(shape)) <= memory_bytes:
         return np.empty(shape, np.float32)
     with tempfile.TemporaryFile(prefix="gelgate-features-") as file:

@@ -1,6 +1,6 @@
 """From nominal presses to a bundle: features, bank, out-of-fold threshold, tolerance, golden frames, files.
 
-A detector's mathematics is its own; the procedure (which presses, which folds, which seed) is here.
+The detector has the mathematics; the procedure (which presses, which folds, which seed) is here.
 """
 
 import time
@@ -62,13 +62,13 @@ __all__ = ["FitConfig", "Fitted", "fit_bundle", "fit_files"]
 
 @dataclass(frozen=True)
 class FitConfig:
-    """What is to be made.
+    """The settings of a fit.
 
-    overrides: the detector's parameters that differ from the mode's. alpha: the false-alarm rate asked for.
+    overrides: the detector's parameters that differ from the mode's. alpha: the requested false-alarm rate.
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
     to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
-    with_trunk: False leaves it to the store.
-    is_scattered: contacts that lie anywhere are meant, also for a method that compares place with place.
+    with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
+    compares place with place.
     """
 
     part: str
@@ -115,7 +115,7 @@ def fit_bundle(
     report: Report = lambda stage, fraction: None,
     overwrite: bool = False,
 ) -> Path:
-    """Fit and write a bundle, a folder or (name ending in .zip) a zip; whole or not at all.
+    """Fit and write a bundle, a folder or (name ending in .zip) a zip; complete or not at all.
 
     created: the date for the provenance. Errors: FitError, ConfigError, FileExistsError, OSError.
     """
@@ -205,13 +205,13 @@ class _Fit:
         return features, None if free is None else extract(session, free, self.grid, lambda fraction: None)
 
     def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
-        """Anomaly scores of every press by a bank that did not know it; None where the threshold is given."""
+        """Anomaly scores of every press by a bank without it; None where the threshold is given."""
         if self.config.threshold is not None:
             return None
         return held_out_scores(self.learner, nominal, self.folds, self._progress("threshold"))
 
     def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
-        """Score with the bundle as it will be loaded, then write down what it measured."""
+        """Score with the bundle as it will be loaded, then record the measurements."""
         self.report("golden", 0.0)
         provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
         scorer = Scorer(provisional.bundle(), self.config.threads, self.trunks)

@@ -1,4 +1,4 @@
-"""Which presses are held out together: whole pieces where there are enough of them."""
+"""Which presses are held out together: all presses of a piece where there are enough pieces."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from calibration.fitting.threshold import MIN_PRESSES, pieces_of
 __all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "folds", "held_out_folds"]
 
 LEAVE_ONE_OUT_BELOW = 10
-"""With fewer presses each is held out alone: a fold of two would leave the bank noticeably less."""
+"""With fewer presses each is held out alone: a fold of two would make the bank clearly smaller."""
 
 MIN_PIECES = 3
-"""With fewer, holding one out whole leaves a bank of one piece, which knows nothing of how pieces differ."""
+"""With fewer, a fold without one piece leaves a bank of one piece, which does not show how pieces differ."""
 
 Folds = list[NDArray[np.int64]]
 
@@ -21,7 +21,7 @@ Folds = list[NDArray[np.int64]]
 def held_out_folds(
     specimens: Sequence[str | None], count: int, rng: np.random.Generator
 ) -> tuple[Folds, list[str]]:
-    """The folds, and a warning where pieces are too few to be held out whole.
+    """The folds, and a warning where pieces are too few to hold out all presses of one.
 
     Each fold leaves at least three presses, for MIN_PRESSES presses or more.
     """
@@ -40,7 +40,7 @@ def held_out_folds(
 def folds(specimens: Sequence[str | None], count: int, rng: np.random.Generator) -> Folds:
     """Indices of the presses held out in each fold: every press once, a specimen never on both sides.
 
-    Presses without a specimen stand for themselves. At most `count` folds, at most one per piece.
+    A press without a specimen counts as its own piece. At most `count` folds, at most one per piece.
     """
     keys = pieces_of(specimens)
     groups = sorted(set(keys))

@@ -1,4 +1,4 @@
-"""The head of a fitted bank: the one that ships where it fits, else written anew."""
+"""The head of a fitted bank: a prebuilt one where it fits, else a new one."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ __all__ = ["check_head", "head_of"]
 
 
 def check_head(detector: Detector, grid: Grid, parameters: Any) -> None:
-    """Before any features are taken: whether a head ships or can be written. Errors: FitError with what to install."""
+    """Check before the work that a head ships or can be written. Errors: FitError with the package to install."""
     if must_be_written(detector, grid, parameters) and not is_installed("onnx"):
         raise FitError(_missing(detector, grid, "onnx"))
 

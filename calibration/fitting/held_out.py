@@ -1,4 +1,4 @@
-"""Scores of nominal presses by banks that did not know them: what the threshold is found from."""
+"""Scores of nominal presses by banks without them, for the threshold."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ __all__ = ["Learner", "held_out_scores"]
 
 @dataclass(frozen=True)
 class Learner:
-    """A detector with all that it takes to learn and to score. seed: fixes every random choice, of each bank alike."""
+    """A detector with everything to learn and to score. seed: fixes every random choice, the same for each bank."""
 
     detector: Detector
     grid: Grid
@@ -37,7 +37,7 @@ class Learner:
         return head_of(self.detector, self.grid, bank, self.parameters)
 
     def scores(self, bank: Bank, features: Features, rows: Sequence[int]) -> NDArray[np.float64]:
-        """Anomaly scores (len(rows),) of those presses, by the bank as it is after storing. Errors: FitError."""
+        """Anomaly scores (len(rows),) of those presses, with the bank as stored. Errors: FitError."""
         head = open_session(self.head(bank), self.threads, f"head of {self.detector.name}")
         wanted = {i.name for i in head.get_inputs()}
         stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
@@ -45,7 +45,7 @@ class Learner:
         return np.array([_head_score(head, {**_chosen(taps, [k]), **stored}) for k in rows])
 
     def scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Scores of the presses held out, by a bank of the others that is to them as the final bank is to all."""
+        """Scores of the presses held out, by a bank of the others with the same share of room as the final bank."""
         kept = np.setdiff1d(np.arange(nominal.presses), held)
         room = nominal.room * len(kept) / nominal.presses
         rest = replace(nominal, features=_chosen(nominal.features, kept), room=room)
@@ -79,7 +79,7 @@ def _head_score(head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]) 
 
 
 def _as_stored(bank: Bank, name: str) -> NDArray[Any]:
-    """A bank array as it will be after being stored and loaded."""
+    """A bank array after storing and loading."""
     packing = bank.packing.get(name, "none")
     try:
         return unpack(pack(bank.arrays[name], packing), packing)

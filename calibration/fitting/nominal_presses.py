@@ -1,7 +1,7 @@
-"""Nominal presses from what the user has: recordings, folders of pictures, single pictures.
+"""Nominal presses from the user's sources: recordings, folders of pictures, single pictures.
 
-From a recording the contact tracker takes the settled frame of every press, exactly as the gateway would, and frames
-of the free gel. Pictures are presses already; with a picture of the free gel their touched area is known too.
+From a recording the contact tracker takes the settled frame of every press, exactly like the gateway, and frames of the
+free gel. Each picture is a press; with a picture of the free gel its touched area is known too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,10 +35,10 @@ from edge.recording.from_images import images_in
 
 __all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
 
-# Frames of the free gel that are kept: the detectors want its mean and its noise, not a film of it.
+# Frames of the free gel that are kept: the detectors need only its mean and its noise.
 MAX_NO_CONTACT = 16
 
-# A new press lies a little beside the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
+# A new press is slightly off the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
 TOUCHED_MARGIN_MM = 1.0
 
 
@@ -49,9 +49,9 @@ class NominalPresses:
     frames: uint8 (n, h, w, 3) RGB. names, specimens: one each per press, specimen None when unknown. touches: area and
     centroid in the picture, empty when there is no free gel to compare with. touched: bool (h, w), the union of what
     the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel. left_out: names of presses
-    that were there and were to be left out. free_view: the free gel as contact detection sees it, uint8 (120, 160, 3).
+    found and left out. free_view: the free gel as contact detection sees it, uint8 (120, 160, 3).
     reliefs: the share of the view in which each press shows an imprint's fine structure, empty when there is no free
-    gel. faults: what of the sources could not be read or found, a sentence each.
+    gel. faults: parts of the sources that could not be read or found, a sentence each.
     """
 
     frames: NDArray[np.uint8]
@@ -88,7 +88,7 @@ class _Contact:
 
 @dataclass
 class _Gathered:
-    """What is found while sources are read, one entry per press."""
+    """The presses found while sources are read, one entry each."""
 
     profile: SensorProfile
     region: Region
@@ -163,8 +163,8 @@ def read_presses(
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
     other, cut to the profile's aspect. pattern: which files of a folder, those below it too; None: those directly
     inside. no_contact: pictures, or folders of them, of the free gel. specimens: of pictures, where their names do not
-    say it. leave_out: names of presses that are not wanted, as a bundle lists them. Errors: RecordingError,
-    DatasetError listing every picture at fault, FitError when there is no press, or none of a name to be left out.
+    have it. leave_out: names of presses to leave out, as a bundle lists them. Errors: RecordingError, DatasetError
+    listing every faulty picture, FitError when there is no press, or no press of a name to leave out.
     """
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out))
     free = _pictures(_listed(no_contact), profile, resize)
@@ -190,7 +190,7 @@ def read_presses(
 
 
 def _require_left_out(gathered: _Gathered) -> None:
-    """Errors: FitError with the nearest name for one that is not there."""
+    """Errors: FitError with the nearest name for an unknown one."""
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
         raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, gathered.names)}")
 
@@ -223,7 +223,7 @@ def _add_picture(
 
 
 def _contact(picture: NDArray[np.uint8], reference: Reference) -> _Contact:
-    """As the gateway would find it."""
+    """As the gateway finds it."""
     difference = reference.difference(_view(picture))
     relief = ReliefOfReference(reference.view).of(difference, ContactSettings.light_levels)
     mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
@@ -257,7 +257,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
 
 
 def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> list[str]:
-    """What of a recording is not learnt, though it was meant to be. settled: presses found in it."""
+    """The parts of a recording that cannot be learnt. settled: presses found in it."""
     name, held, found = recording.folder.name, recording.presses(), []
     if recording.is_cut:
         found.append(f"recording {name} ends within a line of its index: what came later is not learnt")
@@ -311,7 +311,7 @@ def _listed(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
 
 
 def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
-    """One picture beside folders full of them is a free gel or a plot, not the presses. Errors: FitError."""
+    """One picture next to folders of pictures is a free gel or a plot, not the presses. Errors: FitError."""
     below = (
         sum(1 for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES) if len(found) == 1 else 0
     )

@@ -29,7 +29,7 @@ Output = Annotated[
 ]
 Part = Annotated[
     str | None,
-    typer.Option(help="Which part is pressed; only a dataset of one part does without.", show_default=False),
+    typer.Option(help="Which part is pressed; optional for a dataset of one part.", show_default=False),
 ]
 Position = Annotated[
     str | None,
@@ -37,12 +37,10 @@ Position = Annotated[
         help="Where on the part; default: the dataset's only one, else 'default'.", show_default=False
     ),
 ]
-Profile = Annotated[
-    str, typer.Option(help="Sensor profile; default: what the recording names, else mini_lr.")
-]
+Profile = Annotated[str, typer.Option(help="Sensor profile; default: the recording's, else mini_lr.")]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
-Alpha = Annotated[float, typer.Option(help="False-alarm rate that the threshold is set for.")]
+Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]
 Resize = Annotated[
@@ -51,7 +49,7 @@ Resize = Annotated[
 ]
 Pattern = Annotated[
     str | None,
-    typer.Option(help="Which files of a folder, those in folders below it too, such as '*/press.png'."),
+    typer.Option(help="Which files of a folder, also in folders below it, such as '*/press.png'."),
 ]
 Holdout = Annotated[
     float,

@@ -1,4 +1,4 @@
-"""What a fit checks of its own work: presses that stand apart, and a black frame. See `covering` for the bank."""
+"""The checks of a fit's result: outliers among the presses, and a black frame. See `covering` for the bank."""
 
 from collections.abc import Sequence
 
@@ -11,21 +11,21 @@ from edge.model.manifest import ThresholdEntry
 __all__ = ["apart_warnings", "black_warnings", "room_warnings", "standing_apart"]
 
 FARTHER_THAN_ANY, FARTHER_THAN_USUAL = (1.6, 16.0), (5.0, 22.0)
-"""A press stands apart that lies so many times as far above the median as every other one, and as the upper half does
-on average: (a, b) is a + b / n with n presses. Sound presses have long tails, longer where few are seen. On eight
+"""An outlier is this many times as far above the median as every other press, and as the upper half on average:
+(a, b) is a + b / n with n presses. Sound presses have long tails, longer where few are seen. On eight
 random simulated parts and six methods 5 to 8 of 100 fits to 8 to 24 sound presses warn without a reason, 11 with 40,
 14 with 5. Of damaged presses that raise the threshold to twice its height above the median 8 to 10 of 10 are named.
 """
 
 APART_SHARE = 0.1
-"""More presses than this share do not stand apart: they are another way in which sound presses look."""
+"""More presses than this share are not outliers: sound presses then have more than one look."""
 
 
 def standing_apart(scores: NDArray[np.float64]) -> list[int]:
     """Which presses score far above all others, the highest first.
 
-    scores: out-of-fold scores, (n,). Up to APART_SHARE of them, at least one, may stand apart together; each is
-    compared with the presses that do not, since two would hide each other.
+    scores: out-of-fold scores, (n,). Up to APART_SHARE of them, at least one, may be outliers together; each is
+    compared with the other presses, since two would hide each other.
     """
     n = len(scores)
     any_other, usual = (a + b / n for a, b in (FARTHER_THAN_ANY, FARTHER_THAN_USUAL))
@@ -40,7 +40,7 @@ def standing_apart(scores: NDArray[np.float64]) -> list[int]:
 
 
 def apart_warnings(scores: NDArray[np.float64], names: Sequence[str]) -> list[str]:
-    """A sentence for each press that stands apart."""
+    """A sentence for each outlier."""
     apart = standing_apart(scores)
     others = np.delete(scores, apart)
     return [
@@ -51,7 +51,7 @@ def apart_warnings(scores: NDArray[np.float64], names: Sequence[str]) -> list[st
 
 
 def room_warnings(room: float) -> list[str]:
-    """Whether the bank is larger than the detector's parameters say."""
+    """A warning where the bank is larger than the detector's parameters say."""
     if room == 1:
         return []
     return [f"the bank has {room:g} times its usual room: with less it lacks what nominal presses show"]
@@ -60,11 +60,10 @@ def room_warnings(room: float) -> list[str]:
 def black_warnings(
     score: float, limit: ThresholdEntry, is_refused: bool, apart: Sequence[str] = ()
 ) -> list[str]:
-    """Whether a black frame, which shows no press at all, scores as a sound press does.
+    """Whether a black frame, which shows no press, scores like a sound press.
 
-    score: its anomaly score. is_refused: whether its colours alone keep the gateway from scoring it. apart: what was
-    said of presses that stand apart, which may be the reason.
-    Errors: FitError where nothing keeps it from passing.
+    score: its anomaly score. is_refused: whether the gateway refuses it for its colours. apart: the sentences on
+    outliers, which may be the reason. Errors: FitError where it would pass.
     """
     if score > limit.value:
         return []

@@ -1,4 +1,4 @@
-"""What `fit` and `wrap` learn from: recordings, folders of pictures, pictures, and the nominal presses of datasets."""
+"""The sources of `fit` and `wrap`: recordings, folders of pictures, pictures, and the nominal presses of datasets."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ DEFAULT_POSITION = "default"
 
 @dataclass(frozen=True)
 class Sources:
-    """Where nominal presses are read from, and what they are presses of.
+    """The sources of nominal presses, with their part and position.
 
     paths: recordings, folders of pictures, and single pictures. specimens: of the pictures of datasets. held_out: the
     specimens of a dataset that are kept for its evaluation.
@@ -50,10 +50,10 @@ def find_sources(
 ) -> Sources:
     """Datasets among the sources replaced by their nominal presses of one part and position.
 
-    part, position: what is pressed; a dataset that holds one alone need not be told. size: (width, height) of the
-    profile's pictures, which chooses the resolution of the paper's layout. holdout: the share of each dataset's presses
-    that is kept for evaluation, whole specimens at a time, drawn by the seed. Errors: ConfigError for a missing name,
-    DatasetError listing what there is where part and position choose none or several.
+    part, position: optional for a dataset that holds only one. size: (width, height) of the profile's pictures, which
+    chooses the resolution of the paper's layout. holdout: the share of each dataset's presses that is kept for
+    evaluation, complete specimens at a time, drawn by the seed. Errors: ConfigError for a missing name, DatasetError
+    with the known names where part and position choose none or several.
     """
     datasets = [open_dataset(path, resolution_of(size)) for path in given if is_dataset(path)]
     roots = {dataset.root for dataset in datasets}
@@ -83,7 +83,7 @@ def find_sources(
 
 
 def _the_one(datasets: Sequence[Dataset], part: str | None, position: str | None) -> tuple[str, str]:
-    """The part and position that all datasets have nominal presses of. Errors: DatasetError listing what there is."""
+    """The part and position for which all datasets have nominal presses. Errors: DatasetError with the known names."""
     for dataset in datasets:
         known = sorted({(press.part, press.position) for press in dataset.good})
         chosen = [pair for pair in known if part in (None, pair[0]) and position in (None, pair[1])]

@@ -4,15 +4,15 @@ Ref: Vovk, Gammerman, Shafer, Algorithmic Learning in a Random World (2005), sec
 Cross-conformal predictors, Annals of Mathematics and AI 74 (2015) (scores from folds); Lee, Barber, Willett,
 Distribution-free inference with hierarchical data (2023), arXiv:2306.06342 (pieces with several presses each).
 
-Presses of one piece are alike, so a new piece counts as one draw however often each was pressed. Every piece has the
-weight 1 / (pieces + 1), shared by its presses; the same weight lies at infinity, for the new piece. A press of a new
+Presses of one piece are similar, so a new piece counts as one draw for any number of presses. Every piece has the
+weight 1 / (pieces + 1), shared by its presses; the same weight is at infinity, for the new piece. A press of a new
 piece exceeds the (1 - alpha) quantile of these weighted scores with probability alpha at most. With one press each
 that is the ceil((n + 1)(1 - alpha))-th smallest of n scores.
 
 The probability is over bundles: one bundle's own rate differs from it, see `rate_range`. With folds it is approximate
-(Vovk's cross-conformal scores have no exact bound). A fold knows fewer presses than the final bank and has that
-share of the bank's size (`Nominal.room`), so its scores are higher as a rule, and equal where a method divides them by
-distances that it measured in the same fold (SPADE). tests/bench/test_false_alarms.py measures what comes of it.
+(Vovk's cross-conformal scores have no exact bound). A fold has fewer presses than the final bank and the same share of
+the bank's size (`Nominal.room`), so its scores are usually higher. They are equal where a method divides them by
+distances measured in the same fold (SPADE). tests/bench/test_false_alarms.py measures the effect.
 """
 
 import math
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 FLOOR_MARGIN = 0.25
-"""Where n pieces cannot promise the rate asked for, the largest score is raised by this share of the distance from
+"""Where n pieces cannot promise the requested rate, the largest score is raised by this share of the distance from
 the median to it. A choice, not a theorem: it trades some sensitivity for fewer false alarms."""
 
 MIN_PRESSES = 4
@@ -45,9 +45,9 @@ MIN_PRESSES = 4
 scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the nominal scores."""
 
 RANGE = 0.95
-"""The probability with which one bundle's own false-alarm rate lies in the stated range."""
+"""The probability that one bundle's own false-alarm rate is in the stated range."""
 
-# In exact arithmetic (n + 1) alpha may be a whole number that floats miss by a hair.
+# In exact arithmetic (n + 1) alpha may be an integer that floats miss by rounding.
 ROUNDING = 1e-9
 
 
@@ -60,9 +60,9 @@ def conformal_threshold(
 ) -> ThresholdEntry:
     """The threshold at which a press of a new sound piece fails with probability alpha at most, if the pieces allow it.
 
-    scores: anomaly scores of nominal presses that the scoring bank did not know. slack: smallest margin above the
-    largest score where the floor holds; the numerical tolerance. kind: how the scores came about, for the record.
-    specimens: which piece each press is of, None where unknown: such a press is a piece of its own.
+    scores: anomaly scores of nominal presses by banks without them. slack: smallest margin above the largest score
+    where the floor holds; the numerical tolerance. kind: how the scores were made, for the record.
+    specimens: the piece of each press, None where unknown: such a press counts as its own piece.
     Errors: FitError for fewer than MIN_PRESSES scores.
     """
     check_alpha(alpha)
@@ -118,9 +118,9 @@ def require_enough(presses: int, alpha: float) -> None:
 
 
 def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
-    """Between which two rates one bundle's own false-alarm rate lies, with the probability RANGE.
+    """The two rates between which one bundle's own false-alarm rate is, with the probability RANGE.
 
-    The rate above the r-th smallest of n scores has the distribution Beta(n + 1 - r, r), whatever the scores are
+    The rate above the r-th smallest of n scores has the distribution Beta(n + 1 - r, r), for any scores
     (Vovk, Conditional validity of inductive conformal predictors, 2012). Exact for one press of each piece and scores
     without folds; above the largest score of all it is an upper limit.
     """
@@ -133,7 +133,7 @@ def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
 
 
 def _beta_quantile(probability: float, a: int, b: int) -> float:
-    """Of the beta distribution with whole parameters, by halving; to 1e-12."""
+    """Of the beta distribution with integer parameters, by bisection; to 1e-12."""
     low, high = 0.0, 1.0
     for _ in range(40):
         middle = (low + high) / 2
@@ -156,11 +156,11 @@ def _beta_below(x: float, a: int, b: int) -> float:
 
 
 def check_alpha(alpha: float) -> None:
-    """Errors: FitError for a false-alarm rate that is none."""
+    """Errors: FitError for an invalid false-alarm rate."""
     if not 0 < alpha < 1:
         raise FitError(f"the false-alarm rate lies between 0 and 1, found {alpha}; 0.05 is one in twenty")
 
 
 def pieces_of(specimens: Sequence[str | None]) -> list[str]:
-    """The piece of each press; a press without a specimen is one of its own."""
+    """The piece of each press; a press without a specimen is its own piece."""
     return [f"press {k}" if name is None else f"specimen {name}" for k, name in enumerate(specimens)]

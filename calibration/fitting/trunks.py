@@ -32,8 +32,8 @@ class Trunk:
 def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
     """The trunk of an installed backbone, or of a path ending in `.onnx`, no deeper than these taps.
 
-    taps: those that the detector reads; what lies behind the last of them is cut off. A backbone is asked for them
-    only if its usual trunk lacks one, so that parts which read equally deep share one file. Errors: ConfigError for an
+    taps: those that the detector reads; layers after the last of them are cut off. A backbone is asked for them only if
+    its usual trunk lacks one, so that parts with the same depth share one file. Errors: ConfigError for an
     unknown name, FitError for a file that is not there.
     """
     whole = _whole(name, taps)

@@ -1,4 +1,4 @@
-"""The colours of nominal presses: how they are measured, stored and held against presses of the same unit."""
+"""The colours of nominal presses: how they are measured, stored and compared with presses of the same unit."""
 
 import dataclasses
 import json
@@ -42,7 +42,7 @@ def test_like_presses_have_the_least_limit() -> None:
 
 
 def test_each_press_is_held_against_the_others() -> None:
-    """Worked by hand: of two presses with red at 110 and 90, one lies 20 levels from the other after equal light."""
+    """Worked by hand: of two presses with red at 110 and 90, one is 20 levels from the other after equal light."""
     colours = nominal_colours(flat((110, 100, 90), (90, 100, 110)))
     assert colours is not None
     assert colours.cells[0][0] == (100.0, 100.0, 100.0)
@@ -51,7 +51,7 @@ def test_each_press_is_held_against_the_others() -> None:
 
 
 def test_a_limit_within_reach_of_other_sensors_is_said() -> None:
-    """Presses of two sensors under one bundle cannot be told from a third one."""
+    """Presses of two sensors under one bundle cannot be distinguished from a third one."""
     assert colour_warnings(nominal_colours(flat(*[(150, 100, 50)] * 3))) == []
     (warning,) = colour_warnings(nominal_colours(flat((110, 100, 90), (90, 100, 110))))
     assert "differ by 20.0%" in warning
@@ -59,7 +59,7 @@ def test_a_limit_within_reach_of_other_sensors_is_said() -> None:
 
 
 def test_black_presses_have_no_colours() -> None:
-    """And no limit that would refuse everything else, or nothing."""
+    """No limit, because it would refuse everything else, or nothing."""
     assert nominal_colours(flat((3, 2, 1), (3, 2, 1))) is None
     assert colour_warnings(None) == []
 
@@ -75,7 +75,7 @@ def test_the_manifest_carries_them() -> None:
 
 
 def test_inspect_shows_the_limit(tmp_path: Path) -> None:
-    """With what the nominal presses differ by, so that a reader sees how much room there is."""
+    """With the spread of the nominal presses, so that a reader can compare both."""
     frames = flat(*[(150, 100, 50)] * 4)
     frames[0, 0, 0] += 1  # copies of one picture have no threshold
     write_bundle(tmp_path / "bolt", fitted(frames))

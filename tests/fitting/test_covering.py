@@ -1,4 +1,4 @@
-"""A bank is held against the nominal presses that it was learnt from."""
+"""A bank is checked with the nominal presses from which it was learnt."""
 
 from typing import Any
 
@@ -19,13 +19,13 @@ LEARNER = Learner(tiny.TINY, GRID, tiny.TinyParameters(), 0, 1)
 
 
 def test_a_bank_covers_presses_that_score_lower_by_it() -> None:
-    """Known presses score at most what they do unknown."""
+    """Presses score at most the same with a bank that has them."""
     held_out = np.linspace(8, 14, 40)
     assert is_covered(0.9 * held_out, held_out, 13.8)
 
 
 def test_a_bank_that_most_presses_fail_by_does_not_cover_them() -> None:
-    """Seen with 40 presses of a part: out of fold 8.4 to 13.8, by the final bank 12.9 to 15.8."""
+    """Measured with 40 presses of a part: out of fold 8.4 to 13.8, with the final bank 12.9 to 15.8."""
     assert not is_covered(np.linspace(12.9, 15.8, 40), np.linspace(8.4, 13.8, 40), 13.7)
 
 

@@ -1,4 +1,4 @@
-"""Feature maps: the same in memory and on disk, whatever the batch."""
+"""Feature maps: the same in memory and on disk, for any batch size."""
 
 import numpy as np
 import tiny
@@ -8,7 +8,7 @@ from edge.model.session import open_session
 
 
 def test_the_grid_is_what_the_trunk_gives() -> None:
-    """Shapes are found by running it, not by arithmetic on strides."""
+    """Shapes come from running it, not from its strides."""
     session = open_session(tiny.tiny_trunk(), 1, "trunk")
     assert trunk_grid(session, ("layer1", "layer2"), (32, 32), 15.77) == tiny.tiny_grid()
     assert trunk_grid(session, ("layer1",), (64, 48), 15.77).taps == {"layer1": (3, 8, 6)}

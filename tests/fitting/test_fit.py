@@ -1,4 +1,4 @@
-"""From presses to a bundle: what it learns, what it promises, and what it refuses."""
+"""From presses to a bundle: what is learnt, promised and refused."""
 
 import dataclasses
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_the_bank_is_the_mean_of_the_presses() -> None:
 
 
 def test_what_is_missing_of_the_presses_is_in_the_manifest() -> None:
-    """Whoever runs the bundle reads it, too."""
+    """The fit's warnings are in the bundle."""
     said = "recording a ends within a line of its index: what came later is not learnt"
     bundle = fit_files(presses(6, faults=(said,)), config(), created="2026-01-01").bundle()
 
@@ -58,7 +58,7 @@ def test_what_is_missing_of_the_presses_is_in_the_manifest() -> None:
 
 
 def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:
-    """The bundle does its job: threshold from nominal presses alone, a painted square lies far above it."""
+    """The bundle does its job: threshold from nominal presses alone, a painted square is far above it."""
     bundle = fit_files(presses(40), config(), created="2026-01-01").bundle()
     limit, scorer = bundle.manifest.threshold, Scorer(bundle)
     fresh = tiny.presses(50, seed=7)
@@ -70,7 +70,7 @@ def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:
 
 
 def test_scores_for_the_threshold_are_out_of_fold() -> None:
-    """A press that is unlike all others scores high, because the bank that scored it did not know it."""
+    """A press unlike all others scores high, because the bank that scored it is without it."""
     frames = np.full((10, 32, 32, 3), 100, np.uint8)
     frames[4] = 200
     manifest = fit_files(NominalPresses(frames, ("",) * 10), config(), created="").manifest
@@ -78,7 +78,7 @@ def test_scores_for_the_threshold_are_out_of_fold() -> None:
 
 
 def test_a_specimen_is_held_out_whole() -> None:
-    """Two presses of one odd specimen are both strangers; told apart, one is known when the other is scored."""
+    """Two presses of one odd specimen both score high; as two specimens, each is in the bank of the other."""
     frames = np.full((10, 32, 32, 3), 100, np.uint8)
     frames[4:6] = 200
     stranger = np.sqrt(3) * 100 / 255
@@ -90,7 +90,7 @@ def test_a_specimen_is_held_out_whole() -> None:
 
 
 def test_one_specimen_is_said_to_be_one() -> None:
-    """Folds within one specimen know nothing of other parts; the bundle says so."""
+    """Folds within one specimen do not show other parts; the bundle warns."""
     manifest = fit_files(presses(5, specimens=("a",) * 5), config(), created="").manifest
     assert any("of 1 piece, too few to hold one out" in warning for warning in manifest.provenance.warnings)
     assert (manifest.threshold.n, manifest.threshold.pieces) == (5, 1)
@@ -111,7 +111,7 @@ def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
 
 
 def test_a_press_that_stands_apart_is_named() -> None:
-    """One of 24 presses is painted: the bundle says which, and without it there is nothing to say."""
+    """One of 24 presses is painted: the bundle names it, and without it there is no warning."""
     nominal = presses(24)
     frames = nominal.frames.copy()
     frames[7, 4:12, 4:12] = 60
@@ -170,7 +170,7 @@ class Forgetful(tiny.TinyDetector):
 
 
 def test_a_bank_that_lacks_a_place_gets_more_room() -> None:
-    """Twice the usual room is enough here, and the bundle says so; its own presses pass."""
+    """Twice the usual room is enough here, with a warning in the bundle; its own presses pass."""
     nominal = presses(20)
     fitted = fit_files(nominal, config(detector=Forgetful(2.0)), created="")
     assert any("2 times its usual room" in warning for warning in fitted.manifest.provenance.warnings)
@@ -209,7 +209,7 @@ def test_copies_of_a_press_are_pointed_out() -> None:
 
 
 def test_copies_of_one_press_give_no_threshold() -> None:
-    """Of one picture n times no threshold can be learnt: refused, unless one is stated."""
+    """Of one picture n times no threshold can be learnt: refused, unless one is given."""
     frames = np.repeat(tiny.presses(1), 5, axis=0)
     with pytest.raises(FitError, match=r"all 5 presses are one picture.*state a threshold"):
         fit_files(NominalPresses(frames, ("",) * 5), config(), created="")
@@ -248,7 +248,7 @@ def test_what_cannot_be_fitted_is_a_sentence(nominal: NominalPresses, changes: d
 
 
 def test_a_trunk_without_the_tap_is_a_sentence() -> None:
-    """The sentence names the taps that are wanted, given and missing."""
+    """The sentence names the requested, given and missing taps."""
 
     class Deep(tiny.TinyDetector):
         def taps(self, parameters: tiny.TinyParameters) -> tuple[str, ...]:
@@ -265,7 +265,7 @@ def test_a_trunk_that_is_no_graph_is_a_sentence() -> None:
 
 
 def test_features_that_are_not_finite_are_refused() -> None:
-    """A trunk with broken weights cannot teach."""
+    """A trunk with broken weights is refused."""
     model = onnx.parser.parse_model("""
         < ir_version: 8, opset_import: ["" : 17] >
         broken (uint8[n, h, w, 3] frames) => (float[n, 3, h8, w8] layer1)
@@ -333,7 +333,7 @@ def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None
 
 
 def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
-    """Off-position presses can be told by centroid and area."""
+    """Off-position presses are detected by centroid and area."""
     touches = tuple(Touch(0.10 + 0.01 * k, 0.50 + 0.01 * k, 0.40) for k in range(4))
     contact = fit_files(presses(4, touches=touches), config(), created="").manifest.contact
     assert contact is not None
@@ -348,7 +348,7 @@ def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
 
 
 def test_the_detector_is_given_touch_and_free_gel() -> None:
-    """What a detector may use arrives at it: the touched area and the features of the free gel, in folds as well."""
+    """The detector gets all data: the touched area and the features of the free gel, in folds as well."""
     seen: list[Nominal] = []
 
     class Watching(tiny.TinyDetector):
@@ -389,7 +389,7 @@ def test_an_interrupt_at_any_stage_leaves_nothing(tmp_path: Path, stage: str) ->
 
 
 def test_an_existing_bundle_is_refused_before_the_work(tmp_path: Path) -> None:
-    """Nobody waits for a fit that cannot be written."""
+    """A fit that cannot be written is refused before the work."""
     (tmp_path / "bolt").mkdir()
     with pytest.raises(FileExistsError, match="exists already"):
         fit_bundle(
@@ -415,7 +415,7 @@ class Resnet18:
 
 
 def test_a_backbone_may_know_what_its_weights_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it says of them goes into the manifest; one that says nothing can be fitted on, too."""
+    """Its facts go into the manifest; a backbone without facts also works."""
     assert str(open_trunk("tactile_resnet18").facts["weights"]).startswith("trained on simulated presses")
     monkeypatch.setattr(registry, "names", lambda group: ["mine"])
     monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
@@ -423,7 +423,7 @@ def test_a_backbone_may_know_what_its_weights_are(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The usual trunk is kept where it has the taps, so that parts which read equally deep share one file."""
+    """The usual trunk is kept where it has the taps, so that parts with the same depth share one file."""
     monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
     monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
     usual = open_trunk("mine")

@@ -1,4 +1,4 @@
-"""Folds: every press held out once, pieces whole, and never fewer than three presses left."""
+"""Folds: every press held out once, pieces complete, and always at least three presses left."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_folds_are_of_nearly_equal_size() -> None:
 )
 @settings(max_examples=100, deadline=None)
 def test_every_fold_leaves_three_presses(specimens: list[str | None], count: int, seed: int) -> None:
-    """Whatever the pieces are, from four presses on."""
+    """For any pieces, from four presses on."""
     parts, _ = held_out_folds(specimens, count, np.random.default_rng(seed))
     assert sorted(np.concatenate(parts).tolist()) == list(range(len(specimens)))
     assert min(len(specimens) - len(part) for part in parts) >= 3
@@ -54,7 +54,7 @@ def test_below_ten_presses_each_is_held_out_alone(n: int, count: int) -> None:
 
 @pytest.mark.parametrize("names", ["aaaabbbb", "aaaaaaaa"])
 def test_of_one_or_two_pieces_presses_are_held_out_and_it_is_said(names: str) -> None:
-    """A bank of one piece knows nothing of how pieces differ: its scores would be no measure of the final bank's."""
+    """A bank of one piece does not show how pieces differ: its scores would not match the final bank's."""
     parts, said = held_out_folds(list(names), 5, np.random.default_rng(0))
     assert {len(part) for part in parts} == {1}
     assert "knows nothing of other pieces" in said[0]

@@ -1,4 +1,4 @@
-"""Nominal presses from recordings and pictures: what the gateway would score, and a sentence for everything else."""
+"""Nominal presses from recordings and pictures: frames as in the gateway, and a sentence for the rest."""
 
 from pathlib import Path
 
@@ -109,7 +109,7 @@ def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
 
 
 def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
-    """A picture of another tool can be used, knowingly."""
+    """A picture of another tool can be used with an option."""
     big = np.full((240, 320, 3), 77, np.uint8)
     folder = write(tmp_path / "good", "big.png", bytes(cv2.imencode(".png", big)[1]))
     with pytest.raises(DatasetError, match="allow resizing"):
@@ -118,7 +118,7 @@ def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
 
 
 def test_no_source_with_a_press_is_a_sentence(tmp_path: Path) -> None:
-    """An empty folder, a missing path and nothing at all are told apart."""
+    """An empty folder, a missing path and no source have different sentences."""
     (tmp_path / "empty").mkdir()
     with pytest.raises(FitError, match="neither a recording nor a folder with pictures"):
         read_presses([tmp_path / "empty"], PROFILE, REGION)
@@ -129,7 +129,7 @@ def test_no_source_with_a_press_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_a_press_is_a_sentence(tmp_path: Path) -> None:
-    """Thirty frames of the free gel teach nothing about a part."""
+    """Thirty frames of the free gel hold no press."""
     with RecordingWriter(tmp_path / "free", RecordingHeader("mock", "T", (160, 120), 20.0)) as writer:
         for k in range(30):
             writer.add(gel(k), k * FRAME_NS)
@@ -138,7 +138,7 @@ def test_a_recording_without_a_press_is_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Path) -> None:
-    """The recording's own check speaks."""
+    """The recording's own check refuses it."""
     import shutil
 
     copy = Path(shutil.copytree(recording, tmp_path / "copy"))
@@ -165,7 +165,7 @@ def test_what_is_missing_of_a_recording_is_said(recording: Path, tmp_path: Path)
 
 
 def test_a_recording_of_another_size_names_the_reason(recording: Path) -> None:
-    """Every frame was refused for its size: that is said, and not that no press was found."""
+    """Every frame was refused for its size: the sentence has this reason."""
     camera = SensorProfile("mini_lr", (3280, 2464), (0.0, 0.0), (320, 240), 4, 15.77)
     with pytest.raises(
         FitError, match=r"all \d+ frames of .*three were refused; .*160x120.*expects 3280x2464"
@@ -174,7 +174,7 @@ def test_a_recording_of_another_size_names_the_reason(recording: Path) -> None:
 
 
 def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
-    """A folder for each press; the picture of the free gel beside them is not a press."""
+    """A folder for each press; the picture of the free gel next to them is not a press."""
     write(tmp_path / "set", "background.png", gel(0))
     for k in range(3):
         write(tmp_path / "set" / str(k), "press.png", gel(k, (80, 60)))
@@ -212,7 +212,7 @@ def test_resizing_cuts_to_the_aspect(tmp_path: Path) -> None:
 
 
 def test_the_free_gel_of_a_fit_is_kept_for_the_start(recording: Path) -> None:
-    """As contact detection sees it: the mean of the free gel before the presses."""
+    """As in contact detection: the mean of the free gel before the presses."""
     presses = read_presses([recording], PROFILE, REGION)
     assert presses.free_view is not None
     assert presses.free_view.shape == (120, 160, 3)
@@ -221,7 +221,7 @@ def test_the_free_gel_of_a_fit_is_kept_for_the_start(recording: Path) -> None:
 
 
 def test_a_free_gel_of_another_light_is_a_warning(tmp_path: Path) -> None:
-    """The touched area is the light's, the same for each press; with the right picture nothing is said."""
+    """The touched area is the light's, the same for each press; with the right picture there is no warning."""
     for k in range(4):
         write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
     bgr = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR)

@@ -1,4 +1,4 @@
-"""Progress where there is no terminal: a line every tenth, and per cent where the steps are none."""
+"""Progress where there is no terminal: a line every tenth, and per cent where there are no steps."""
 
 import sys
 

@@ -45,7 +45,7 @@ def load(path: Path) -> np.ndarray:
 
 
 def test_other_presses_of_the_ball_pass(scorer: Scorer, gelslam: Path) -> None:
-    """Sixteen presses that the bank never saw: at most two false alarms where one is expected."""
+    """Sixteen presses that are not in the bank: at most two false alarms where one is expected."""
     limit = scorer.bundle.manifest.threshold.value
     held = [load(gelslam / "6.310mm" / str(k) / "gelsight.png") for k in range(24, 40)]
     alarms = sum(scored.anomaly_score > limit for scored in scorer.score_batch(np.stack(held)))
@@ -60,7 +60,7 @@ def test_threads_of_another_part_fail(scorer: Scorer, real_tactile: Path) -> Non
 
 
 def test_a_mark_raises_the_map_where_it_is(scorer: Scorer, gelslam: Path) -> None:
-    """A dark stroke drawn into a real free gel: the map's peak lies on it, within the blur of the features."""
+    """A dark stroke drawn into a real free gel: the map's peak is on it, within the blur of the features."""
     clean = load(gelslam / "background.png")
     marked = clean.copy()
     cv2.line(marked, (60, 150), (100, 180), (40, 40, 40), 4)

@@ -1,4 +1,4 @@
-"""What a fit finds out about its own work: presses that stand apart."""
+"""The checks of a fit's result: outliers among the presses."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def test_a_press_far_above_all_others_stands_apart(n: int) -> None:
 
 
 def test_two_presses_do_not_hide_each_other() -> None:
-    """Two of 24; each is compared with the 22 that do not stand apart."""
+    """Two of 24; each is compared with the other 22."""
     scores = np.random.default_rng(0).uniform(9, 11, 24)
     scores[[5, 7]] = 28, 30
     assert standing_apart(scores) == [7, 5]
@@ -23,7 +23,7 @@ def test_two_presses_do_not_hide_each_other() -> None:
 
 @pytest.mark.parametrize("draw", ["normal", "exponential", "lognormal"])
 def test_sound_presses_seldom_stand_apart(draw: str) -> None:
-    """1,000 sets of 24 scores, also with long tails: fewer than one in ten has a press that stands apart."""
+    """1,000 sets of 24 scores, also with long tails: fewer than one in ten has an outlier."""
     rng = np.random.default_rng(1)
     sets = {
         "normal": rng.normal,
@@ -46,7 +46,7 @@ def test_equal_scores_do_not_stand_apart() -> None:
 
 
 def test_the_warning_names_the_press_and_the_way_out() -> None:
-    """With its score and how far the others reach."""
+    """With its score and the highest of the others."""
     scores = np.linspace(9, 11, 20)
     scores[4] = 90
     (said,) = apart_warnings(scores, [f"good/{k}.png" for k in range(20)])

@@ -1,4 +1,4 @@
-"""What `fit` learns from: datasets are resolved to the nominal presses of one part and position."""
+"""The sources of `fit`: datasets are resolved to the nominal presses of one part and position."""
 
 import re
 import shutil
@@ -61,7 +61,7 @@ def test_the_nominal_presses_of_one_part_and_position(root: Path) -> None:
 
 
 def test_the_only_part_and_position_need_no_name(root: Path) -> None:
-    """What is named narrows the choice; one pair that is left is taken."""
+    """Names narrow the choice; a single remaining pair is taken."""
     assert (found(root, "PZ2").part, found(root, "PZ2").position) == ("PZ2", "left")
     assert found(root, position="right").part == "PZ1"
 
@@ -95,7 +95,7 @@ def test_held_out_specimens_are_whole_and_not_learnt(root: Path) -> None:
 
 
 def test_several_datasets_are_learnt_together(root: Path, tmp_path: Path) -> None:
-    """Two datasets of one part give their presses together; a recording or a picture beside them is kept as given."""
+    """Two datasets of one part give their presses together; a recording or a picture with them is kept as given."""
     other = tmp_path / "other"
     shutil.copytree(root / "PZ2", other / "PZ2")
     single = picture(tmp_path / "single.png", 7)
@@ -117,7 +117,7 @@ def test_mvtec_folders_are_learnt_by_their_category(tmp_path: Path) -> None:
 
 
 def test_sources_that_are_no_dataset_need_a_part(tmp_path: Path) -> None:
-    """A folder of pictures does not say what is pressed, and has no specimens to hold out."""
+    """A folder of pictures has no part name and no specimens to hold out."""
     picture(tmp_path / "good" / "a.png", 1)
 
     assert found(tmp_path / "good", "bolt") == Sources("bolt", "default", (tmp_path / "good",))
@@ -129,7 +129,7 @@ def test_sources_that_are_no_dataset_need_a_part(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff"])
 def test_fit_and_evaluate_see_the_same_pixels(tmp_path: Path, suffix: str) -> None:
-    """A picture of a dataset is learnt and scored from equal pixels, whatever its format."""
+    """A picture of a dataset is learnt and scored from equal pixels, in any format."""
     rng = np.random.default_rng(0)
     pixels = cv2.GaussianBlur(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8), (0, 0), 3)
     for half in ("train", "test"):

@@ -1,4 +1,4 @@
-"""Linear algebra uses one thread wherever much of it is done, whatever the environment asks for."""
+"""Linear algebra uses one thread in the long parts, in every environment."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -24,7 +24,15 @@ ROOMS = [
         "docs/architecture.md",
     ),
     *("CHANGELOG.md", "docs/cli.md", "docs/config.md"),
-    *("edge/gateway", "edge/messaging", "tests/gateway", "tests/messaging", "docs/mqtt.md"),
+    *(
+        "calibration/fitting",
+        "tests/fitting",
+        "edge/gateway",
+        "edge/messaging",
+        "tests/gateway",
+        "tests/messaging",
+        "docs/mqtt.md",
+    ),
     *(f"edge/core/{module}.py" for module in ("detector", "ports", "plugins", "verdict", "sink_context")),
     *("README.md", "docs/glossary.md", "docs/bundle.md", "docs/sensors.md", "docs/simulator.md"),
 ]
