@@ -1,4 +1,4 @@
-"""What contact detection tells: a reference is ready, a press began, settled or did not, and ended."""
+"""The events of contact detection: a reference is ready, a press began, settled or did not, and ended."""
 
 from dataclasses import dataclass
 from enum import StrEnum

@@ -19,12 +19,12 @@ _TIMES_RELIEF: Final = 2.5
 # The areas of such presses spread by less than this share of their median: it is the light that is measured.
 _SPREAD: Final = 0.25
 _FEWEST: Final = 3
-# A free gel that differs by a larger share of the view from the one at fit is worth a word.
+# A free gel that differs by a larger share of the view from the one at fit gives a warning.
 _FOREIGN_AREA: Final = 0.05
 
 
 def foreign_free_gel(touches: Sequence[Touch], reliefs: Sequence[float]) -> str | None:
-    """What speaks against the free gel's picture, or None. reliefs: shares of the view with an imprint's structure."""
+    """The doubt about the free gel's picture, or None. reliefs: shares of the view with an imprint's structure."""
     areas = np.array([touch.area for touch in touches])
     if len(areas) < _FEWEST:
         return None
@@ -40,7 +40,7 @@ def foreign_free_gel(touches: Sequence[Touch], reliefs: Sequence[float]) -> str 
 
 
 def foreign_start(free: Reference, at_fit: Reference) -> str | None:
-    """What is different about a free gel just learnt, as against the one that the bundle was fitted with; or None."""
+    """The difference between a free gel just learnt and the one that the bundle was fitted with; or None."""
     if free.view.shape != at_fit.view.shape:
         return None
     difference = at_fit.difference(free.view)

@@ -19,11 +19,11 @@ MORPHOLOGY_SIDE = 5
 # it takes even a shearing fingertip's pauses for still (the maker's press video), and no approach.
 CHANGE_LEVELS = 12.0
 
-# Adds the colours of a pixel up.
+# Adds the colours of a pixel.
 _SUM = np.ones((1, 3), np.float32)
 
 _BLACK_LEVEL = 8.0
-"""A mean level below this is a camera that has not woken up: real backgrounds have means of 78 to 168."""
+"""A mean level below this is a camera that is not ready: real backgrounds have means of 78 to 168."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Touch:
 def touched_mask(difference: View) -> NDArray[np.bool_]:
     """True where the gel is touched: bool (h, w). difference: signed float32 (h, w, 3), levels.
 
-    Holes are filled: what lies flat on the gel, like a ball's pole, bends no light and shows only by its surroundings.
+    Holes are filled: a part that is flat on the gel, like a ball's pole, bends no light and shows only at its edge.
     """
     return mask_beyond(squared_distance(difference))
 

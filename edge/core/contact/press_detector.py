@@ -1,8 +1,8 @@
 """Which frame of which press: camera frames in, contact events out, and the frame that each settled press gives.
 
-The gateway, `fit` and `record` all find their presses here, so that what is learnt is what will be scored. It leaves
-out what says nothing (a broken frame, the last frame delivered again), notices interruptions by the frames' own times,
-decodes only what contact detection asks for, and keeps the few frames that may still be chosen.
+The gateway, `fit` and `record` all find their presses here, so that the same frames are learnt and scored. It leaves
+out broken and repeated frames, and detects interruptions by the frames' own times. It decodes only the frames that
+contact detection needs, and keeps the few frames that may still be chosen.
 """
 
 from typing import Final, final
@@ -25,7 +25,7 @@ GAP_S: Final = 0.27
 
 @final
 class PressDetector:
-    """Finds the presses in one sensor's frames. Feed every frame, in order; the frames' times are all it knows of time.
+    """Finds the presses in one sensor's frames. Feed every frame, in order; it has no clock but the frames' times.
 
     corrupt: frames that could not be read. first_fault: why, for the first of them. looked_at: frames that were read.
     """
@@ -53,7 +53,7 @@ class PressDetector:
         return self._newest
 
     def feed(self, frame: CameraFrame) -> list[Event]:
-        """What this frame makes happen. A frame that cannot be read is counted in `corrupt` and changes nothing."""
+        """The events of this frame. A frame that cannot be read is counted in `corrupt` and changes nothing."""
         if not self._is_sound(frame) or not self._is_new(frame):
             return []
         events = self._interrupted_before(frame)

@@ -1,4 +1,4 @@
-"""The no-contact reference, and how a view differs from it once the exposure's drift is taken out.
+"""The no-contact reference, and how a view differs from it after the exposure's drift is removed.
 
 The camera's level moves by a fifth within a session when exposure is automatic (measured on public recordings), so a
 view is first brought to the reference's level by one gain and one offset per channel, fitted to pixels that the part
@@ -48,7 +48,7 @@ class Levels:
     def applied(self, view: View) -> View:
         """The view at the reference's level: float32 (h, w, 3), not clipped."""
         height, width, _ = view.shape
-        # Whole rows at once: NumPy's loop over three colours alone is five times slower.
+        # Complete rows at once: NumPy's loop over three colours alone is five times slower.
         rows = view.reshape(height, -1) * np.tile(self.gain, width) + np.tile(self.offset, width)
         return rows.reshape(view.shape)
 
@@ -80,7 +80,7 @@ class Reference:
 
 
 def fit_levels(view: View, reference: View) -> Levels:
-    """Per-channel gain and offset that bring a view to a reference's level, blind to what the part touches.
+    """Per-channel gain and offset that bring a view to a reference's level, without the touched pixels.
 
     Trimmed least squares: each round drops the pixels whose residual, over all channels, is beyond 2.5 robust
     standard deviations. view, reference: float32 (h, w, 3).

@@ -1,7 +1,7 @@
 """Relief: the fine structure of an imprint, which shows a light or soft contact before a large area has changed.
 
-Colours that vary over a millimetre or two come from an imprint; what varies more slowly is light. All of it is
-measured on the half-size view, where the noise of single pixels is averaged away.
+Colours that vary over a millimetre or two come from an imprint; slower variation is light. All of it is measured on the
+half-size view, where the noise of single pixels is averaged out.
 """
 
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ class Relief:
 
         A part that presses adds structure; a reference that was learnt from a pressed gel has more of it than the free
         gel. On public frames of balls it is 1.8 to 3.1 for a press, the same negative when the two are exchanged, and
-        within 0.35 of nothing on a gel with markers, which does not tell. mask: bool (h, w) of the view.
+        within 0.35 of 0 on a gel with markers, which decides nothing. mask: bool (h, w) of the view.
         """
         rows, columns = self.mask.shape
         where = cv2.resize(mask.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST) > 0
@@ -104,7 +104,7 @@ class Relief:
 
 
 def with_relief(mask: NDArray[np.bool_], relief: Relief, on_area: float) -> NDArray[np.bool_]:
-    """Where a contact is too light to have an area, its relief is where it lies: bool (h, w), as `mask`."""
+    """The place of a contact that is too light to have an area, from its relief: bool (h, w), as `mask`."""
     if relief.area < on_area or np.count_nonzero(mask) >= on_area * mask.size:
         return mask
     height, width = mask.shape

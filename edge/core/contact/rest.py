@@ -12,7 +12,7 @@ from edge.core.contact.settings import ContactSettings
 
 __all__ = ["Observation", "Window", "changed_too_much"]
 
-# Frames come a little early or late; one that is due after `settle_s` still counts when it is this much early.
+# Frames come slightly early or late; one that is due after `settle_s` still counts when it is this much early.
 _EARLY_SHARE = 0.05
 # Of the deepest frames, within this share of the deepest, the one that moved least is the sharpest.
 _DEEPEST_SHARE = 0.03
@@ -48,12 +48,12 @@ class Observation:
 
     @property
     def depth(self) -> float:
-        """All of it together: the deeper the more."""
+        """All of it together; it grows with depth."""
         return self.strength + self.texture
 
     @property
     def depths(self) -> tuple[float, float]:
-        """What grows while a part goes deeper."""
+        """The values that grow with depth."""
         return self.strength, self.texture
 
 
@@ -80,7 +80,7 @@ class Window:
         return next((frame for frame in reversed(self.frames) if frame.timestamp_ns <= latest_ns), None)
 
     def after(self, seen: Observation, settings: ContactSettings) -> "Window":
-        """With one more frame, and without those that are too old to matter."""
+        """With one more frame, and without those that are too old."""
         anchor = self.anchor(seen.timestamp_ns, settings)
         first_ns = 0 if anchor is None else anchor.timestamp_ns
         old = [frame for frame in self.frames if frame.timestamp_ns < first_ns]

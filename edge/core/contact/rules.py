@@ -1,10 +1,10 @@
 """Contact: the rules that turn one frame's numbers into one signal of the table, and the events that follow.
 
-Everything is told in seconds of the frames' own timestamps, so that a press gives the same events at 5 and at 60
-frames a second. Two rules hold whatever comes: a press that began gives exactly one of `PressSettled` and
-`PressNotSettled`, and then one `PressEnded`; and a press lasts until the gel has been seen free, so a gap in the
-stream (unplugged, stalled) never makes two presses out of one. A lift and a new press wholly inside a gap cannot be
-told from one long press, and count as one.
+All times are in seconds of the frames' own timestamps, so that a press gives the same events at 5 and at 60 frames a
+second. Two rules always hold. A press that began gives exactly one of `PressSettled` and `PressNotSettled`, and then
+one `PressEnded`. A press lasts until the gel has been seen free, so a gap in the stream (unplugged, stalled) never
+makes two presses out of one. A lift and a new press completely inside a gap cannot be distinguished from one long
+press, and count as one.
 """
 
 from dataclasses import replace
@@ -61,19 +61,19 @@ __all__ = [
 
 
 def step(track: Track, seen: Observation, settings: ContactSettings) -> tuple[Track, tuple[Event, ...]]:
-    """One frame. Errors: ValueError for a timestamp that does not rise: no frame is looked at twice."""
+    """One frame. Errors: ValueError for a timestamp that does not rise: no frame is processed twice."""
     if track.last_ns is not None and seen.timestamp_ns <= track.last_ns:
         raise ValueError(f"timestamps rise, found {seen.timestamp_ns} after {track.last_ns}")
     track = _resumed(replace(track, last_ns=seen.timestamp_ns), seen, settings)
     if seen.is_black or seen.timestamp_ns < track.blind_until_ns:
         return replace(track, state=TABLE[track.state, Signal.BLIND]), ()
-    track = _measured(_rested(track, seen, settings), seen)
+    track = _measured(_update_rest(track, seen, settings), seen)
     track = _watched(track, seen, settings)
-    return _moved(track, signal_of(track, seen, settings), seen, settings)
+    return _transition(track, signal_of(track, seen, settings), seen, settings)
 
 
 def gap(track: Track) -> tuple[Track, tuple[Event, ...]]:
-    """The stream was interrupted. A press goes on where it was; what was not yet confirmed starts again."""
+    """The stream was interrupted. A press continues; an unconfirmed state starts again."""
     state = TABLE[track.state, Signal.GAP]
     lost = track.state is State.APPROACH and track.is_wanted
     events = (TriggerWithoutContact(track.state),) if lost else ()
@@ -89,7 +89,7 @@ def gap(track: Track) -> tuple[Track, tuple[Event, ...]]:
 
 
 def trigger(track: Track) -> tuple[Track, tuple[Event, ...]]:
-    """A verdict is asked for now: the first still frame from here on is scored, if something presses."""
+    """A verdict is requested now: the first still frame from here on is scored, if something presses."""
     if track.state is State.APPROACH or track.state in UNJUDGED:
         if track.is_wanted:
             return track, ()
@@ -100,7 +100,7 @@ def trigger(track: Track) -> tuple[Track, tuple[Event, ...]]:
 
 
 def relearn(track: Track) -> tuple[Track, tuple[Event, ...]]:
-    """A new reference is asked for, as after a change of gel: start again, closing a press that is in progress."""
+    """A new reference is requested, as after a change of gel: start again, closing a press that is in progress."""
     now = track.last_ns or 0
     sequence = track.window.frames[-1].sequence if track.window.frames else 0
     events = _closed(track, now, sequence, NotSettledReason.RELEARNT)
@@ -115,7 +115,7 @@ def _resumed(track: Track, seen: Observation, settings: ContactSettings) -> Trac
     return replace(track, is_interrupted=False, blind_until_ns=sighted_ns, wanted_ns=sighted_ns)
 
 
-def _rested(track: Track, seen: Observation, settings: ContactSettings) -> Track:
+def _update_rest(track: Track, seen: Observation, settings: ContactSettings) -> Track:
     """Keep the run of still frames that a reference may be learnt from."""
     if track.state not in LEARNING:
         return track
@@ -146,34 +146,34 @@ def _measured(track: Track, seen: Observation) -> Track:
     )
 
 
-def _moved(
+def _transition(
     track: Track, signal: Signal, seen: Observation, settings: ContactSettings
 ) -> tuple[Track, tuple[Event, ...]]:
-    """Take the table's move; a change of state restarts the state's clock and may tell something."""
+    """Take the table's move; a change of state restarts the state's clock and may give events."""
     state = TABLE[track.state, signal]
     if state is track.state:
         first_ns = track.since_ns if track.frames else seen.timestamp_ns
         return replace(track, frames=track.frames + 1, since_ns=first_ns), ()
-    events = _told(track, signal, state, seen)
+    events = _events_for(track, signal, state, seen)
     return _entered(
         replace(track, state=state, since_ns=seen.timestamp_ns, frames=1), track, seen, settings
     ), events
 
 
 def _entered(track: Track, before: Track, seen: Observation, settings: ContactSettings) -> Track:
-    """What a new state begins with."""
+    """The values at the start of a state."""
     match before.state, track.state:
         case State.BASELINE, State.NO_CONTACT:
             return replace(track, is_confirmed=seen.touch is not None)
         case State.APPROACH, State.SETTLING:
             return replace(
-                _begun(track, seen),
+                _start_press(track, seen),
                 is_counted=True,
                 is_wanted=track.is_wanted or not settings.is_external,
                 wanted_ns=track.wanted_ns if track.is_wanted else 0,
             )
         case State.BASELINE, State.CONTACT:
-            return replace(_begun(track, seen), is_counted=False)
+            return replace(_start_press(track, seen), is_counted=False)
         case State.SETTLING, State.CONTACT:
             return replace(track, adds_structure=seen.imprint >= ADDS_STRUCTURE)
         case State.DOUBT, State.RECOVERY:
@@ -185,7 +185,7 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
     return track
 
 
-def _begun(track: Track, seen: Observation) -> Track:
+def _start_press(track: Track, seen: Observation) -> Track:
     return replace(
         track,
         began_ns=seen.timestamp_ns,
@@ -197,7 +197,7 @@ def _begun(track: Track, seen: Observation) -> Track:
 
 
 def _over(track: Track, before: Track, seen: Observation) -> Track:
-    """A press is over: what it leaves behind, and what it says about the reference."""
+    """A press is over: its residue, and what it shows about the reference."""
     is_whole = before.state is State.RELEASE
     return replace(
         track,
@@ -210,7 +210,7 @@ def _over(track: Track, before: Track, seen: Observation) -> Track:
     )
 
 
-def _told(track: Track, signal: Signal, state: State, seen: Observation) -> tuple[Event, ...]:
+def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -> tuple[Event, ...]:
     now, sequence, began = seen.timestamp_ns, seen.sequence, track.began_ns
     match track.state, state:
         case State.BASELINE, State.NO_CONTACT:
@@ -241,7 +241,7 @@ def _told(track: Track, signal: Signal, state: State, seen: Observation) -> tupl
 
 
 def _closed(track: Track, now: int, sequence: int, reason: NotSettledReason) -> tuple[Event, ...]:
-    """What must be said of a press that ends because the reference is given up."""
+    """The events of a press that ends because the reference is discarded."""
     events: tuple[Event, ...] = ()
     if track.state in UNJUDGED:
         events += (PressNotSettled(now, sequence, track.began_ns, reason),)

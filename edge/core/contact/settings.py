@@ -1,4 +1,4 @@
-"""The numbers that decide what contact is, each with where it comes from."""
+"""The numbers that decide what contact is, each with its source."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class ContactSettings:
     # Relief of this many levels (root mean square over a millimetre, all colours) is an imprint: sensor noise of the
     # sources measured stays below 2.
     light_levels: float = 3.5
-    # The imprint left after a release is 5 to 25 % of the signal for seconds; an area this small beside the press's
+    # The imprint left after a release is 5 to 25 % of the signal for seconds; an area this small against the press's
     # largest is a release, so that a hair or grease left behind cannot hold a press open.
     release_share: float = 0.05
     # Public tools confirm a contact over 2 to 5 frames at 25 to 30 frames a second.
@@ -31,7 +31,7 @@ class ContactSettings:
     growth_share: float = 0.06
     settle_timeout_s: float = 3.0
     min_frames: int = 2
-    # Cameras start black or at the wrong level: the SDKs throw 10 frames away.
+    # Cameras start black or at the wrong level: the SDKs discard 10 frames.
     warm_up_s: float = 0.5
     resume_s: float = 0.3
     baseline_frames: int = 10
@@ -39,9 +39,9 @@ class ContactSettings:
     recovery_s: float = 3.0
     refresh_s: float = 10.0
     refresh_weight: float = 0.3
-    # The very first press against a reference that nothing confirms is taken for the free gel after so long.
+    # After this time the first press against an unconfirmed reference is taken for the free gel.
     stuck_s: float = 30.0
-    # Decoding is most of the cost of an idle gateway; looking ten times a second finds every press.
+    # Decoding is most of the cost of an idle gateway; decoding ten times a second finds every press.
     idle_interval_s: float = 0.1
     is_external: bool = False
 

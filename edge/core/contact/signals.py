@@ -1,4 +1,4 @@
-"""Which signal of the table one frame gives, from what is remembered and what is seen."""
+"""Which signal of the table one frame gives, from the state and the frame's numbers."""
 
 from typing import Final
 
@@ -13,9 +13,9 @@ __all__ = ["ADDS_STRUCTURE", "level_of", "seconds", "signal_of"]
 # more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.
 _CLEARLY_INVERSE: Final = -0.7
 ADDS_STRUCTURE: Final = 0.35
-# Relief that a press left behind wavers by this much.
+# Relief that a press left behind varies by this much.
 _RESIDUE_TIMES: Final = 1.2
-# A light press is over when its relief has fallen to this share: it has no area to tell by.
+# A light press is over when its relief has fallen to this share: it has no area to decide by.
 _LIGHT_RELEASE_SHARE: Final = 0.25
 
 
@@ -24,7 +24,7 @@ def seconds(later_ns: int, earlier_ns: int) -> float:
 
 
 def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
-    """Clear, faint or touch: hysteresis over what the last press left behind, by area and by relief."""
+    """Clear, faint or touch: hysteresis above the residue of the last press, by area and by relief."""
     if _is_clear(track, seen, settings):
         return Signal.CLEAR
     is_touch = (

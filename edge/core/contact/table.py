@@ -21,9 +21,9 @@ class State(StrEnum):
 
 
 class Signal(StrEnum):
-    """What one frame, or the outside world, says."""
+    """The signal of one frame, or of the outside world."""
 
-    BLIND = "blind"  # the frame tells nothing: black, or too soon after a gap
+    BLIND = "blind"  # the frame is not usable: black, or too soon after a gap
     MOVING = "moving"  # while learning: the view differs from the one held as still
     CLEAR = "clear"  # touched area at or below the off level
     FAINT = "faint"  # between the off and the on level
@@ -34,7 +34,7 @@ class Signal(StrEnum):
     INVERSE = "inverse"  # the view has lost structure that the reference shows, or a first press never ends
     FREE = "free"  # at rest, and without structure that the doubted reference lacks
     GAP = "gap"  # the stream was interrupted
-    RELEARN = "relearn"  # someone asks for a new reference
+    RELEARN = "relearn"  # a new reference is requested
 
 
 def _row(state: State, **moves: State) -> dict[tuple[State, Signal], State]:
@@ -93,7 +93,7 @@ TABLE: dict[tuple[State, Signal], State] = {
 
 
 def table_markdown() -> str:
-    """The table as Markdown, one row per state; a dot stands for staying. docs/contact.md shows it."""
+    """The table as Markdown, one row per state; a dot means: stay. docs/contact.md shows it."""
     heads = "| state | " + " | ".join(Signal) + " |"
     rule = "|---|" + "---|" * len(Signal)
     return "\n".join([heads, rule, *(_printed(state) for state in State)]) + "\n"

@@ -1,4 +1,4 @@
-"""What contact detection remembers between frames."""
+"""The memory of contact detection between frames."""
 
 from dataclasses import dataclass, field
 
@@ -16,12 +16,12 @@ WATCHED = UNJUDGED | {State.APPROACH, State.DOUBT}
 
 @dataclass(frozen=True)
 class Track:
-    """All that contact detection remembers between frames.
+    """The memory of contact detection between frames.
 
     since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for
     the view at rest while learning. window: the frames of this press that may be chosen. wanted_ns: since when a
     verdict is wanted. grown_ns: when the imprint last grew. peak, relief_peak: the largest area and relief of this
-    press. residue, relief_residue: what the last press left behind. is_counted: false for a part that was there at the
+    press. residue, relief_residue: the rest of the last press. is_counted: false for a part that was there at the
     start. is_confirmed: another picture of the free gel, or a press, has shown that the reference is one; is_cycled: a
     press has come and gone.
     """

@@ -29,7 +29,7 @@ __all__ = ["ContactTracker"]
 
 # A picture of another gel differs all over; one of this gel, at most where a part lies.
 _LENT_AREA = 0.6
-# What is said of a view that agrees with another picture of the free gel: no press adds less structure.
+# The value for a view that agrees with another picture of the free gel: no press adds less structure.
 _WITNESSED = -9.0
 
 
@@ -52,7 +52,7 @@ class _Mean:
 
     def view(self) -> View:
         if self.total is None:
-            raise ValueError("a mean of no views was asked for")
+            raise ValueError("a mean of no views was requested")
         return (self.total / self.frames).astype(np.float32)
 
 
@@ -181,7 +181,7 @@ class ContactTracker:
         return list(events)
 
     def trigger(self) -> list[Event]:
-        """A verdict is asked for now."""
+        """A verdict is requested now."""
         self._track, events = contact.trigger(self._track)
         return list(events)
 
@@ -227,7 +227,7 @@ class ContactTracker:
         ), level
 
     def _place(self) -> Touch | None:
-        """Where a contact lies that is too light to have an area; asked for during a press alone."""
+        """The place of a contact that is too light to have an area; computed only during a press."""
         if self.state not in WATCHED or self._mask is None or self._relief is None:
             return None
         seen = with_relief(self._mask, self._relief, self.settings.on_area)
@@ -245,7 +245,7 @@ class ContactTracker:
         return 1.0 if anchor is None else changed_share(level, self._recent[anchor.sequence].level)
 
     def _motion(self, level: View) -> float:
-        """Against the view before; it is asked for during a press alone."""
+        """Against the view before; computed only during a press."""
         if self.state not in WATCHED or self._last is None:
             return 1.0
         return changed_share(level, self._last)
@@ -260,7 +260,7 @@ class ContactTracker:
         return self._relief.gain(self._mask)
 
     def _agrees_with_witness(self, view: View) -> bool:
-        """Whether what looks touched is the free gel of the bundle."""
+        """Whether an area that looks touched is the free gel of the bundle."""
         if (
             self._witness is None
             or self._is_lent

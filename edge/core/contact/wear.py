@@ -1,7 +1,7 @@
-"""The gel's wear as a camera sees it: the free gel now against the free gel when it was new.
+"""The gel's optical wear: the free gel now against the free gel when it was new.
 
-New gels are not clean either, so wear is always a difference to the gel's own first reference. Exposure is taken out
-first, as for contact; what is left is split into marks (specks, scratches), shading and level.
+New gels are not clean either, so wear is always a difference to the gel's own first reference. Exposure is removed
+first, as for contact; the rest is split into marks (specks, scratches), shading and level.
 """
 
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ __all__ = ["Wear", "wear"]
 
 # Lengths below are in pixels of a 320x240 picture and scale with the width.
 _PIXELS_ACROSS = 320
-# Marks are narrower than this many pixels (sigma); what is wider is shading.
+# Marks are narrower than this many pixels (sigma); wider changes are shading.
 _MARK_SIGMA = 6.0
 # One pixel of averaging: single-frame noise of sd 2 falls below 0.6.
 _NOISE_SIGMA = 1.0
 # Levels. Two pictures of one unworn gel weeks apart stay below 3.5; the scratches of a used one reach 4 to 6.
 _MARK_LEVELS = 3.5
-# A lone pixel is noise.
+# A single pixel is noise.
 _MIN_MARK_PX = 4
 # Longer than this and at least this many times longer than wide is a scratch, anything else a speck.
 _SCRATCH_PX = 8.0
@@ -32,7 +32,7 @@ _RIM_PX = 4
 
 # What counts as worn out, each alone. Four good units have 1 to 10 specks, a grainy one has over 40.
 _WORN_SPECKS = 40
-# Scratches as long together as the picture is wide.
+# Scratches with a total length of the picture's width.
 _WORN_SCRATCH_LENGTH = 1.0
 # Levels of shading after the exposure is taken out: two pictures of one gel differ by 0.4, two gels by 5.
 _WORN_SHADING_LEVELS = 10.0
@@ -45,7 +45,7 @@ class Wear:
     """How much a gel has changed since it was new. index: 0 (as new) to 1 (worn out), that of its worst part.
 
     specks: new compact marks. scratch_length: total length of new long marks, in picture widths. shading_levels: mean
-    absolute broad change that no exposure explains (coat loss, a light gone weak on one side). level_change: largest
+    absolute broad change that no exposure explains (coat loss, a weak light on one side). level_change: largest
     relative change of a channel's mean; exposure moves it too, so judge it with the exposure locked.
     """
 

@@ -42,7 +42,7 @@ MS = 1_000_000
 def seen(
     at_ms: float, area: float | None, change: float = 0.0, motion: float = 0.001, sequence: int = -1
 ) -> Observation:
-    """One frame; its sequence is its time in milliseconds unless told."""
+    """One frame; its sequence is its time in milliseconds unless given."""
     touch = None if area is None else Touch(area)
     return Observation(round(at_ms * MS), int(at_ms) if sequence < 0 else sequence, touch, change, motion)
 
@@ -52,8 +52,8 @@ def run(
 ) -> tuple[Track, list[Event]]:
     events: list[Event] = []
     for frame in frames:
-        track, told = step(track, frame, rules)
-        events += told
+        track, new = step(track, frame, rules)
+        events += new
     return track, events
 
 
@@ -374,8 +374,8 @@ def test_a_gap_in_a_settled_press_does_not_count_it_again() -> None:
     track, events = run(free(), at(40, [PRESSED] * 10))
     assert names(events) == ["PressBegan", "PressSettled"]
     for start in (5_000, 20_000):
-        track, told = gap(track)
-        assert told == ()
+        track, new = gap(track)
+        assert new == ()
         track, told_after = run(track, at(start, [PRESSED] * 50))
         assert told_after == []
     assert names(run(track, at(40_000, [FREE] * 5))[1]) == ["PressEnded"]
@@ -415,12 +415,12 @@ def test_a_trigger_without_contact_says_so() -> None:
 
 
 def test_external_presses_wait_for_their_trigger() -> None:
-    """Still for a second, nothing is told; at the trigger the next frame is scored, once."""
+    """Still for a second, no event; at the trigger the next frame is scored, once."""
     rules = ContactSettings(is_external=True)
     track, events = run(free(), at(40, [PRESSED] * 25), rules)
     assert names(events) == ["PressBegan"]
-    track, told = trigger(track)
-    assert told == ()
+    track, new = trigger(track)
+    assert new == ()
     track, events = run(track, at(1040, [PRESSED] * 5), rules)
     assert [e.sequence for e in events if isinstance(e, PressSettled)] == [1040]
     assert names(events) == ["PressSettled"]
@@ -436,7 +436,7 @@ def test_external_press_without_a_trigger_is_counted_but_not_scored() -> None:
 
 
 def test_a_trigger_during_the_approach_is_kept_or_answered() -> None:
-    """It arms the press that follows; if none follows it is told so."""
+    """It arms the next press; if no press follows, an event says so."""
     rules = ContactSettings(is_external=True)
     armed, _ = trigger(run(free(), at(40, [PRESSED]), rules)[0])
     assert names(run(armed, at(80, [PRESSED] * 10), rules)[1]) == ["PressBegan", "PressSettled"]
@@ -495,13 +495,13 @@ def test_whatever_happens_each_press_has_one_verdict(
     now = 0
     for sequence, happening in enumerate(happenings):
         if isinstance(happening, str):
-            track, told = {"gap": gap, "trigger": trigger, "relearn": relearn}[happening](track)
+            track, new = {"gap": gap, "trigger": trigger, "relearn": relearn}[happening](track)
         else:
             area, change, wait_ms, is_black = happening
             now += wait_ms * MS
             frame = Observation(now, sequence, Touch(area), change, change, is_black and area == 0.9)
-            track, told = step(track, frame, rules)
-        events += told
+            track, new = step(track, frame, rules)
+        events += new
     check_grammar(events)
     scored = [e.sequence for e in events if isinstance(e, PressSettled)]
     assert len(scored) == len(set(scored))
@@ -576,9 +576,9 @@ def test_each_press_is_settled_once_at_any_frame_rate(
             Observation(round(clock * 1e9), sequence, Touch(area), changed(rested), changed(last)),
             strength=10 * depth,
         )
-        track, told = step(track, frame, RULES)
+        track, new = step(track, frame, RULES)
         last, times[sequence] = clock, clock
-        events += told
+        events += new
     check_grammar(events)
     settled = [e for e in events if isinstance(e, PressSettled)]
     assert len(settled) == len(presses)

@@ -47,7 +47,7 @@ def depth_at(t: float, onset: float, hold: float = 1.5, ramp: float = 0.3) -> fl
 
 
 class Camera:
-    """Feeds a tracker with noisy views at a steady rate and keeps what it told."""
+    """Feeds a tracker with noisy views at a steady rate and keeps its events."""
 
     def __init__(self, tracker: ContactTracker, background: View, fps: float = 25.0) -> None:
         self.tracker, self.background, self.fps = tracker, background, fps
@@ -112,7 +112,7 @@ def test_idle_frames_are_mostly_not_due() -> None:
 
 
 def test_the_scored_frame_is_a_candidate_or_the_newest() -> None:
-    """Whoever keeps these camera frames can always score, and they are few."""
+    """With these camera frames, which are few, a press can always be scored."""
     camera = ready()
     start = camera.now + 0.5
     while camera.now < start + 3:
@@ -175,7 +175,7 @@ def test_no_refresh_before_the_imprint_has_faded() -> None:
 
 
 def test_a_stored_reference_shows_that_the_start_was_touched() -> None:
-    """A part that rests on the gel at the start is told, not learnt; after its lift presses count as ever."""
+    """A part on the gel at the start is reported, not learnt; after its lift presses count as usual."""
     camera = Camera(ContactTracker(stored=Reference(free_gel(), 10, 0)), free_gel())
     camera.wait(3, depth=1.0)
     camera.wait(4)
@@ -291,7 +291,7 @@ def test_the_real_press_video(real_tactile: Path) -> None:
 
 @pytest.mark.parametrize("stride", [1, 2, 3])
 def test_the_real_video_at_lower_rates(real_tactile: Path, stride: int) -> None:
-    """At 25, 12.5 and 8.3 frames a second the same two presses begin and end; none is told twice.
+    """At 25, 12.5 and 8.3 frames a second the same two presses begin and end, each once.
 
     Whether the ever shearing fingertip counts as still for a moment does depend on the rate.
     """
