@@ -24,6 +24,7 @@ ROOMS = [
         "docs/architecture.md",
     ),
     *("CHANGELOG.md", "docs/cli.md", "docs/config.md"),
+    *("edge/core/contact", "tests/core/contact", "docs/contact.md"),
     *(
         "calibration/fitting",
         "tests/fitting",
