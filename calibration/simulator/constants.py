@@ -9,6 +9,10 @@ __all__ = [
     "COARSEST_MM",
     "COAT_SIGMA_MM",
     "CROP_MM",
+    "DOT_KEEPS",
+    "DOT_PITCH_MM",
+    "DOT_RADIUS_MM",
+    "DOT_SPREAD_MM",
     "GLOSS_DOUBLINGS",
     "GLOSS_TILT",
     "GRAIN_FREE",
@@ -65,3 +69,10 @@ NOISE_LEVEL = 100.0
 # B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
 GRAIN_SIGMA_MM = 0.035
 GRAIN_FREE = 0.35
+
+# A tracking gel carries 7 x 9 dots in the crop: margin 24 px and radius about 6 px at 320x240.
+DOT_PITCH_MM = ((320 - 48) / 8 * MINI_LR_MM_PER_PX, (240 - 48) / 6 * MINI_LR_MM_PER_PX)
+DOT_RADIUS_MM = 6 * MINI_LR_MM_PER_PX
+DOT_KEEPS = 0.22
+# Dots move away from a bulge by about this share of its depth (estimated from the maker's marker video).
+DOT_SPREAD_MM = 0.5

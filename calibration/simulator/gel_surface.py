@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.constants import CROP_MM, GRAIN_FREE, GRAIN_SIGMA_MM
+from calibration.simulator.constants import (
+    CROP_MM,
+    DOT_KEEPS,
+    DOT_PITCH_MM,
+    DOT_RADIUS_MM,
+    DOT_SPREAD_MM,
+    GRAIN_FREE,
+    GRAIN_SIGMA_MM,
+)
 from calibration.simulator.field_of_view import F32, Field, grids
-from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = [
     "Dust",
@@ -210,14 +217,6 @@ def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
     return planes
 
 
-# A tracking gel carries 7 x 9 dots in the crop: margin 24 px and radius about 6 px at 320x240.
-_DOT_PITCH_MM = ((320 - 48) / 8 * MINI_LR_MM_PER_PX, (240 - 48) / 6 * MINI_LR_MM_PER_PX)
-_DOT_RADIUS_MM = 6 * MINI_LR_MM_PER_PX
-_DOT_KEEPS = 0.22
-# Dots move away from a bulge by about this share of its depth (estimated from the maker's marker video).
-_DOT_SPREAD_MM = 0.5
-
-
 def markers(planes: F32, surface_mm: F32, field: Field) -> F32:
     """The planes under a grid of dark dots that spread away from where the gel bulges.
 
@@ -227,12 +226,12 @@ def markers(planes: F32, surface_mm: F32, field: Field) -> F32:
     sx, sy = (0.6 / m for m in field.mm_per_px)
     shrunk = cv2.resize(surface_mm, (field.size[0] // 4, field.size[1] // 4), interpolation=cv2.INTER_AREA)
     smooth = cv2.resize(cv2.GaussianBlur(shrunk, (0, 0), sx / 4, sigmaY=sy / 4), field.size)
-    push_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=_DOT_SPREAD_MM / (8 * field.mm_per_px[0]))
-    push_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=_DOT_SPREAD_MM / (8 * field.mm_per_px[1]))
+    push_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=DOT_SPREAD_MM / (8 * field.mm_per_px[0]))
+    push_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=DOT_SPREAD_MM / (8 * field.mm_per_px[1]))
     u, v = x + push_x, y + push_y
-    u -= np.float32(_DOT_PITCH_MM[0]) * np.round(u / np.float32(_DOT_PITCH_MM[0]))
-    v -= np.float32(_DOT_PITCH_MM[1]) * np.round(v / np.float32(_DOT_PITCH_MM[1]))
+    u -= np.float32(DOT_PITCH_MM[0]) * np.round(u / np.float32(DOT_PITCH_MM[0]))
+    v -= np.float32(DOT_PITCH_MM[1]) * np.round(v / np.float32(DOT_PITCH_MM[1]))
     edge = np.float32(max(field.mm_per_px))
-    covered = np.clip((np.float32(_DOT_RADIUS_MM) - cv2.sqrt(u * u + v * v)) / edge + np.float32(0.5), 0, 1)
-    planes *= np.float32(1) - np.float32(1 - _DOT_KEEPS) * covered
+    covered = np.clip((np.float32(DOT_RADIUS_MM) - cv2.sqrt(u * u + v * v)) / edge + np.float32(0.5), 0, 1)
+    planes *= np.float32(1) - np.float32(1 - DOT_KEEPS) * covered
     return planes

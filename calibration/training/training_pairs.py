@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from calibration.simulator.constants import DOT_KEEPS, DOT_PITCH_MM, DOT_RADIUS_MM, DOT_SPREAD_MM
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.training import render
 from calibration.training.jpeg import compressed
@@ -19,7 +20,7 @@ from calibration.training.random_sampling import Draws, draws_for
 from calibration.training.render import BatchAppearance, Spacing
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
-__all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
+__all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs", "under_dots"]
 
 # Training mixes and varies these two measured sensors; `unit_c` is reserved for evaluation.
 TRAINING_UNITS = ("unit_a", "unit_b")
@@ -29,9 +30,6 @@ _MARKER_SHARE = 0.2
 # Cameras compress; lossless recordings do not.
 _JPEG_SHARE = 0.7
 _JPEG_QUALITY = (75.0, 96.0)
-_DOT_PITCH_MM = (2.16, 2.03)
-_DOT_RADIUS_MM = 0.38
-_DOT_KEEPS = 0.22
 
 
 @dataclass(frozen=True)
@@ -204,7 +202,7 @@ def _photograph(
     count = round(_MARKER_SHARE * n)
     if count:
         dots = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
-        planes[dots] = _under_dots(planes[dots], surface[dots], x, y, spacing)
+        planes[dots] = under_dots(planes[dots], surface[dots], x, y, spacing)
     white = both(draws.normal(1.0, n, *surface.shape[1:]))
     planes = render.grain(planes, surface, white, both(draws.uniform(0, 3, n)), spacing)
     planes = render.lens(planes, lens_mm, spacing)
@@ -258,12 +256,12 @@ def _bells(px: Tensor, py: Tensor, radius: Tensor, high: Tensor, x: Tensor, y: T
     return torch.einsum("nky,nkx->nyx", along_y * high[:, :, None], along_x)
 
 
-def _under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
+def under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
     """The planes under a tracking gel's dots, which spread away from where the gel bulges."""
     sx, sy = render.slopes(render.blur(surface, (0.6 / spacing[0], 0.6 / spacing[1])), spacing)
-    # The simulator pushes by +0.5 mm per unit of dz/dx; these slopes have the other sign.
-    u, v = x - 0.5 * sx, y - 0.5 * sy
-    u = u - _DOT_PITCH_MM[0] * (u / _DOT_PITCH_MM[0]).round()
-    v = v - _DOT_PITCH_MM[1] * (v / _DOT_PITCH_MM[1]).round()
-    covered = ((_DOT_RADIUS_MM - torch.sqrt(u * u + v * v)) / max(spacing) + 0.5).clamp(0, 1)
-    return planes * (1 - (1 - _DOT_KEEPS) * covered[:, None])
+    # The simulator pushes along dz/dx; these slopes have the other sign.
+    u, v = x - DOT_SPREAD_MM * sx, y - DOT_SPREAD_MM * sy
+    u = u - DOT_PITCH_MM[0] * (u / DOT_PITCH_MM[0]).round()
+    v = v - DOT_PITCH_MM[1] * (v / DOT_PITCH_MM[1]).round()
+    covered = ((DOT_RADIUS_MM - torch.sqrt(u * u + v * v)) / max(spacing) + 0.5).clamp(0, 1)
+    return planes * (1 - (1 - DOT_KEEPS) * covered[:, None])

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from calibration.simulator import gel, optics, sensor_appearance
+from calibration.simulator import gel, gel_surface, optics, sensor_appearance
 from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.training import render
 from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
 from calibration.training.random_sampling import draws_for
 from calibration.training.train_config import Distance, TrainConfig
-from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs
+from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs, under_dots
 
 CPU = torch.device("cpu")
 SPACING = LR.mm_per_px
@@ -34,6 +34,18 @@ def imprint(field: Field) -> np.ndarray:
     dome = np.sqrt(np.maximum(9.0 - (x - 3) ** 2 - (y + 1) ** 2, 0)) - 2.6
     groove = 0.15 * (np.sin(4 * x) > 0) * (y > 4)
     return np.maximum(np.maximum(block, dome), groove).astype(np.float32).clip(0)
+
+
+def test_the_dots_of_a_tracking_gel_are_where_the_simulator_has_them() -> None:
+    """On a flat gel the same cells are dark, to the farthest dot."""
+    x, y = (torch.tensor(np.broadcast_to(axis, (240, 320))) for axis in grids(LR))
+    flat = np.zeros((240, 320), np.float32)
+    expected = gel_surface.markers(np.full((3, 240, 320), 100, np.float32), flat, LR)
+
+    found = under_dots(torch.full((1, 3, 240, 320), 100.0), torch.from_numpy(flat)[None], x, y, SPACING)
+
+    assert expected.min() < 30
+    np.testing.assert_allclose(found[0].numpy(), expected, atol=0.1)
 
 
 @pytest.mark.parametrize("field", [LR, Field((320, 256), (0.02, 0.026))])
