@@ -35,8 +35,8 @@ from edge.model.session import open_session
 pytestmark = pytest.mark.bench
 
 METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
-# Not the development set's 99.
-SHAPES, PARTS = 2026, 20
+# Drawn once, when everything was settled. Developed on 99 and, as it turned out, on 2026.
+SHAPES, PARTS = 4711, 20
 NOMINAL, FRESH, FREE = 40, 200, 4
 DESIGNS = {"presses": 1, "pieces": 4}
 """Presses of each nominal piece."""
