@@ -125,12 +125,17 @@ class MqttSink:
         # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
         self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
+        self._lost = threading.Event()  # of the connection in use, or of the last attempt
         self._threads = [
             threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
             threading.Thread(target=self._serve, name="mqtt-commands", daemon=True),
         ]
+
+    def start(self) -> Self:
+        """Connect, stay connected and answer requests, in two threads; `step` and `answer` are their turns."""
         for thread in self._threads:
             thread.start()
+        return self
 
     @property
     def level(self) -> str | None:
@@ -167,36 +172,52 @@ class MqttSink:
             while True:
                 self._requests.get_nowait()
         self._requests.put(None)
-        for thread in self._threads:
+        for thread in filter(threading.Thread.is_alive, self._threads):
             thread.join(self._broker.timeout_s)
+
+    def step(self) -> float | None:
+        """One turn of the connecting thread: try to connect where there is no connection.
+
+        Gives the pause before the next turn in seconds, None while there is a connection. Never raises.
+        """
+        if self._connection is not None and self._lost.is_set():
+            self._note_loss()
+        if self._connection is not None:
+            return None
+        self._lost = threading.Event()
+        try:
+            connection = self._connect(self._lost)
+        except (
+            Exception
+        ) as error:  # the thread's outermost level: otherwise the sink would stay down for ever
+            if not isinstance(error, SinkError):
+                log.exception("connecting to broker %s failed with an unexpected error", self._broker)
+            if isinstance(error, LevelRefused):
+                self._worked = None  # perhaps another broker now: find its level again
+            self._down(str(error))
+            self._tried.set()
+            return self._backoff.failed()
+        self._backoff.succeeded()
+        self._connection = connection
+        log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
+        self._tried.set()
+        if self._closing.is_set():
+            connection.close()
+        return None
 
     def _keep_connected(self) -> None:
         while not self._closing.is_set():
-            lost = threading.Event()
-            try:
-                connection = self._connect(lost)
-            except (
-                Exception
-            ) as error:  # the thread's outermost level: otherwise the sink would stay down for ever
-                if not isinstance(error, SinkError):
-                    log.exception("connecting to broker %s failed with an unexpected error", self._broker)
-                if isinstance(error, LevelRefused):
-                    self._worked = None  # perhaps another broker now: find its level again
-                self._down(str(error))
-                self._tried.set()
-                self._closing.wait(self._backoff.failed())
-                continue
-            self._backoff.succeeded()
-            self._connection = connection
-            log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
-            self._tried.set()
-            if self._closing.is_set():
-                connection.close()
-            lost.wait()
-            self._connection = None
-            self._down(
-                f"the connection to broker {self._broker} is lost ({connection.why_lost or 'it was closed'})"
-            )
+            pause_s = self.step()
+            if pause_s is None:
+                self._lost.wait()
+                self._note_loss()
+            else:
+                self._closing.wait(pause_s)
+
+    def _note_loss(self) -> None:
+        connection, self._connection = self._connection, None
+        why = connection.why_lost if connection is not None else None
+        self._down(f"the connection to broker {self._broker} is lost ({why or 'it was closed'})")
 
     def _connect(self, lost: threading.Event) -> Connection:
         will = self._station.will
@@ -260,20 +281,24 @@ class MqttSink:
 
     def _serve(self) -> None:
         while (request := self._requests.get()) is not None:
-            connection, answer = self._connection, self._station.on_command
-            if answer is None or self._closing.is_set():
-                continue
-            response = Outgoing(
-                request.response_topic or f"{request.topic}/response",
-                answer(request.topic.rpartition("/")[2], request.payload),
-                content_type="application/json",
-                correlation=request.correlation,
-            )
-            try:
-                if connection is not None:
-                    connection.publish(response)
-            except SinkError as error:
-                log.warning("a response is not delivered: %s", error)
+            self.answer(request)
+
+    def answer(self, request: Received) -> None:
+        """One turn of the answering thread: do what is asked and publish the response."""
+        connection, command = self._connection, self._station.on_command
+        if command is None or self._closing.is_set():
+            return
+        response = Outgoing(
+            request.response_topic or f"{request.topic}/response",
+            command(request.topic.rpartition("/")[2], request.payload),
+            content_type="application/json",
+            correlation=request.correlation,
+        )
+        try:
+            if connection is not None:
+                connection.publish(response)
+        except SinkError as error:
+            log.warning("a response is not delivered: %s", error)
 
 
 class Mqtt(SinkPlugin[MqttOptions]):
@@ -284,7 +309,7 @@ class Mqtt(SinkPlugin[MqttOptions]):
     def open(self, options: MqttOptions, station: Station) -> MqttSink:
         """A sink that starts to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
         backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
-        return MqttSink(options.broker(station.client_id), station, backoff)
+        return MqttSink(options.broker(station.client_id), station, backoff).start()
 
 
 plugin = Mqtt()

@@ -1,6 +1,7 @@
 """The MQTT sink against real brokers, at both protocol levels."""
 
 import os
+import random
 import shutil
 import signal
 import socket
@@ -14,8 +15,10 @@ from typing import Any
 
 import pytest
 
+from edge.core.backoff import Backoff
 from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message, Sink
+from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_connection import Broker, Connection, Outgoing
 from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
@@ -413,3 +416,27 @@ def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> N
         plugin.open(MqttOptions(username="u", password_file=Path("/nowhere/p")), station)
     with pytest.raises(ConfigError, match=r"TLS files /nowhere/ca\.pem cannot be used"):
         plugin.open(MqttOptions.model_validate({"tls": {"ca": "/nowhere/ca.pem"}}), station)
+
+
+def test_without_threads_every_attempt_is_a_step(listen: Listen) -> None:
+    """Nobody listens: a pause to wait, and a reason. A broker: connected. The broker ends: a pause again."""
+    require("mosquitto")
+    with LocalBroker("mosquitto") as broker:
+        listener = listen(broker)
+        options = MqttOptions(host=broker.host, port=broker.port, protocol="5")
+        sink = MqttSink(
+            options.broker("stepped"), Station(ROOT, "stepped"), Backoff(random.Random(0), 0.2, 30.0)
+        )
+        assert sink.step() is None
+        assert sink.step() is None
+        sink.send(Message("result", b"1"))
+        listener.wait_for(lambda heard: heard.payloads("result") == [b"1"])
+    deadline = time.monotonic() + 20
+    while (pause_s := sink.step()) is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+    assert 0 < pause_s <= 0.2
+    with pytest.raises(SinkUnavailable, match="broker"):
+        sink.send(Message("result", b"2"))
+    sink.close()
