@@ -213,7 +213,7 @@ def test_a_bundle_survives_writing(fitted: Fitted, tmp_path: Path) -> None:
     """Written and loaded it skips the same tiles, says so, and its golden frames agree."""
     loaded = Bundle.load(write_bundle(tmp_path / "pin.zip", fitted.files))
     shown = CliRunner().invoke(build(), ["inspect", str(tmp_path / "pin.zip")], catch_exceptions=False).output
-    assert "8 of 64, 4 of them run only where a press touches them" in shown
+    assert "8 of 64, 4 of them run only when a press touches them" in shown
     scorer = Scorer(loaded)
     assert scorer.check_golden() <= loaded.manifest.tolerance.around(1.0)
     before = scorer.tiles_run
