@@ -11,7 +11,7 @@ from emulated_processor import needs_emulator, run_on_haswell
 from numpy.typing import NDArray
 
 from calibration.training import package as packaging
-from calibration.training.checkpoint import weights_sha256
+from calibration.training.checkpoint import load, weights_sha256
 from calibration.training.network import TrunkNetwork, state_arrays
 from calibration.training.quantisation import rounded_activation, rounded_maps, rounded_weight
 from calibration.training.train import TrainingRun, train
@@ -73,9 +73,7 @@ def test_a_run_rounds_and_keeps_the_statistics(tmp_path: Path) -> None:
     start = weights_sha256(first)
     aware = TrainConfig.shipped(steps=2, start=start, **(small | {"precision": "int8"}))
     train(aware, TrainingRun(tmp_path / "second", start=first))
-    before, after = (
-        packaging.trunk_state(packaging.checkpoints.load(run).weights) for run in (first, tmp_path / "second")
-    )
+    before, after = (packaging.trunk_state(load(run).weights) for run in (first, tmp_path / "second"))
     same = {name for name in before if np.array_equal(before[name], after[name])}
     assert same == {name for name in before if "running" in name}
     with pytest.raises(ConfigError, match="a run to start from"):
