@@ -59,7 +59,7 @@ class Results:
 # Every process is forked from one that has done the imports: they cost more than a press.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["edge.gateway.gateway"])
-# What multiprocessing gives where the fork server's report of a process did not arrive: seen once in some thousand.
+# What multiprocessing gives where the fork server's report of a process did not arrive, as happened once.
 # A process that failed reports 1, and one that lived has left its count of writes.
 STATUS_LOST = 255
 
