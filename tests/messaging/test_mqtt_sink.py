@@ -419,7 +419,7 @@ def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> N
 
 
 def test_without_threads_every_attempt_is_a_step(listen: Listen) -> None:
-    """Nobody listens: a pause to wait, and a reason. A broker: connected. The broker ends: a pause again."""
+    """A broker: connected, without a pause. The broker ends: a pause to wait, and a reason."""
     require("mosquitto")
     with LocalBroker("mosquitto") as broker:
         listener = listen(broker)
