@@ -61,19 +61,19 @@ class InspectionTable(_Table):
 
 
 class ContactTable(_Table):
-    """When a press is taken for one, and which of its frames is scored: see contact.md."""
+    """When a contact counts as a press, and which of its frames is scored: see contact.md."""
 
     settle_s: float = Field(
         default=ContactSettings.settle_s,
         ge=0.05,
         le=2,
-        description="a press rests when its frame and the one so long before are alike, seconds",
+        description="a press rests when its frame is like the one this long before, seconds",
     )
     still_share: float = Field(
         default=ContactSettings.still_share,
         gt=0,
         lt=1,
-        description="alike: fewer than this share of the touched pixels have changed",
+        description="like: fewer than this share of the touched pixels have changed",
     )
     growth_share: float = Field(
         default=ContactSettings.growth_share,
@@ -85,7 +85,7 @@ class ContactTable(_Table):
         default=ContactSettings.settle_timeout_s,
         gt=2,
         le=60,
-        description="a press that has not rested so long after its imprint last grew is not settled, seconds",
+        description="a press that does not rest within this time after its imprint last grew is not settled, seconds",
     )
     light_levels: float = Field(
         default=ContactSettings.light_levels,
