@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from edge.core.contact.rules import ContactSettings
+from edge.core.contact.settings import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import QualitySettings

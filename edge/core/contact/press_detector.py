@@ -9,7 +9,7 @@ from typing import Final, final
 
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.reference import Reference
-from edge.core.contact.rules import ContactSettings
+from edge.core.contact.settings import ContactSettings
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.decode import decode_view

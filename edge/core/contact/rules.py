@@ -19,7 +19,6 @@ from edge.core.contact.events import (
     ReferenceCorrected,
     ReferenceDoubted,
     ReferenceReady,
-    ReferenceRefreshed,
     StartedTouched,
     TriggerRepeated,
     TriggerWithoutContact,
@@ -28,36 +27,10 @@ from edge.core.contact.mask import Touch
 from edge.core.contact.rest import Observation, Window, changed_too_much
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.signals import ADDS_STRUCTURE, level_of, signal_of
-from edge.core.contact.table import TABLE, Signal, State, table_markdown
+from edge.core.contact.table import TABLE, Signal, State
 from edge.core.contact.track import IDLE, LEARNING, PRESSED, UNJUDGED, WATCHED, Track
 
-__all__ = [
-    "TABLE",
-    "ContactSettings",
-    "Event",
-    "NotSettledReason",
-    "Observation",
-    "PressBegan",
-    "PressEnded",
-    "PressNotSettled",
-    "PressSettled",
-    "ReferenceCorrected",
-    "ReferenceDoubted",
-    "ReferenceReady",
-    "ReferenceRefreshed",
-    "Signal",
-    "StartedTouched",
-    "State",
-    "Touch",
-    "Track",
-    "TriggerRepeated",
-    "TriggerWithoutContact",
-    "gap",
-    "relearn",
-    "step",
-    "table_markdown",
-    "trigger",
-]
+__all__ = ["gap", "relearn", "step", "trigger"]
 
 
 def step(track: Track, seen: Observation, settings: ContactSettings) -> tuple[Track, tuple[Event, ...]]:

@@ -1,78 +1,26 @@
-"""The contact table and its rules, on numbers alone."""
+"""The contact table, and what a press goes through, on numbers alone."""
 
-import random
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from contact_frames import FAINT, FREE, MS, PRESSED, RULES, at, free, names, run, seen, unconfirmed
 
-from edge.core.contact.rules import (
-    TABLE,
-    ContactSettings,
-    Event,
+from edge.core.contact.events import (
     NotSettledReason,
-    Observation,
     PressBegan,
-    PressEnded,
     PressNotSettled,
     PressSettled,
     ReferenceReady,
-    Signal,
     StartedTouched,
-    State,
-    Touch,
-    Track,
     TriggerRepeated,
     TriggerWithoutContact,
-    gap,
-    relearn,
-    step,
-    table_markdown,
-    trigger,
 )
-
-RULES = ContactSettings()
-FREE, FAINT, PRESSED = 0.0, 0.007, 0.10
-MS = 1_000_000
-
-
-def seen(
-    at_ms: float, area: float | None, change: float = 0.0, motion: float = 0.001, sequence: int = -1
-) -> Observation:
-    """One frame; its sequence is its time in milliseconds unless given."""
-    touch = None if area is None else Touch(area)
-    return Observation(round(at_ms * MS), int(at_ms) if sequence < 0 else sequence, touch, change, motion)
-
-
-def run(
-    track: Track, frames: Iterable[Observation], rules: ContactSettings = RULES
-) -> tuple[Track, list[Event]]:
-    events: list[Event] = []
-    for frame in frames:
-        track, new = step(track, frame, rules)
-        events += new
-    return track, events
-
-
-def at(start_ms: int, areas: Iterable[float], spacing_ms: int = 40, change: float = 0.0) -> list[Observation]:
-    return [seen(start_ms + i * spacing_ms, area, change) for i, area in enumerate(areas)]
-
-
-def free() -> Track:
-    return Track(state=State.NO_CONTACT, last_ns=0, still_frames=1, is_confirmed=True)
-
-
-def unconfirmed() -> Track:
-    """A reference that nothing has confirmed, as after a first start."""
-    return replace(free(), is_confirmed=False)
-
-
-def names(events: Iterable[Event]) -> list[str]:
-    return [type(event).__name__ for event in events]
-
+from edge.core.contact.rest import Observation
+from edge.core.contact.rules import gap, relearn, step, trigger
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.table import TABLE, Signal, State, table_markdown
+from edge.core.contact.track import Track
 
 # The table.
 
@@ -194,82 +142,6 @@ def test_a_tap_is_not_settled() -> None:
     assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
     assert isinstance(events[1], PressNotSettled)
     assert events[1].reason is NotSettledReason.RELEASED
-
-
-def pressed(at_ms: float, strength: float, motion: float = 0.01, change: float = 0.0) -> Observation:
-    """A frame of a press as deep as this; its sequence is its time in milliseconds."""
-    return replace(seen(at_ms, PRESSED, change, motion), strength=strength)
-
-
-def ramped(spacing_ms: float, ramp_ms: float, hold_ms: float) -> list[Observation]:
-    """A press that deepens evenly to 10 and is held; a part that moves so slowly changes few pixels in a frame."""
-    times = [k * spacing_ms for k in range(1, int((ramp_ms + hold_ms) / spacing_ms) + 1)]
-    return [pressed(40 + t, 10 * min(t / ramp_ms, 1.0)) for t in times]
-
-
-@pytest.mark.parametrize("fps", [5.0, 10.0, 15.0, 18.75, 25.0, 30.0, 60.0])
-@pytest.mark.parametrize("ramp_ms", [300, 1000, 2000])
-def test_a_slow_ramp_is_no_rest(fps: float, ramp_ms: float) -> None:
-    """Whatever the frame rate, the frame that is scored lies in the hold."""
-    _, events = run(free(), ramped(1000 / fps, ramp_ms, 800))
-    chosen = [e.sequence for e in events if isinstance(e, PressSettled)]
-    assert len(chosen) == 1
-    assert chosen[0] >= 40 + 0.95 * ramp_ms
-
-
-@pytest.mark.parametrize("fps", [5.0, 15.0, 60.0])
-def test_rest_is_as_long_at_any_frame_rate(fps: float) -> None:
-    """From the last growth to the decision 0.2 s pass, and at most two frames more."""
-    _, events = run(free(), ramped(1000 / fps, 1000, 1500))
-    [decided] = [e.timestamp_ns / 1e9 for e in events if isinstance(e, PressSettled)]
-    assert 1.04 + 0.15 <= decided <= 1.04 + 0.25 + 2 / fps
-
-
-def test_a_press_lifted_while_it_deepens_is_not_settled() -> None:
-    """It never rested: counted, and rejected."""
-    _, events = run(free(), [*ramped(40, 1500, 0), *at(1600, [FREE] * 5)])
-    assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
-
-
-def test_texture_that_deepens_is_growth() -> None:
-    """The outline of a soft part may rest while its texture still sinks in."""
-    frames = [replace(pressed(40 + 40 * k, 10.0), texture=0.2 * min(k, 20)) for k in range(40)]
-    _, events = run(free(), frames)
-    [decided] = [e for e in events if isinstance(e, PressSettled)]
-    assert decided.sequence >= 40 + 40 * 18
-
-
-def test_the_deepest_frame_at_rest_is_scored() -> None:
-    """A hand trembles: the frames at rest differ in depth. Of those as deep, the stillest; of equals the later."""
-    depths = [10.0, 9.5, 10.4, 9.6, 10.0, 9.8]
-    frames = [pressed(40 + k * 40, depth) for k, depth in enumerate(depths)]
-    _, events = run(free(), frames)
-    assert [e.sequence for e in events if isinstance(e, PressSettled)] == [120]
-    motions = [0.9, 0.05, 0.01, 0.03, 0.01, 0.03]
-    level = [pressed(40 + k * 40, 10.0, motion) for k, motion in enumerate(motions)]
-    _, events = run(free(), level)
-    assert [e.sequence for e in events if isinstance(e, PressSettled)] == [200]
-
-
-def test_a_part_that_is_being_lifted_does_not_rest() -> None:
-    """Slowly up again after a ramp: no frame of it is at rest."""
-    lifted = [pressed(1040 + k * 40, 10.0 * (1 - k / 25)) for k in range(1, 20)]
-    _, events = run(free(), [*ramped(40, 1000, 0), *lifted, *at(1900, [FREE] * 5)])
-    assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
-
-
-def test_a_slide_is_no_rest() -> None:
-    """More than a fifth of the touched pixels have changed in 0.2 s, though the depth is the same."""
-    frames = [pressed(40 + 40 * k, 10.0, change=0.021 if k < 40 else 0.019) for k in range(50)]
-    _, events = run(free(), frames)
-    [decided] = [e for e in events if isinstance(e, PressSettled)]
-    assert decided.timestamp_ns == (40 + 40 * 40) * MS
-
-
-def test_a_long_ramp_has_all_its_time() -> None:
-    """The timeout runs from the last growth: a part that takes six seconds to go down settles."""
-    _, events = run(free(), ramped(40, 6000, 600))
-    assert names(events) == ["PressBegan", "PressSettled"]
 
 
 # Light contact.
@@ -452,149 +324,3 @@ def test_relearning_closes_a_press() -> None:
     assert track.state is State.WARM_UP
     track, _ = run(free(), at(40, [PRESSED] * 10))
     assert names(relearn(track)[1]) == ["PressEnded"]
-
-
-# Properties.
-
-
-def check_grammar(events: Iterable[Event]) -> None:
-    """began (settled | not settled) ended, again and again; the last press may be unfinished."""
-    expected: tuple[type, ...] = (PressBegan,)
-    following: dict[type, tuple[type, ...]] = {
-        PressBegan: (PressSettled, PressNotSettled),
-        PressSettled: (PressEnded,),
-        PressNotSettled: (PressEnded,),
-        PressEnded: (PressBegan,),
-    }
-    for event in events:
-        if type(event) in following:
-            assert isinstance(event, expected), f"{event} where {expected} was due"
-            expected = following[type(event)]
-
-
-HAPPENINGS = st.one_of(
-    st.tuples(
-        st.sampled_from([FREE, FAINT, PRESSED, 0.9]),
-        st.sampled_from([0.0, 0.01, 0.5]),
-        st.integers(1, 400),
-        st.booleans(),
-    ),
-    st.sampled_from(["gap", "trigger", "relearn"]),
-)
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.lists(HAPPENINGS, max_size=120), st.booleans(), st.sampled_from(list(State)))
-def test_whatever_happens_each_press_has_one_verdict(
-    happenings: list[tuple[float, float, int, bool] | str], is_external: bool, state: State
-) -> None:
-    """Any frames at any times with any interruption: the events keep their grammar and name no frame twice."""
-    track = Track() if state in (State.WARM_UP, State.BASELINE) else free()
-    rules = ContactSettings(is_external=is_external, warm_up_s=0.1, baseline_frames=2, recovery_s=0.5)
-    events: list[Event] = []
-    now = 0
-    for sequence, happening in enumerate(happenings):
-        if isinstance(happening, str):
-            track, new = {"gap": gap, "trigger": trigger, "relearn": relearn}[happening](track)
-        else:
-            area, change, wait_ms, is_black = happening
-            now += wait_ms * MS
-            frame = Observation(now, sequence, Touch(area), change, change, is_black and area == 0.9)
-            track, new = step(track, frame, rules)
-        events += new
-    check_grammar(events)
-    scored = [e.sequence for e in events if isinstance(e, PressSettled)]
-    assert len(scored) == len(set(scored))
-    assert scored == sorted(scored)
-
-
-@dataclass(frozen=True)
-class Press:
-    """One press of a robot: ramp down, hold, ramp up, and the free time after it, seconds."""
-
-    ramp_s: float
-    hold_s: float
-    free_s: float
-
-
-def depth_at(t: float, presses: list[Press], start: float) -> float:
-    """Depth of the part, 0 to 1, at a time."""
-    if t < start:
-        return 0.0
-    for press in presses:
-        for length, depth in (
-            (press.ramp_s, lambda x: x),
-            (press.hold_s, lambda x: 1.0),
-            (press.ramp_s, lambda x: 1.0 - x),
-            (press.free_s, lambda x: 0.0),
-        ):
-            if t < start + length:
-                return depth((t - start) / length)
-            start += length
-    return 0.0
-
-
-@settings(max_examples=150, deadline=None)
-@given(
-    fps=st.floats(5, 60),
-    presses=st.lists(
-        st.builds(Press, st.floats(0.05, 0.6), st.floats(1.4, 3.0), st.floats(1.0, 6.0)),
-        min_size=1,
-        max_size=4,
-    ),
-    seed=st.integers(0, 2**32 - 1),
-    drop=st.floats(0.0, 0.25),
-    noise=st.floats(0.0, 0.0015),
-)
-def test_each_press_is_settled_once_at_any_frame_rate(
-    fps: float, presses: list[Press], seed: int, drop: float, noise: float
-) -> None:
-    """5 to 60 frames a second with jitter, drops and noise: one settled frame per press, taken during its hold."""
-    rng = random.Random(seed)
-    track, events = free(), list[Event]()
-    times: dict[int, float] = {}
-    clock, last, end = 0.0, 0.0, 1.0 + sum(2 * p.ramp_s + p.hold_s + p.free_s for p in presses)
-    was_dropped = False
-    sequence = 0
-    while clock < end:
-        clock += rng.uniform(0.7, 1.3) / fps
-        sequence += 1
-        was_dropped = not was_dropped and rng.random() < drop
-        if was_dropped:
-            continue
-        depth = depth_at(clock, presses, 1.0)
-
-        anchor = track.window.anchor(round(clock * 1e9), RULES)
-        rested = times[anchor.sequence] if anchor else -1.0
-
-        def changed(earlier: float, depth: float = depth) -> float:
-            moved = 0.1 * abs(depth - depth_at(earlier, presses, 1.0))
-            return min(1.0, moved + rng.uniform(0, noise))
-
-        area = 0.1 * depth + rng.uniform(0, noise)
-        frame = replace(
-            Observation(round(clock * 1e9), sequence, Touch(area), changed(rested), changed(last)),
-            strength=10 * depth,
-        )
-        track, new = step(track, frame, RULES)
-        last, times[sequence] = clock, clock
-        events += new
-    check_grammar(events)
-    settled = [e for e in events if isinstance(e, PressSettled)]
-    assert len(settled) == len(presses)
-    assert sum(isinstance(e, PressBegan) for e in events) == len(presses)
-    for event in settled:
-        assert depth_at(times[event.sequence], presses, 1.0) > 0.9
-
-
-def test_settings_refuse_nonsense() -> None:
-    """Levels that cross, shares beyond 1, times that run backwards."""
-    for make in (
-        lambda: ContactSettings(on_area=0.001),
-        lambda: ContactSettings(still_share=1.5),
-        lambda: ContactSettings(onset_s=-1),
-        lambda: ContactSettings(settle_timeout_s=0.1),
-        lambda: ContactSettings(min_frames=0),
-    ):
-        with pytest.raises(ValueError, match="found"):
-            make()

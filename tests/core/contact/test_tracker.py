@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.core.contact.reference import Reference, View
-from edge.core.contact.rules import (
-    ContactSettings,
+from edge.core.contact.events import (
     Event,
     PressBegan,
     PressEnded,
@@ -17,8 +15,10 @@ from edge.core.contact.rules import (
     ReferenceReady,
     ReferenceRefreshed,
     StartedTouched,
-    State,
 )
+from edge.core.contact.reference import Reference, View
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
 
 SECOND = 1_000_000_000

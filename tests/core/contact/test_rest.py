@@ -1,0 +1,80 @@
+"""When a press rests, and which of its frames is scored."""
+
+from dataclasses import replace
+
+import pytest
+from contact_frames import FREE, MS, at, free, names, pressed, run
+
+from edge.core.contact.events import PressSettled
+from edge.core.contact.rest import Observation
+
+
+def ramped(spacing_ms: float, ramp_ms: float, hold_ms: float) -> list[Observation]:
+    """A press that deepens evenly to 10 and is held; a part that moves so slowly changes few pixels in a frame."""
+    times = [k * spacing_ms for k in range(1, int((ramp_ms + hold_ms) / spacing_ms) + 1)]
+    return [pressed(40 + t, 10 * min(t / ramp_ms, 1.0)) for t in times]
+
+
+@pytest.mark.parametrize("fps", [5.0, 10.0, 15.0, 18.75, 25.0, 30.0, 60.0])
+@pytest.mark.parametrize("ramp_ms", [300, 1000, 2000])
+def test_a_slow_ramp_is_no_rest(fps: float, ramp_ms: float) -> None:
+    """Whatever the frame rate, the frame that is scored lies in the hold."""
+    _, events = run(free(), ramped(1000 / fps, ramp_ms, 800))
+    chosen = [e.sequence for e in events if isinstance(e, PressSettled)]
+    assert len(chosen) == 1
+    assert chosen[0] >= 40 + 0.95 * ramp_ms
+
+
+@pytest.mark.parametrize("fps", [5.0, 15.0, 60.0])
+def test_rest_is_as_long_at_any_frame_rate(fps: float) -> None:
+    """From the last growth to the decision 0.2 s pass, and at most two frames more."""
+    _, events = run(free(), ramped(1000 / fps, 1000, 1500))
+    [decided] = [e.timestamp_ns / 1e9 for e in events if isinstance(e, PressSettled)]
+    assert 1.04 + 0.15 <= decided <= 1.04 + 0.25 + 2 / fps
+
+
+def test_a_press_lifted_while_it_deepens_is_not_settled() -> None:
+    """It never rested: counted, and rejected."""
+    _, events = run(free(), [*ramped(40, 1500, 0), *at(1600, [FREE] * 5)])
+    assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
+
+
+def test_texture_that_deepens_is_growth() -> None:
+    """The outline of a soft part may rest while its texture still sinks in."""
+    frames = [replace(pressed(40 + 40 * k, 10.0), texture=0.2 * min(k, 20)) for k in range(40)]
+    _, events = run(free(), frames)
+    [decided] = [e for e in events if isinstance(e, PressSettled)]
+    assert decided.sequence >= 40 + 40 * 18
+
+
+def test_the_deepest_frame_at_rest_is_scored() -> None:
+    """A hand trembles: the frames at rest differ in depth. Of those as deep, the stillest; of equals the later."""
+    depths = [10.0, 9.5, 10.4, 9.6, 10.0, 9.8]
+    frames = [pressed(40 + k * 40, depth) for k, depth in enumerate(depths)]
+    _, events = run(free(), frames)
+    assert [e.sequence for e in events if isinstance(e, PressSettled)] == [120]
+    motions = [0.9, 0.05, 0.01, 0.03, 0.01, 0.03]
+    level = [pressed(40 + k * 40, 10.0, motion) for k, motion in enumerate(motions)]
+    _, events = run(free(), level)
+    assert [e.sequence for e in events if isinstance(e, PressSettled)] == [200]
+
+
+def test_a_part_that_is_being_lifted_does_not_rest() -> None:
+    """Slowly up again after a ramp: no frame of it is at rest."""
+    lifted = [pressed(1040 + k * 40, 10.0 * (1 - k / 25)) for k in range(1, 20)]
+    _, events = run(free(), [*ramped(40, 1000, 0), *lifted, *at(1900, [FREE] * 5)])
+    assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
+
+
+def test_a_slide_is_no_rest() -> None:
+    """More than a fifth of the touched pixels have changed in 0.2 s, though the depth is the same."""
+    frames = [pressed(40 + 40 * k, 10.0, change=0.021 if k < 40 else 0.019) for k in range(50)]
+    _, events = run(free(), frames)
+    [decided] = [e for e in events if isinstance(e, PressSettled)]
+    assert decided.timestamp_ns == (40 + 40 * 40) * MS
+
+
+def test_a_long_ramp_has_all_its_time() -> None:
+    """The timeout runs from the last growth: a part that takes six seconds to go down settles."""
+    _, events = run(free(), ramped(40, 6000, 600))
+    assert names(events) == ["PressBegan", "PressSettled"]

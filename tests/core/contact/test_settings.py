@@ -1,0 +1,18 @@
+"""The settings of the contact rules."""
+
+import pytest
+
+from edge.core.contact.settings import ContactSettings
+
+
+def test_settings_refuse_nonsense() -> None:
+    """Levels that cross, shares beyond 1, times that run backwards."""
+    for make in (
+        lambda: ContactSettings(on_area=0.001),
+        lambda: ContactSettings(still_share=1.5),
+        lambda: ContactSettings(onset_s=-1),
+        lambda: ContactSettings(settle_timeout_s=0.1),
+        lambda: ContactSettings(min_frames=0),
+    ):
+        with pytest.raises(ValueError, match="found"):
+            make()

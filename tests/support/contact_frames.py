@@ -1,0 +1,56 @@
+"""Frames for the contact rules, as numbers: one press or several, at any rate."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from edge.core.contact.events import Event
+from edge.core.contact.mask import Touch
+from edge.core.contact.rest import Observation
+from edge.core.contact.rules import step
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.table import State
+from edge.core.contact.track import Track
+
+RULES = ContactSettings()
+FREE, FAINT, PRESSED = 0.0, 0.007, 0.10
+MS = 1_000_000
+
+
+def seen(
+    at_ms: float, area: float | None, change: float = 0.0, motion: float = 0.001, sequence: int = -1
+) -> Observation:
+    """One frame; its sequence is its time in milliseconds unless given."""
+    touch = None if area is None else Touch(area)
+    return Observation(round(at_ms * MS), int(at_ms) if sequence < 0 else sequence, touch, change, motion)
+
+
+def run(
+    track: Track, frames: Iterable[Observation], rules: ContactSettings = RULES
+) -> tuple[Track, list[Event]]:
+    events: list[Event] = []
+    for frame in frames:
+        track, new = step(track, frame, rules)
+        events += new
+    return track, events
+
+
+def at(start_ms: int, areas: Iterable[float], spacing_ms: int = 40, change: float = 0.0) -> list[Observation]:
+    return [seen(start_ms + i * spacing_ms, area, change) for i, area in enumerate(areas)]
+
+
+def free() -> Track:
+    return Track(state=State.NO_CONTACT, last_ns=0, still_frames=1, is_confirmed=True)
+
+
+def unconfirmed() -> Track:
+    """A reference that nothing has confirmed, as after a first start."""
+    return replace(free(), is_confirmed=False)
+
+
+def names(events: Iterable[Event]) -> list[str]:
+    return [type(event).__name__ for event in events]
+
+
+def pressed(at_ms: float, strength: float, motion: float = 0.01, change: float = 0.0) -> Observation:
+    """A frame of a press as deep as this; its sequence is its time in milliseconds."""
+    return replace(seen(at_ms, PRESSED, change, motion), strength=strength)
