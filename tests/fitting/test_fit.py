@@ -41,6 +41,19 @@ def config(**changes: object) -> FitConfig:
     return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
 
 
+class WatchedDetector(tiny.TinyDetector):
+    """Keeps what each of its fits was given."""
+
+    def __init__(self) -> None:
+        self.fitted: list[Nominal] = []
+
+    def fit(
+        self, nominal: Nominal, grid: Grid, parameters: object, rng: np.random.Generator, progress: Progress
+    ) -> Bank:
+        self.fitted.append(nominal)
+        return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
+
+
 def test_the_bank_is_the_mean_of_the_presses() -> None:
     """Worked by hand: the tiny detector's bank is the mean colour of each 8x8 cell over all presses."""
     nominal = presses(6)
@@ -134,21 +147,10 @@ def test_no_bundle_passes_a_black_frame() -> None:
 
 def test_a_fold_has_the_room_of_its_share_of_the_presses() -> None:
     """The bank of all has 1, the banks of four fifths of them four fifths."""
-    rooms: list[float] = []
+    watched = WatchedDetector()
+    fit_files(presses(20), config(detector=watched), created="")
 
-    class Watching(tiny.TinyDetector):
-        def fit(
-            self,
-            nominal: Nominal,
-            grid: Grid,
-            parameters: object,
-            rng: np.random.Generator,
-            progress: Progress,
-        ) -> Bank:
-            rooms.append(nominal.room)
-            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
-
-    fit_files(presses(20), config(detector=Watching()), created="")
+    rooms = [nominal.room for nominal in watched.fitted]
     assert rooms == pytest.approx([1.0, 0.8, 0.8, 0.8, 0.8, 0.8])
 
 
@@ -283,21 +285,10 @@ def test_features_that_are_not_finite_are_refused() -> None:
 
 def test_as_many_folds_as_presses_leave_one_out() -> None:
     """Six folds of six presses; one fold would leave nothing to learn from."""
-    sizes: list[int] = []
+    watched = WatchedDetector()
+    fit_files(presses(6), config(detector=watched, folds=6), created="")
+    sizes = [nominal.presses for nominal in watched.fitted]
 
-    class Counting(tiny.TinyDetector):
-        def fit(
-            self,
-            nominal: Nominal,
-            grid: Grid,
-            parameters: object,
-            rng: np.random.Generator,
-            progress: Progress,
-        ) -> Bank:
-            sizes.append(nominal.presses)
-            return super().fit(nominal, grid, parameters, rng, progress)  # type: ignore[arg-type]
-
-    fit_files(presses(6), config(detector=Counting(), folds=6), created="")
     assert sizes == [6, 5, 5, 5, 5, 5, 5]
     with pytest.raises(FitError, match="at least 2 folds"):
         config(folds=1)
