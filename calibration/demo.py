@@ -158,7 +158,7 @@ class _Tally:
         typer.echo(f"\ngel ledger: {self.gel}")
         typer.echo(
             f"verdicts:   {caught} of {n_damaged} damaged presses failed, "
-            f"{passed} of {len(self.damaged) - n_damaged} good ones passed"
+            f"{passed} of {len(self.damaged) - n_damaged} sound ones passed"
         )
         typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
 
