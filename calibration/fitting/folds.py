@@ -31,7 +31,7 @@ def held_out_folds(
     if pieces >= MIN_PIECES and n - max(len(held) for held in found) >= MIN_PRESSES - 1:
         return found, []
     warning = (
-        f"the presses are of {pieces} piece{'' if pieces == 1 else 's'}, too few to hold a complete one out: the threshold "
+        f"the presses are of {pieces} piece{'' if pieces == 1 else 's'}, too few to hold one out: the threshold "
         f"knows nothing of other pieces; press at least {MIN_PIECES} pieces, several times each"
     )
     return folds((None,) * n, count, rng), [warning]
