@@ -3,17 +3,55 @@
 A random ResNet whose batch norms fit its inputs separates edges and textures, so a detector can use it.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from plugins.backbones.reference import forward
-from plugins.backbones.resnet import NORM_EPS
+from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS, build_trunk
 from plugins.backbones.topology import Conv, State, expected_shapes, topology
 
-__all__ = ["random_state"]
+__all__ = ["RandomBackbone", "random_state", "wide_resnet50_2_random"]
 
 # Decimals of the statistics: sums differ in their last bits between machines, weights should not.
 DECIMALS = 2
+
+
+@dataclass(frozen=True)
+class RandomBackbone:
+    """A backbone under the entry points `gelgate.backbones`, with random weights, as its name and facts say.
+
+    Trained ones come from the user: `gelgate export backbone CHECKPOINT -o trunk.onnx`, then `--backbone trunk.onnx`.
+    """
+
+    name: str
+    topology: str
+    seed: int = 0
+
+    def facts(self) -> dict[str, object]:
+        """What a manifest records with the trunk's SHA-256."""
+        return {
+            "topology": self.topology,
+            "weights": f"random weights, seed {self.seed}",
+            "mean": list(IMAGENET_MEAN),
+            "std": list(IMAGENET_STD),
+        }
+
+    def trunk(self, taps: Sequence[str] = TAPS) -> bytes:
+        """The serialised trunk with these taps of the topology. Errors: ConfigError for another tap."""
+        return _trunk(self.topology, tuple(taps), self.seed)
+
+
+# The seed paper's network; its ImageNet weights are not part of the product.
+wide_resnet50_2_random = RandomBackbone("wide_resnet50_2_random", "wide_resnet50_2")
+
+
+@cache
+def _trunk(topology_name: str, taps: tuple[str, ...], seed: int) -> bytes:
+    return build_trunk(random_state(topology_name, seed), topology_name, taps)
 
 
 def random_state(topology_name: str, seed: int = 0) -> State:

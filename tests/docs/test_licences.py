@@ -24,7 +24,7 @@ BASE, EXTRAS = (
 
 # How packages without a licence expression write theirs: SPDX name -> what their metadata says.
 OLD_WORDS = {
-    "Apache-2.0": r"Apache 2\.0|Apache Software License",
+    "Apache-2.0": r"Apache 2\.0|Apache Software License|Apache License, Version 2\.0",
     "BSD-2-Clause": r"BSD License",
     "BSD-3-Clause": r"BSD License|3-Clause BSD",
     "GPL-3.0-only": r"GNU General Public License v3",
@@ -64,6 +64,8 @@ def declared(name: str) -> tuple[str | None, str]:
         found.get("License", ""),
         *(one for one in found.get_all("Classifier", []) if "License ::" in one),
     ]
+    if words == ["UNKNOWN"]:  # an old package that names its licence in the licence file alone
+        words.append(distribution(name).read_text("LICENSE") or "")
     return found.get("License-Expression"), " ".join(words)
 
 
