@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge import registry
 from edge.core.contact.settings import ContactSettings
@@ -53,11 +53,24 @@ class InspectionTable(_Table):
     """What is inspected."""
 
     bundle: Path = Field(description="folder or .zip made by `gelgate fit`")
+    signed: Literal["allowed", "required"] = Field(
+        default="allowed",
+        description="required: a bundle without the signature of a trusted key is refused; see security.md",
+    )
+    trusted_keys: Path | None = Field(
+        default=None, description="folder of <name>.pub: the makers whose bundles are trusted"
+    )
     threads: int = Field(default=2, ge=1, le=64, description="threads that score one press")
     trigger: Literal["automatic", "command"] = Field(
         default="automatic",
         description="automatic: every press is scored; command: only one that `cmd/trigger` asks for",
     )
+
+    @model_validator(mode="after")
+    def _required_of_someone(self) -> "InspectionTable":
+        if self.signed == "required" and self.trusted_keys is None:
+            raise ValueError('signed = "required" needs trusted_keys, the folder of its makers\' <name>.pub')
+        return self
 
 
 class ContactTable(_Table):
@@ -194,7 +207,13 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
 
 def _with_paths_from(folder: Path, config: Config) -> Config:
     """The same configuration with every relative path, also in plugin options, taken from the folder of its file."""
-    inspection = config.inspection.model_copy(update={"bundle": folder / config.inspection.bundle})
+    keys = config.inspection.trusted_keys
+    inspection = config.inspection.model_copy(
+        update={
+            "bundle": folder / config.inspection.bundle,
+            "trusted_keys": None if keys is None else folder / keys,
+        }
+    )
     store = config.store.model_copy(update={"path": folder / config.store.path})
     device = _with_options_from(folder, "devices", config.device)
     sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]

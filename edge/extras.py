@@ -7,7 +7,12 @@ from edge.core.errors import ConfigError
 __all__ = ["is_installed", "needs"]
 
 # The package to import, by the extra of `pip install` that brings it.
-_PACKAGES = {"export": ("onnx",), "benchmark": ("onnx", "jinja2"), "train": ("torch", "onnx", "jinja2")}
+_PACKAGES = {
+    "export": ("onnx",),
+    "benchmark": ("onnx", "jinja2"),
+    "train": ("torch", "onnx", "jinja2"),
+    "signing": ("cryptography",),
+}
 
 
 def is_installed(package: str) -> bool:

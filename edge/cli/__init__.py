@@ -48,7 +48,8 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 # `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
 _ORDER: Final = (
     "demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run", "watch", "gel",
-    "inspect", "verify", "export", "wrap", "topics", "docs", "install-service", "train-backbone", "evaluate-backbone",
+    "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
+    "train-backbone", "evaluate-backbone",
 )  # fmt: skip
 
 # Errors of a disk that is full, read-only or faulty; such an error names no file.

@@ -16,12 +16,17 @@ TrunkStore = Annotated[
     typer.Option("--trunks", help="Folder of <sha256>.onnx files, for bundles without their trunk."),
 ]
 
+TrustedKeys = Annotated[
+    Path | None, typer.Option("--keys", help="Folder of <name>.pub: check the signature against these keys.")
+]
+
 VERIFICATION_FAILED = 5
 
 
 def inspect(
     bundle: BundlePath,
     as_json: Annotated[bool, typer.Option("--json", help="Print the complete manifest as JSON.")] = False,
+    keys: TrustedKeys = None,
 ) -> None:
     """Show what a bundle contains, from its manifest.
 
@@ -31,6 +36,7 @@ def inspect(
 
     from edge.model.archive import MANIFEST, open_archive
     from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+    from edge.model.signature import Trust, trusted_keys
 
     archive = open_archive(bundle)
     raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
@@ -38,7 +44,8 @@ def inspect(
     if as_json:
         typer.echo(manifest.model_dump_json(indent=2))
         return
-    rows = [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest())]
+    signature = Trust(keys=trusted_keys(keys) if keys else {}).check(archive, raw).text
+    rows = [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest()), ("signature", signature)]
     width = max(len(label) for label, _ in rows)
     for label, value in rows:
         typer.echo(f"{label:<{width}}  {value}")
@@ -150,17 +157,22 @@ def verify(
     bundle: BundlePath,
     trunks: TrunkStore = None,
     threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
+    keys: TrustedKeys = None,
 ) -> None:
     """Check a bundle's files and its scores on this machine.
 
-    Checked: schema, every hash, the graphs, the scores of the golden frames. Exit code 5 when a check fails.
+    Checked: signature, schema, every hash, the graphs, the scores of the golden frames. With --keys an unsigned bundle
+    fails. Exit code 5 when a check fails.
     """
     from edge.core.errors import BundleError
     from edge.model.bundle import Bundle
     from edge.model.scorer import Scorer
+    from edge.model.signature import Trust, trusted_keys
 
+    trust = Trust("required", trusted_keys(keys)) if keys else Trust()
     try:
-        checked = Bundle.load(bundle, trunks)
+        checked = Bundle.load(bundle, trunks, trust=trust)
+        typer.echo(f"signature: {checked.signature.text}")
         typer.echo(f"manifest schema {checked.manifest.schema_version}: known")
         typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 is correct")
         scorer = Scorer(checked, threads)

@@ -8,14 +8,21 @@ from edge.core.plugins import PlaysRecording
 from edge.core.ports import Clock, Device
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
+from edge.model.signature import Trust, trusted_keys
 from edge.recording.format import Recording
 
 __all__ = ["device_opener", "open_scorer", "played_recording"]
 
 
 def open_scorer(config: Config) -> tuple[Scorer, float]:
-    """The configured bundle, ready to score, and the largest difference of its golden scores. Errors: BundleError."""
-    scorer = Scorer(Bundle.load(config.inspection.bundle), threads=config.inspection.threads)
+    """The configured bundle, ready to score, and the largest difference of its golden scores.
+
+    Errors: BundleError; ConfigError for the trusted keys.
+    """
+    inspection = config.inspection
+    keys = {} if inspection.trusted_keys is None else trusted_keys(inspection.trusted_keys)
+    bundle = Bundle.load(inspection.bundle, trust=Trust(inspection.signed, keys))
+    scorer = Scorer(bundle, threads=inspection.threads)
     return scorer, scorer.check_golden()
 
 

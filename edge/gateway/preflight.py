@@ -76,7 +76,7 @@ class Preflight:
         return (
             f"{manifest.part}/{manifest.position}, {manifest.method} ({manifest.mode}), threshold "
             f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
-            f"(within {worst:.1e})"
+            f"(within {worst:.1e}); {bundle.signature.text}"
         )
 
     def open_sensor(self, config: Config, clock: Clock) -> str:

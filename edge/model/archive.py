@@ -15,7 +15,7 @@ from typing import Protocol
 
 from edge.core.errors import BundleCorrupt
 
-__all__ = ["MANIFEST", "Archive", "open_archive", "write_archive", "write_file"]
+__all__ = ["MANIFEST", "Archive", "add_file", "open_archive", "write_archive", "write_file"]
 
 MANIFEST = "manifest.json"
 
@@ -34,6 +34,10 @@ class Archive(Protocol):
     @property
     def where(self) -> str: ...
 
+    def has(self, name: str) -> bool:
+        """Whether there is anything of that name."""
+        ...
+
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
         """The bytes of one file. Errors: BundleCorrupt when missing, larger than the limit, or not a plain file."""
         ...
@@ -43,6 +47,9 @@ class _Folder:
     def __init__(self, path: Path) -> None:
         self.where = str(path)
         self._path = path
+
+    def has(self, name: str) -> bool:
+        return os.path.lexists(self._path / name)
 
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
         try:
@@ -85,6 +92,14 @@ class _Zip:
         if len(set(names)) < len(names):
             raise BundleCorrupt(f"bundle {path} holds a file twice; make the zip again")
         self._root = _zip_root(names)
+
+    def has(self, name: str) -> bool:
+        return self._root + name in self._zip.NameToInfo
+
+    def names(self) -> list[str]:
+        """Every file of the bundle."""
+        inside = (member.filename for member in self._zip.infolist() if not member.is_dir())
+        return [name.removeprefix(self._root) for name in inside if name.startswith(self._root)]
 
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
         try:
@@ -171,6 +186,19 @@ def write_archive(path: Path, files: Mapping[str, bytes], *, overwrite: bool = F
         _put_in_place(partial, path)
     finally:
         _remove(partial)
+
+
+def add_file(bundle: Path, name: str, data: bytes) -> None:
+    """Add one small file to a bundle, or replace it; at once or not at all.
+
+    A zip is written again as a whole. Errors: BundleCorrupt, OSError.
+    """
+    archive = open_archive(bundle)
+    if isinstance(archive, _Folder):
+        write_file(bundle / name, data)
+    elif isinstance(archive, _Zip):
+        files = {kept: archive.read(kept) for kept in archive.names() if kept != name}
+        write_archive(bundle, {**files, name: data}, overwrite=True)
 
 
 def write_file(path: Path, data: bytes) -> None:

@@ -9,7 +9,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from edge import registry
 from edge.core.contact.reference import Reference
 from edge.core.detector import Bank, Grid
-from edge.core.errors import BundleCorrupt, BundleMismatch, FitError, GelgateError
+from edge.core.errors import BundleCorrupt, BundleMismatch, FitError
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -35,9 +34,10 @@ from edge.model.manifest import (
     GoldenEntry,
     Manifest,
 )
-from edge.model.onnx_prune import cut_trunk
-from edge.model.onnx_validation import GraphRefused
 from edge.model.packing import Packed, pack, unpack
+from edge.model.signature import UNSIGNED, SignatureFinding, Trust
+from edge.model.trunk_store import read_trunk
+from edge.model.verified_files import read_verified
 
 __all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", "write_bundle"]
 
@@ -73,7 +73,7 @@ class Bundle:
     `graphs.trunk` is None where the caller has this trunk open already. free_gel: the region without contact, uint8 (h,
     w, 3), where tiles may be skipped. free_view: the whole gel without contact, as contact detection sees it, uint8
     (120, 160, 3). digest: SHA-256 of the manifest, the bundle's identity in every published result. where: path, for
-    messages.
+    messages. signature: who made it, as far as that was checked.
     """
 
     manifest: Manifest
@@ -84,20 +84,30 @@ class Bundle:
     where: str
     free_gel: NDArray[np.uint8] | None = None
     free_view: NDArray[np.uint8] | None = None
+    signature: SignatureFinding = UNSIGNED
 
     @classmethod
-    def load(cls, path: str | Path, trunks: Path | None = None, loaded: Container[str] = ()) -> "Bundle":
+    def load(
+        cls,
+        path: str | Path,
+        trunks: Path | None = None,
+        loaded: Container[str] = (),
+        trust: Trust = Trust(),  # noqa: B008  # frozen
+    ) -> "Bundle":
         """Read and verify a bundle, a folder or a zip.
 
         trunks: folder of `<sha256>.onnx`, for bundles sent without their trunk; then `trunks/` next to the bundle and
-        the installed backbones are tried. loaded: SHA-256 of trunks that are already open and are not read. Errors:
-        BundleCorrupt (which file, found, expected), BundleMismatch (from a newer program).
+        the installed backbones are tried. loaded: SHA-256 of trunks that are already open and are not read. trust:
+        whose bundles are accepted. Errors: BundleCorrupt (which file, found, expected), BundleMismatch (from a newer
+        program, or not signed as required).
         """
         archive = open_archive(Path(path))
         raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
+        signature = trust.check(archive, raw)
         manifest = parse_manifest(raw, archive.where)
         stores = [folder for folder in (trunks, Path(path).parent / "trunks") if folder is not None]
-        return cls._checked(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
+        bundle = cls._checked(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
+        return replace(bundle, signature=signature)
 
     @classmethod
     def in_memory(
@@ -117,9 +127,9 @@ class Bundle:
         cls, manifest: Manifest, digest: str, archive: Archive, stores: Sequence[Path], loaded: Container[str]
     ) -> "Bundle":
         graphs = Graphs(
-            trunk=_read_trunk(manifest, archive, stores, loaded),
-            head=_read(archive, manifest.head) if manifest.head else None,
-            detector=_read(archive, manifest.detector) if manifest.detector else None,
+            trunk=read_trunk(manifest, archive, stores, loaded),
+            head=read_verified(archive, manifest.head) if manifest.head else None,
+            detector=read_verified(archive, manifest.detector) if manifest.detector else None,
         )
         bank = {name: _read_array(archive, name, entry) for name, entry in manifest.bank.items()}
         golden = tuple(_read_golden(archive, entry, manifest.frame) for entry in manifest.golden)
@@ -276,61 +286,14 @@ def parse_manifest(raw: bytes, where: str) -> Manifest:
         ) from error
 
 
-def _read(archive: Archive, entry: FileEntry) -> bytes:
-    return _verified(archive.read(entry.file, entry.size_bytes), entry, archive.where)
-
-
-def _verified(data: bytes, entry: FileEntry, where: str) -> bytes:
-    found = hashlib.sha256(data).hexdigest()
-    if found != entry.sha256:
-        raise BundleCorrupt(
-            f"bundle {where}: {entry.file} has SHA-256 {found[:12]} ({len(data)} bytes), the manifest expects "
-            f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the complete bundle again"
-        )
-    return data
-
-
-def _read_trunk(
-    manifest: Manifest, archive: Archive, stores: Sequence[Path], loaded: Container[str]
-) -> bytes | None:
-    if manifest.backbone is None or manifest.backbone.trunk.sha256 in loaded:
-        return None
-    entry = manifest.backbone.trunk
-    if manifest.backbone.in_bundle:
-        return _read(archive, entry)
-    for store in stores:
-        file = store / f"{entry.sha256}.onnx"
-        if file.is_file():
-            stored = entry.model_copy(update={"file": file.name})
-            return _verified(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
-    installed = _installed_trunk(manifest.backbone, tuple(manifest.grid.taps) if manifest.grid else ())
-    if installed is not None:
-        return installed
-    raise BundleCorrupt(
-        f"bundle {archive.where} was sent without its trunk '{manifest.backbone.id}' and {entry.sha256[:12]} is not "
-        f"in {' or '.join(map(str, stores)) or 'any trunk store'}; copy it there as {entry.sha256}.onnx"
-    )
-
-
-def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | None:
-    """The trunk of an installed backbone of that name, complete or cut after these taps, if the hash is the same."""
-    if backbone.id not in registry.names("backbones"):
-        return None
-    try:
-        complete = registry.backbone(backbone.id).trunk()
-        candidates = (complete, cut_trunk(complete, taps))
-    except (GelgateError, GraphRefused, ImportError):
-        return None
-    wanted = backbone.trunk.sha256
-    return next((trunk for trunk in candidates if hashlib.sha256(trunk).hexdigest() == wanted), None)
-
-
 def _read_array(archive: Archive, name: str, entry: ArrayEntry) -> NDArray[Any]:
     stored_dtype = {"none": entry.dtype, "float16": "float16", "int8": "int8"}[entry.packing]
-    data = _parse_npy(_read(archive, entry.data), entry.data.file, stored_dtype, entry.shape, archive.where)
+    data = _parse_npy(
+        read_verified(archive, entry.data), entry.data.file, stored_dtype, entry.shape, archive.where
+    )
     scale = None
     if entry.scale is not None:
-        raw = _read(archive, entry.scale)
+        raw = read_verified(archive, entry.scale)
         scale = _parse_npy(raw, entry.scale.file, "float32", entry.shape[:-1], archive.where)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -374,7 +337,7 @@ def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -
 
 def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
     """A picture of the region, uint8 (h, w, 3) RGB."""
-    data = np.frombuffer(_read(archive, entry), np.uint8)
+    data = np.frombuffer(read_verified(archive, entry), np.uint8)
     bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
     if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
         raise BundleCorrupt(
@@ -388,6 +351,9 @@ def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) ->
 class _Memory:
     files: Mapping[str, bytes]
     where: str
+
+    def has(self, name: str) -> bool:
+        return name in self.files
 
     def read(self, name: str, limit: int = 0) -> bytes:
         return self.files[name]

@@ -1,0 +1,231 @@
+"""Who made a bundle: an Ed25519 signature over its manifest, which has the SHA-256 of every other file.
+
+`manifest.sig` is next to `manifest.json`. Ref: RFC 8032; `cryptography` computes it (extra `signing`).
+"""
+
+import base64
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
+
+from edge.core.errors import BundleCorrupt, BundleMismatch, ConfigError
+from edge.extras import needs
+from edge.model.archive import Archive
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+
+__all__ = [
+    "PRIVATE_SUFFIX",
+    "PUBLIC_SUFFIX",
+    "SIGNATURE",
+    "UNSIGNED",
+    "Policy",
+    "SignatureFinding",
+    "Trust",
+    "fingerprint",
+    "new_key",
+    "read_private_key",
+    "read_public_key",
+    "sign",
+    "trusted_keys",
+]
+
+SIGNATURE: Final = "manifest.sig"
+PRIVATE_SUFFIX, PUBLIC_SUFFIX = ".key", ".pub"
+
+# Signed before the manifest's bytes, so that no signature made for another purpose is one of a bundle.
+_CONTEXT: Final = b"gelgate bundle manifest v1\0"
+
+_MAX_BYTES: Final = 4096
+"""The largest signature and key file; a real one has some hundred bytes."""
+
+_FINGERPRINT_CHARACTERS: Final = 16
+
+Policy = Literal["allowed", "required"]
+
+
+class _SignatureFile(BaseModel):
+    """The content of `manifest.sig`. key: fingerprint of the public key. signature: base64 of 64 bytes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    algorithm: Literal["ed25519"]
+    key: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+    signature: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9+/]{86}==$")]
+
+
+@dataclass(frozen=True)
+class SignatureFinding:
+    """What is known of a bundle's maker. key: fingerprint, None if unsigned. is_trusted: signed with a trusted key."""
+
+    text: str
+    key: str | None = None
+    is_trusted: bool = False
+
+
+UNSIGNED: Final = SignatureFinding("not signed")
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Which bundles a gateway accepts. keys: fingerprint to (name, public key)."""
+
+    policy: Policy = "allowed"
+    keys: Mapping[str, tuple[str, "Ed25519PublicKey"]] = field(default_factory=dict)
+
+    def check(self, archive: Archive, manifest: bytes) -> SignatureFinding:
+        """Who signed these bytes of the manifest.
+
+        A signature by a trusted key that does not fit is refused under every policy. Errors: BundleCorrupt for such a
+        signature and for an unreadable file, BundleMismatch where a trusted signature is required and there is none.
+        """
+        if not archive.has(SIGNATURE):
+            return self._accepted(archive, UNSIGNED)
+        file = _parsed(archive.read(SIGNATURE, _MAX_BYTES), archive.where)
+        if file.key not in self.keys:
+            text = f"signed with key {file.key}, which is not among the trusted keys: not checked"
+            return self._accepted(archive, SignatureFinding(text, file.key))
+        name, key = self.keys[file.key]
+        if not _fits(key, base64.b64decode(file.signature), manifest):
+            raise BundleCorrupt(
+                f"bundle {archive.where}: the signature of '{name}' ({file.key}) does not fit manifest.json, so the "
+                "bundle was changed after it was signed; copy it again from its maker, or sign it again if the change "
+                "is yours"
+            )
+        return SignatureFinding(f"signed by '{name}' ({file.key})", file.key, is_trusted=True)
+
+    def _accepted(self, archive: Archive, finding: SignatureFinding) -> SignatureFinding:
+        if self.policy == "required":
+            known = ", ".join(f"'{name}' ({key})" for key, (name, _) in self.keys.items()) or "none"
+            raise BundleMismatch(
+                f'bundle {archive.where} is {finding.text}, and inspection.signed = "required"; trusted keys: {known}; '
+                "sign it with `gelgate sign`, or add its maker's key to inspection.trusted_keys"
+            )
+        return finding
+
+
+def trusted_keys(folder: Path) -> dict[str, tuple[str, "Ed25519PublicKey"]]:
+    """Every `<name>.pub` of a folder, by fingerprint. Errors: ConfigError for no key, or a file that is none."""
+    try:
+        files = sorted(folder.glob(f"*{PUBLIC_SUFFIX}")) if folder.is_dir() else []
+    except OSError as error:
+        raise ConfigError(f"the trusted keys in {folder} cannot be read: {error.strerror}") from error
+    if not files:
+        raise ConfigError(
+            f"there is no key in {folder}; it holds one <name>{PUBLIC_SUFFIX} per trusted maker, made by "
+            "`gelgate keys new`"
+        )
+    keys = [(file.stem, read_public_key(file)) for file in files]
+    return {fingerprint(key): (name, key) for name, key in keys}
+
+
+def sign(manifest: bytes, key: "Ed25519PrivateKey") -> bytes:
+    """The content of `manifest.sig` for these bytes of the manifest."""
+    signature = base64.b64encode(key.sign(_CONTEXT + manifest)).decode()
+    file = _SignatureFile(algorithm="ed25519", key=fingerprint(key.public_key()), signature=signature)
+    return (file.model_dump_json() + "\n").encode()
+
+
+def fingerprint(key: "Ed25519PublicKey") -> str:
+    """The first 16 hexadecimal digits of the SHA-256 of the raw public key (32 bytes)."""
+    return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:_FINGERPRINT_CHARACTERS]
+
+
+def new_key(path: Path) -> str:
+    """Write `<path>.key` (PKCS #8, for its owner alone) and `<path>.pub`; returns the fingerprint.
+
+    An existing file is never replaced. Errors: FileExistsError, OSError; ConfigError without the extra `signing`.
+    """
+    needs("signing", "a key")
+    from cryptography.hazmat.primitives import serialization as form
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    key = Ed25519PrivateKey.generate()
+    private = key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption())
+    public = key.public_key().public_bytes(form.Encoding.PEM, form.PublicFormat.SubjectPublicKeyInfo)
+    _write_new(path.with_name(path.name + PRIVATE_SUFFIX), private, 0o600)
+    _write_new(path.with_name(path.name + PUBLIC_SUFFIX), public, 0o644)
+    return fingerprint(key.public_key())
+
+
+def read_private_key(path: Path) -> "Ed25519PrivateKey":
+    """The key of `<name>.key`. Errors: ConfigError."""
+    needs("signing", "signing a bundle")
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    try:
+        key = load_pem_private_key(_small_file(path), None)
+    except (ValueError, TypeError) as error:  # TypeError: the key has a password
+        raise _no_key(path, "private", error) from error
+    if not isinstance(key, Ed25519PrivateKey):
+        raise _no_key(path, "private", type(key).__name__)
+    return key
+
+
+def read_public_key(path: Path) -> "Ed25519PublicKey":
+    """The key of `<name>.pub`. Errors: ConfigError."""
+    needs("signing", "checking a signature")
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+
+    try:
+        key = load_pem_public_key(_small_file(path))
+    except (ValueError, UnsupportedAlgorithm) as error:
+        raise _no_key(path, "public", error) from error
+    if not isinstance(key, Ed25519PublicKey):
+        raise _no_key(path, "public", type(key).__name__)
+    return key
+
+
+def _fits(key: "Ed25519PublicKey", signature: bytes, manifest: bytes) -> bool:
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        key.verify(signature, _CONTEXT + manifest)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def _parsed(raw: bytes, where: str) -> _SignatureFile:
+    try:
+        return _SignatureFile.model_validate_json(raw)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise BundleCorrupt(
+            f"bundle {where}: {SIGNATURE} is not a signature ({'.'.join(map(str, fault['loc'])) or 'file'}: "
+            f"{fault['msg']}); sign the bundle again, or remove the file"
+        ) from error
+
+
+def _small_file(path: Path) -> bytes:
+    """The bytes of a key file. Errors: ConfigError."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"the key {path} cannot be read: {error.strerror}") from error
+    if len(data) > _MAX_BYTES:
+        raise ConfigError(f"{path} is no key: it has more than {_MAX_BYTES} bytes")
+    return data
+
+
+def _no_key(path: Path, kind: str, found: object) -> ConfigError:
+    return ConfigError(
+        f"{path} is not a {kind} Ed25519 key in PEM form without a password ({found!s:.100}); "
+        "`gelgate keys new` makes one"
+    )
+
+
+def _write_new(path: Path, data: bytes, mode: int) -> None:
+    """Create a file with these rights from its first byte on. Errors: FileExistsError, OSError."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        file.write(data)

@@ -1,0 +1,25 @@
+"""Files of a bundle whose bytes have the SHA-256 of the manifest."""
+
+import hashlib
+
+from edge.core.errors import BundleCorrupt
+from edge.model.archive import Archive
+from edge.model.manifest import FileEntry
+
+__all__ = ["read_verified", "verified"]
+
+
+def read_verified(archive: Archive, entry: FileEntry) -> bytes:
+    """The bytes of that file. Errors: BundleCorrupt: missing, too large, or not the bytes that the manifest names."""
+    return verified(archive.read(entry.file, entry.size_bytes), entry, archive.where)
+
+
+def verified(data: bytes, entry: FileEntry, where: str) -> bytes:
+    """The same bytes. Errors: BundleCorrupt when they are not those that the manifest names."""
+    found = hashlib.sha256(data).hexdigest()
+    if found != entry.sha256:
+        raise BundleCorrupt(
+            f"bundle {where}: {entry.file} has SHA-256 {found[:12]} ({len(data)} bytes), the manifest expects "
+            f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the complete bundle again"
+        )
+    return data
