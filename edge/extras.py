@@ -7,10 +7,13 @@ from edge.core.errors import ConfigError
 __all__ = ["is_installed", "needs"]
 
 # The package to import, by the extra of `pip install` that brings it.
+_STUDIES = ("onnx", "joblib", "pandas", "matplotlib", "jinja2")
 _PACKAGES = {
     "export": ("onnx",),
     "benchmark": ("onnx", "jinja2"),
     "train": ("torch", "onnx", "jinja2"),
+    "studies": _STUDIES,
+    "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),
 }
 

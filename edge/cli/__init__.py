@@ -49,7 +49,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 _ORDER: Final = (
     "demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run", "watch", "gel",
     "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
-    "train-backbone", "evaluate-backbone",
+    "study", "report", "train-backbone", "evaluate-backbone",
 )  # fmt: skip
 
 # Errors of a disk that is full, read-only or faulty; such an error names no file.

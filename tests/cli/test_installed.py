@@ -28,14 +28,14 @@ def test_the_version_names_what_decides_a_score(option: str) -> None:
 
 
 def test_the_shell_completes_verbs() -> None:
-    """The shell's request for completions of `gelgate re` gives `record`."""
-    asked = {"_GELGATE_COMPLETE": "complete_bash", "COMP_WORDS": "gelgate re", "COMP_CWORD": "1"}
+    """The shell's request for completions of `gelgate wa` gives `watch`."""
+    asked = {"_GELGATE_COMPLETE": "complete_bash", "COMP_WORDS": "gelgate wa", "COMP_CWORD": "1"}
     done = subprocess.run(
         [Path(sys.executable).parent / "gelgate"],
         env=os.environ | asked, capture_output=True, text=True, check=True,
     )  # fmt: skip
 
-    assert done.stdout.split() == ["record"]
+    assert done.stdout.split() == ["watch"]
 
 
 def test_the_manual_is_listed_and_printed() -> None:

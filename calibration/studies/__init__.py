@@ -1,0 +1,1 @@
+"""The paper's three validations as studies of independent cells, and the reports made from their rows."""

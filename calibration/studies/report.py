@@ -1,0 +1,61 @@
+"""Pages made from rows alone. Each study has a page, a function in PAGES."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.studies.page import Page
+from calibration.studies.rows import frame
+from calibration.studies.study import ROWS_FILE
+from edge.core.errors import ConfigError, StoreError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["PAGES", "write_report"]
+
+
+def _good_fraction(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.good_fraction_page import page
+
+    return page(rows)
+
+
+PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {"good-fraction": _good_fraction}
+"""A study's page from its rows, by the study's name. Modules are imported at use."""
+
+
+def write_report(rows: Path, output: Path) -> list[Path]:
+    """Write the page of every study that has rows; figures are next to the pages.
+
+    rows: a file, or the folder of one. Errors: ConfigError for a file without rows, StoreError for a full disk.
+    """
+    path = rows / ROWS_FILE if rows.is_dir() else rows
+    if not path.is_file():
+        raise ConfigError(f"there are no rows at '{path}'; name the rows.jsonl that `gelgate study` wrote")
+    every = frame(path)
+    if every.empty:
+        raise ConfigError(f"'{path}' has no complete row yet; continue the study")
+    known = [name for name in PAGES if name in set(every["study"])]
+    if not known:
+        raise ConfigError(
+            f"'{path}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
+        )
+    return [
+        _write(output, name, PAGES[name](every[every["study"] == name].dropna(axis=1, how="all")))
+        for name in known
+    ]
+
+
+def _write(output: Path, name: str, page: Page) -> Path:
+    target = output / f"{name}.md"
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        for file, svg in page.figures.items():
+            (output / file).write_text(svg, encoding="utf-8")
+        target.write_text(page.markdown, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"the report cannot be written to '{output}': {error.strerror}; choose another folder"
+        ) from error
+    return target

@@ -1,0 +1,175 @@
+"""One cell's work: a bank from nominal presses, the score maps of the test presses, and the measures."""
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import median
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from calibration.fitting.heads import head_of
+from calibration.metrics import auroc
+from calibration.metrics.pooled import pooled_measures
+from calibration.threads import one_blas_thread
+from edge.core.detector import Bank, Detector, Features, Grid, Mode, Nominal
+from edge.core.errors import FitError, NotScorable
+from edge.model.packing import Packed, pack, unpack
+from edge.model.session import RUNTIME_ERRORS, open_session
+
+__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "recall_at", "scored"]
+
+MEASURES = ("aupro_001", "aupro_005", "auprc", "pixel_auroc", "image_auroc", "recall_001")
+"""AU-PRO up to 1 % and 5 % false positives, average precision, AUROC by pixel and by press, and the share of defective
+presses found with at most 1 % of the nominal test presses above the threshold."""
+
+_LIMITS = (0.01, 0.05)
+_FALSE_ALARMS = 0.01
+
+
+@dataclass(frozen=True)
+class TestPresses:
+    """What is scored. features: tap to (n, c, h, w). masks: bool (n, h, w). is_defective: bool (n,)."""
+
+    __test__ = False  # no test case of pytest
+
+    features: Features
+    masks: NDArray[np.bool_]
+    is_defective: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.is_defective)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """maps: float32 (n, h, w). scores: float64 (n,). milliseconds: of the head, per press."""
+
+    maps: NDArray[np.float32]
+    scores: NDArray[np.float64]
+    milliseconds: tuple[float, ...]
+
+    @property
+    def digest(self) -> str:
+        """Of maps and scores: two cells with the same one are the same computation."""
+        found = hashlib.sha256(np.ascontiguousarray(self.maps).data)
+        found.update(self.scores.tobytes())
+        return found.hexdigest()[:16]
+
+
+@one_blas_thread()
+def fit_and_score(
+    detector: Detector,
+    mode: Mode,
+    nominal: Nominal,
+    grid: Grid,
+    test: TestPresses,
+    *,
+    seed: int,
+    overrides: Mapping[str, object] | None = None,
+) -> dict[str, Any]:
+    """The measures of MEASURES (None where undefined), and what they cost.
+
+    fit_s: seconds of the fit. score_ms: median milliseconds of the head per press, on one thread. bank_bytes: as
+    stored. cpu_s: processor seconds of all of it. presses: nominal presses of the fit. scores_sha256: equal for cells
+    with equal results. Errors: FitError.
+    """
+    parameters = detector.parameters(mode, **(overrides or {}))
+    began = time.process_time()
+    start = time.perf_counter()
+    bank = detector.fit(nominal, grid, parameters, np.random.default_rng(seed), lambda fraction: None)
+    fit_s = time.perf_counter() - start
+    packed = _packed(bank)
+    start = time.perf_counter()
+    result = scored(head_of(detector, grid, bank, parameters), _unpacked(bank, packed), test, detector.name)
+    score_s = time.perf_counter() - start
+    start = time.perf_counter()
+    found = measures(result, test)
+    return {
+        **found,
+        "presses": nominal.presses,
+        "test_nominal": int((~test.is_defective).sum()),
+        "test_defective": int(test.is_defective.sum()),
+        "bank_bytes": sum(_bytes(array) for array in packed.values()),
+        "fit_s": round(fit_s, 4),
+        "score_ms": round(median(result.milliseconds), 4),
+        "score_s": round(score_s, 4),
+        "measure_s": round(time.perf_counter() - start, 4),
+        "cpu_s": round(time.process_time() - began, 4),
+        "scores_sha256": result.digest,
+    }
+
+
+def scored(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, name: str) -> Scored:
+    """Score each press alone, as the gateway does. arrays: the bank as it is read from a bundle.
+
+    Errors: FitError where the head does not run; NotScorable for a map that is not finite.
+    """
+    session = _session(head, name)
+    wanted = {given.name for given in session.get_inputs()}
+    bank = {key: array for key, array in arrays.items() if key in wanted}
+    maps, scores, took = [], [], []
+    for k in range(len(test)):
+        taps = {tap: np.ascontiguousarray(m[k : k + 1]) for tap, m in test.features.items() if tap in wanted}
+        start = time.perf_counter()
+        try:
+            score_map, score = session.run(["score_map", "score"], {**taps, **bank})
+        except RUNTIME_ERRORS as error:
+            raise FitError(f"the head of {name} does not run on a test press: {error!s:.300}") from error
+        took.append(1e3 * (time.perf_counter() - start))
+        maps.append(score_map[0])
+        scores.append(float(score[0]))
+    found = Scored(np.stack(maps), np.array(scores), tuple(took))
+    if not (np.isfinite(found.maps).all() and np.isfinite(found.scores).all()):
+        raise NotScorable(f"{name} gives a score that is not finite on a test press")
+    return found
+
+
+@lru_cache(maxsize=4)
+def _session(head: bytes, name: str) -> ort.InferenceSession:
+    """Kept for the next cells: the stored heads are the same for every bank."""
+    return open_session(head, 1, f"head of {name}")
+
+
+def _packed(bank: Bank) -> dict[str, Packed]:
+    try:
+        return {key: pack(array, bank.packing.get(key, "none")) for key, array in bank.arrays.items()}
+    except ValueError as error:
+        raise FitError(f"the bank cannot be stored: {error}") from error
+
+
+def _unpacked(bank: Bank, packed: Mapping[str, Packed]) -> dict[str, NDArray[Any]]:
+    return {key: unpack(array, bank.packing.get(key, "none")) for key, array in packed.items()}
+
+
+def _bytes(array: Packed) -> int:
+    return array.data.nbytes + (0 if array.scale is None else array.scale.nbytes)
+
+
+def measures(result: Scored, test: TestPresses) -> dict[str, float | None]:
+    """Every one of MEASURES, exact; None where it is undefined."""
+    pixel = pooled_measures(result.maps, test.masks, _LIMITS)
+    image = auroc(result.scores, test.is_defective)
+    return {
+        "aupro_001": pixel.aupro[0],
+        "aupro_005": pixel.aupro[1],
+        "auprc": pixel.average_precision,
+        "pixel_auroc": pixel.auroc,
+        "image_auroc": image,
+        "recall_001": recall_at(result.scores, test.is_defective, _FALSE_ALARMS),
+    }
+
+
+def recall_at(
+    scores: NDArray[np.float64], is_defective: NDArray[np.bool_], false_alarms: float
+) -> float | None:
+    """The share of defective presses above the lowest threshold that at most this share of nominal ones exceeds."""
+    nominal, defective = np.sort(scores[~is_defective])[::-1], scores[is_defective]
+    if not (nominal.size and defective.size):
+        return None
+    allowed = int(false_alarms * nominal.size + 1e-9)
+    return float(np.mean(defective > nominal[allowed])) if allowed < nominal.size else 1.0

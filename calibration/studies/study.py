@@ -1,0 +1,131 @@
+"""What every study does: check its options, extract features once, run the cells, and leave rows."""
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast, get_args
+
+from calibration.dataset import Dataset
+from calibration.fitting.trunks import DEFAULT_BACKBONE
+from calibration.progress import progress
+from calibration.studies.cells import Cell, Split
+from calibration.studies.detector_settings import taps_of
+from calibration.studies.material import Material, Place, extracted
+from calibration.studies.rows import Rows
+from calibration.studies.runner import Evaluate, Show, run
+from edge import registry
+from edge.core.detector import Mode
+from edge.core.errors import ConfigError, DatasetError
+from edge.core.suggest import suggestion
+from edge.extras import needs
+
+__all__ = ["ROWS_FILE", "Options", "as_modes", "as_splits", "chosen_places", "prepare", "run_cells"]
+
+ROWS_FILE = "rows.jsonl"
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
+
+    cache: of features; None is a folder in the output. position: the reference position, None is each part's first.
+    Errors: ConfigError for an unknown method, or a missing extra.
+    """
+
+    dataset: Path
+    output: Path
+    cache: Path | None = None
+    parts: tuple[str, ...] = ()
+    position: str | None = None
+    methods: tuple[str, ...] = ()
+    modes: tuple[Mode, ...] = ()
+    backbones: tuple[str, ...] = ()
+    splits: tuple[Split, ...] = ()
+    seeds: int = 10
+    held_out: int = 20
+    jobs: int = 1
+    dask: str | None = None
+    show: Show = progress
+
+    def __post_init__(self) -> None:
+        needs("studies" if self.dask is None else "cluster", "study" if self.dask is None else "study --dask")
+        defaults = {
+            "methods": compared_methods(),
+            "modes": ("corrected",),
+            "backbones": (DEFAULT_BACKBONE,),
+            "splits": ("press",),
+        }
+        for name, default in defaults.items():
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))) or default)
+        _known("method", self.methods, registry.names("detectors"))
+
+    @property
+    def features(self) -> Path:
+        """The folder of the cache, absolute: a worker may have another working folder."""
+        return (self.cache or self.output / "features").absolute()
+
+    def taps(self) -> dict[str, tuple[str, ...]]:
+        """By backbone, the taps that all methods read. Errors: ConfigError, FitError."""
+        return {name: taps_of(self.methods, self.modes, name) for name in self.backbones}
+
+
+def compared_methods() -> tuple[str, ...]:
+    """Every detector but the baselines."""
+    return tuple(n for n in registry.names("detectors") if not registry.detector(n).is_baseline)
+
+
+def as_modes(given: Sequence[str]) -> tuple[Mode, ...]:
+    """Words of a command line. Errors: ConfigError for an unknown mode."""
+    _known("mode", given, get_args(Mode))
+    return tuple(cast(Mode, name) for name in given)
+
+
+def as_splits(given: Sequence[str]) -> tuple[Split, ...]:
+    """Words of a command line. Errors: ConfigError for an unknown split."""
+    _known("split", given, get_args(Split))
+    return tuple(cast(Split, name) for name in given)
+
+
+def _known(what: str, given: Sequence[str], names: Iterable[str]) -> None:
+    for name in given:
+        if name not in (known := tuple(names)):
+            raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, known)}")
+
+
+def chosen_places(dataset: Dataset, parts: Sequence[str], position: str | None) -> list[tuple[str, str]]:
+    """(part, position) of each part: the position given, or its first by name. Errors: DatasetError."""
+    known: dict[str, list[str]] = {}
+    for part, place in dataset.positions:
+        known.setdefault(part, []).append(place)
+    for part in parts:
+        if part not in known:
+            raise DatasetError(f"dataset '{dataset.root}' has no part '{part}'; {suggestion(part, known)}")
+    places = [(part, position or known[part][0]) for part in parts or known]
+    for part, place in places:
+        dataset.select(part, place)
+    return places
+
+
+def prepare(places: Iterable[Place], jobs: int, show: Show) -> list[Material]:
+    """Features of each place in the cache, before any cell runs. Errors: DatasetError, FitError, StoreError."""
+    return [_prepared(place, min(jobs, os.cpu_count() or 1), show) for place in dict.fromkeys(places)]
+
+
+def _prepared(place: Place, threads: int, show: Show) -> Material:
+    with show(f"features of {place.part}/{place.position} on {place.backbone}", 100) as advance:
+        return extracted(place, lambda share: advance(int(100 * share)), threads)
+
+
+def run_cells(cells: Sequence[Cell], evaluate: Evaluate, options: Options, say: Say | None = None) -> Rows:
+    """Run the cells that have no row in the output folder yet. Errors: as `calibration.studies.runner.run`."""
+    rows = Rows(options.output / ROWS_FILE, say or _say)
+    run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
+    return rows
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr)
