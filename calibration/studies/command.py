@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from calibration.studies.further_commands import cross_position, every_study, resolution
 from calibration.studies.options import (
     Backbones,
     Cache,
@@ -77,3 +78,8 @@ def good_fraction(
         shots=parsed_counts(shots, "--shots"),
     )
     typer.echo(f"rows: {output / 'rows.jsonl'}")
+
+
+study.command("cross-position")(cross_position)
+study.command("resolution")(resolution)
+study.command("all")(every_study)

@@ -2,7 +2,7 @@
 
 import hashlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import median
@@ -71,6 +71,7 @@ def fit_and_score(
     *,
     seed: int,
     overrides: Mapping[str, object] | None = None,
+    also: Callable[["Scored"], Mapping[str, Any]] = lambda result: {},
 ) -> dict[str, Any]:
     """The measures of MEASURES (None where undefined), and what they cost.
 
@@ -88,7 +89,7 @@ def fit_and_score(
     result = scored(head_of(detector, grid, bank, parameters), _unpacked(bank, packed), test, detector.name)
     score_s = time.perf_counter() - start
     start = time.perf_counter()
-    found = measures(result, test)
+    found = {**measures(result, test), **also(result)}
     return {
         **found,
         "presses": nominal.presses,

@@ -1,0 +1,51 @@
+"""`gelgate study all`: the three studies into one file of rows, then their pages, with the time that each took."""
+
+import time
+from collections.abc import Callable, Iterator
+
+from calibration.studies.cross_position import study_cross_position
+from calibration.studies.good_fraction import study_good_fraction
+from calibration.studies.report import write_report
+from calibration.studies.resolution import study_resolution
+from calibration.studies.rows import Rows
+from calibration.studies.stable import StableFractions
+from calibration.studies.study import ROWS_FILE, Options
+from edge.core.errors import DatasetError
+
+__all__ = ["study_all"]
+
+
+def study_all(options: Options, most_presses: int) -> Iterator[str]:
+    """Run the studies in the order in which they need each other's rows; gives a line for each, with its time.
+
+    A study for which the dataset has no presses, such as a second position, is left out with its sentence; the first
+    one must run. Errors: as the studies.
+    """
+    fractions = StableFractions(None, options.output / ROWS_FILE)
+    began = time.monotonic()
+    yield _timed("good-fraction", lambda: study_good_fraction(options))
+    for name, study in {
+        "cross-position": lambda: study_cross_position(options, fractions),
+        "resolution": lambda: study_resolution(options, fractions, most_presses=most_presses),
+    }.items():
+        try:
+            yield _timed(name, study)
+        except DatasetError as error:
+            yield f"{name}: left out: {error}"
+    pages = write_report(options.output / ROWS_FILE, options.output / "report")
+    yield from (f"page: {page}" for page in pages)
+    yield f"all: {_written(time.monotonic() - began)}"
+
+
+def _timed(name: str, study: Callable[[], Rows]) -> str:
+    start = time.monotonic()
+    rows = [row for row in study().read() if row["study"] == name]
+    failed = sum(row.get("error") is not None for row in rows)
+    return (
+        f"{name}: {len(rows)} rows, {failed} of them without a score, in {_written(time.monotonic() - start)}"
+    )
+
+
+def _written(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,76 @@
+"""The verb `recommend`: which method to take, from the rows of studies."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+__all__ = ["recommend"]
+
+
+def recommend(
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate study`, or its folder.")],
+    need: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="few-presses, localisation, cross-position, high-resolution, no-fixture, bad-presses or least-time; "
+            "may be given several times. Default: all.",
+            show_default=False,
+        ),
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(help="Rows of this mode; needed where they have several.", show_default=False),
+    ] = None,
+    backbone: Annotated[
+        str | None, typer.Option(help="Rows of this backbone, likewise.", show_default=False)
+    ] = None,
+    split: Annotated[
+        str | None, typer.Option(help="Rows of this split, likewise.", show_default=False)
+    ] = None,
+) -> None:
+    """Say which method to take for a need, from rows alone.
+
+    Where the rows do not decide, it says so, and which command would."""
+    from calibration.studies.recommend import NEEDS, recommended
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+
+    for name in need or ():
+        if name not in NEEDS:
+            raise ConfigError(f"no need is named '{name}'; {suggestion(name, NEEDS)}")
+    chosen = _rows(rows)
+    for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
+        chosen = _of_one(chosen, column, wanted)
+    first = chosen[0]
+    typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
+    for answer in recommended(chosen, need or ()):
+        typer.echo("\n" + "\n".join(answer.lines()))
+
+
+def _rows(path: Path) -> list[Mapping[str, Any]]:
+    """The rows of a file, or of the file in a folder. Errors: ConfigError where there is none."""
+    from calibration.studies.rows import read_rows
+    from calibration.studies.study import ROWS_FILE
+    from edge.core.errors import ConfigError
+
+    file = path / ROWS_FILE if path.is_dir() else path
+    found = read_rows(file)
+    if not found:
+        raise ConfigError(f"there are no rows at '{file}'; name the rows.jsonl that `gelgate study` wrote")
+    return list(found)
+
+
+def _of_one(rows: Sequence[Mapping[str, Any]], column: str, wanted: str | None) -> list[Mapping[str, Any]]:
+    """The rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
+    from edge.core.errors import ConfigError
+
+    found = sorted({str(row[column]) for row in rows})
+    if wanted is None and len(found) > 1:
+        raise ConfigError(
+            f"the rows have several values of {column}: {', '.join(found)}; choose one with --{column}"
+        )
+    if wanted is not None and wanted not in found:
+        raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(found)}")
+    return [row for row in rows if wanted in (None, str(row[column]))]
