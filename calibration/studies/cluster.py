@@ -1,6 +1,9 @@
 """Cells on a Dask cluster: one task per cell, results as they come."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from calibration.studies.cells import Cell
@@ -11,7 +14,8 @@ __all__ = ["ANSWER_WITHIN_S", "on_cluster"]
 ANSWER_WITHIN_S = 10.0
 """How long a scheduler may take to answer, and to show its first worker."""
 
-_RETRIES = 2  # of a cell whose worker died twice: Dask gives a task to another worker itself
+_LOOK_EVERY_S = 0.5
+"""How often to look whether the scheduler is still there, while no cell is done."""
 
 Result = tuple[Cell, Mapping[str, Any]]
 
@@ -24,23 +28,23 @@ def on_cluster(
 ) -> Iterator[Result]:
     """The results of the cells in the order in which they come. Dask runs the cells of a dead worker on another one.
 
-    Errors: ConfigError where no scheduler answers, or it has no worker; StoreError where the cluster is lost.
+    Errors: ConfigError where no scheduler answers, it has no worker, or a worker has another version of this program;
+    StoreError where the cluster is lost.
     """
-    from distributed import CancelledError, Client, KilledWorker, as_completed
+    from distributed import CancelledError, KilledWorker
 
-    with _client(Client, address) as client:
-        futures = client.map(
-            lambda cell: evaluated(evaluate, cell),
-            list(cells),
-            key=[f"gelgate-{c.key}" for c in cells],
-            retries=_RETRIES,
-            pure=False,
-        )
+    with _client(address) as client:
+        _check_versions(client, address)
+        keys = [f"gelgate-{cell.key}" for cell in cells]
+        futures = client.map(partial(evaluated, evaluate), list(cells), key=keys, pure=False)
         try:
-            for _, result in as_completed(futures, with_results=True):
-                yield result
+            for future in _as_done(client, futures):
+                yield future.result(timeout=ANSWER_WITHIN_S)
         except (CancelledError, OSError, TimeoutError) as error:
-            raise StoreError(_lost(address)) from error
+            raise StoreError(
+                f"the Dask scheduler at '{address}' is lost; the rows so far are kept; "
+                "start it and give the same command again to continue"
+            ) from error
         except KilledWorker as error:
             raise StoreError(
                 f"a cell kills its workers on the cluster at {address}, perhaps for lack of memory ({error!s:.200}); "
@@ -48,26 +52,59 @@ def on_cluster(
             ) from error
 
 
-def _client(client: Any, address: str) -> Any:
+def _as_done(client: Any, futures: Sequence[Any]) -> Iterator[Any]:
+    """The futures as they are done. Errors: TimeoutError where the scheduler is lost: Dask alone waits without end."""
+    done: SimpleQueue[Any] = SimpleQueue()
+    for future in futures:
+        future.add_done_callback(done.put)
+    left, silent = len(futures), 0
+    while left:
+        try:
+            future = done.get(timeout=_LOOK_EVERY_S)
+        except Empty:
+            silent = 0 if client.status == "running" else silent + 1
+            if silent * _LOOK_EVERY_S >= ANSWER_WITHIN_S:
+                raise TimeoutError(client.status) from None
+        else:
+            left -= 1
+            yield future
+
+
+def _client(address: str) -> Any:
+    """A connected client with at least one worker. Errors: ConfigError."""
+    from distributed import Client
+
     try:
-        found = client(address, timeout=ANSWER_WITHIN_S, set_as_default=False)
+        client = Client(address, timeout=ANSWER_WITHIN_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigError(
             f"no Dask scheduler answers at '{address}' within {ANSWER_WITHIN_S:g} s; start one with "
             "`dask scheduler` and name its address, such as tcp://127.0.0.1:8786"
         ) from error
     try:
-        found.wait_for_workers(1, timeout=ANSWER_WITHIN_S)
+        client.wait_for_workers(1, timeout=ANSWER_WITHIN_S)
     except TimeoutError as error:
-        found.close()
+        client.close()
         raise ConfigError(
             f"the Dask scheduler at '{address}' has no worker; start one with `dask worker {address}`"
         ) from error
-    return found
+    return client
 
 
-def _lost(address: str) -> str:
-    return (
-        f"the Dask scheduler at '{address}' is lost; the rows so far are kept; "
-        "start it and give the same command again to continue"
-    )
+def _check_versions(client: Any, address: str) -> None:
+    """Errors: ConfigError where the scheduler or a worker is without this program, or has another version of it."""
+    own = version("gelgate")
+    found = {"scheduler": _of_scheduler(client), **client.run(version, "gelgate", on_error="return")}
+    wrong = sorted(f"{who}: {has}" for who, has in found.items() if has != own)
+    if wrong:
+        raise ConfigError(
+            f"{len(wrong)} processes of the cluster at '{address}' do not have gelgate {own} ({wrong[0]}); install "
+            "gelgate[cluster] of this version in the environment of the scheduler and of every worker"
+        )
+
+
+def _of_scheduler(client: Any) -> str:
+    try:
+        return str(client.run_on_scheduler(version, "gelgate"))
+    except PackageNotFoundError as error:
+        return str(error)

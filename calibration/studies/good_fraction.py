@@ -146,7 +146,8 @@ def study_good_fraction(
     if not cells:
         raise ConfigError("neither fractions nor shots are given, so there is nothing to study")
     evaluate = GoodFraction(options.dataset.absolute(), options.features, options.taps())
-    for found in prepare((evaluate.place(cell) for cell in cells), options.jobs, options.show):
+    materials = prepare((evaluate.place(cell) for cell in cells), options.jobs, options.show)
+    for found in materials:
         for split in options.splits:
             hold_out(found.presses, options.held_out, split)
-    return run_cells(cells, evaluate, options)
+    return run_cells(cells, evaluate, options, materials)

@@ -34,9 +34,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Material:
-    """Presses with the features of all of them. trunk: the one that gave the features."""
+    """Presses with the features of all of them. backbone: as in the cell. trunk: the one that gave the features."""
 
     presses: StudyPresses
+    backbone: str
     trunk: Trunk
     taken: Taken
 
@@ -88,6 +89,8 @@ def extracted(place: Place, progress: Progress = lambda fraction: None, threads:
     presses = presses_of(opened(place.dataset), place.part, place.position)
     trunk = open_trunk(place.backbone, place.taps)
     cache = FeatureCache(place.cache)
-    found = Material(presses, trunk, cache.features(trunk, place.taps, presses.pictures, progress, threads))
+    found = Material(
+        presses, place.backbone, trunk, cache.features(trunk, place.taps, presses.pictures, progress, threads)
+    )
     assert found.masks.any()  # refused here, not in the first cell
     return found

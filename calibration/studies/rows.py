@@ -6,8 +6,9 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
+from io import FileIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from edge.core.errors import ConfigError, StoreError
 
@@ -62,20 +63,19 @@ class Rows:
         """
         line = json.dumps({"format": ROW_FORMAT, **row}, allow_nan=False).encode() + b"\n"
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("ab") as file:
+        with self.path.open("ab", buffering=0) as file:
             before = _drop_torn(file, self.path)
             try:
-                file.write(line)
-                file.flush()
+                _write_all(file, line)
                 os.fsync(file.fileno())
             except OSError as error:
                 with contextlib.suppress(OSError):
-                    os.truncate(self.path, before)
+                    file.truncate(before)
                 raise StoreError(self._refused(error)) from error
         self._keys.add(str(row["key"]))
 
     def _refused(self, error: OSError) -> str:
-        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         why = "the disk is full" if is_full else f"the disk refuses ({error.strerror})"
         return (
             f"{why}: the {len(self._keys)} rows so far are kept in '{self.path}'; "
@@ -83,7 +83,14 @@ class Rows:
         )
 
 
-def _drop_torn(file: IO[bytes], path: Path) -> int:
+def _write_all(file: FileIO, line: bytes) -> None:
+    """Unbuffered, so that nothing is left to be written when the file is closed. Errors: OSError."""
+    rest = memoryview(line)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+def _drop_torn(file: FileIO, path: Path) -> int:
     """The length of the complete lines; what follows them, a line that an interrupted run began, is cut off."""
     size = file.tell()
     with path.open("rb") as content:

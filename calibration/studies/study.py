@@ -2,10 +2,10 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 from calibration.dataset import Dataset
 from calibration.fitting.trunks import DEFAULT_BACKBONE
@@ -120,11 +120,42 @@ def _prepared(place: Place, threads: int, show: Show) -> Material:
         return extracted(place, lambda share: advance(int(100 * share)), threads)
 
 
-def run_cells(cells: Sequence[Cell], evaluate: Evaluate, options: Options, say: Say | None = None) -> Rows:
-    """Run the cells that have no row in the output folder yet. Errors: as `calibration.studies.runner.run`."""
+def run_cells(
+    cells: Sequence[Cell],
+    evaluate: Evaluate,
+    options: Options,
+    materials: Iterable[Material] = (),
+    say: Say | None = None,
+) -> Rows:
+    """Run the cells that have no row in the output folder yet.
+
+    materials: what the cells are made from; rows of the same places must be from the same. Errors: ConfigError where
+    they are not; else as `calibration.studies.runner.run`.
+    """
     rows = Rows(options.output / ROWS_FILE, say or _say)
+    check_same(rows.read(), materials, rows.path)
     run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
     return rows
+
+
+def check_same(rows: Iterable[Mapping[str, Any]], materials: Iterable[Material], path: Path) -> None:
+    """Errors: ConfigError where rows of a place are from other pictures, another trunk or another program."""
+    known = {(m.presses.part, m.presses.position, m.backbone): m.facts for m in materials}
+    for row in rows:
+        facts = known.get((row["part"], row["position"], row["backbone"]), {})
+        for name, what in _FACTS.items():
+            if name in facts and row.get(name, facts[name]) != facts[name]:
+                raise ConfigError(
+                    f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({row[name]}, now "
+                    f"{facts[name]}); choose another output folder"
+                )
+
+
+_FACTS = {
+    "pictures_sha256": "other pictures",
+    "trunk_sha256": "another trunk",
+    "program": "another version of the program",
+}
 
 
 def _say(sentence: str) -> None:
