@@ -21,7 +21,23 @@ def _good_fraction(rows: "pd.DataFrame") -> Page:
     return page(rows)
 
 
-PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {"good-fraction": _good_fraction}
+def _cross_position(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.cross_position_page import page
+
+    return page(rows)
+
+
+def _resolution(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.resolution_page import page
+
+    return page(rows)
+
+
+PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
+    "good-fraction": _good_fraction,
+    "cross-position": _cross_position,
+    "resolution": _resolution,
+}
 """A study's page from its rows, by the study's name. Modules are imported at use."""
 
 

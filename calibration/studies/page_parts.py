@@ -1,0 +1,130 @@
+"""Parts of pages that several studies have: tables, ours next to the paper's, what was not scored, what it cost."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from calibration.studies.effects import COMPARED, Effect, Medians, counted
+from calibration.studies.published import source
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "by_setup",
+    "compared_table",
+    "cost_table",
+    "effects_table",
+    "only_scored",
+    "paper_note",
+    "refusals",
+    "split_table",
+    "table",
+]
+
+_SETUP = ["backbone", "mode", "split"]
+
+
+def table(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A markdown table."""
+    lines = [heading, ["---"] * len(heading), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
+    """Without the cells that were refused."""
+    return rows[rows["error"].isna()] if "error" in rows else rows
+
+
+def by_setup(rows: "pd.DataFrame") -> Iterator[tuple[str, "pd.DataFrame"]]:
+    """The rows of each backbone, mode and split, with a heading; weights that are random are called so."""
+    for (backbone, mode, split), group in rows.groupby(_SETUP):
+        weights = set(group["weights"].dropna()) if "weights" in group else set()
+        said = f" ({', '.join(sorted(weights))})" if weights else ""
+        yield f"{backbone}{said}, {mode} mode, split by {split}", group
+
+
+def paper_note() -> str:
+    """What the numbers in brackets are."""
+    return (
+        f"In brackets: the paper's median ({source()}). It pressed real parts and had Wide-ResNet-50-2 with ImageNet "
+        "weights, so orders and directions can be compared, and levels cannot.\n"
+    )
+
+
+def compared_table(
+    ours: Medians, paper: Medians, measure: str, conditions: Sequence[tuple[str, str, str]]
+) -> str:
+    """Medians over seeds of one measure. conditions: their names in our rows, in the paper's data, and on the page."""
+    pairs = sorted({(method, part) for method, part, name in ours if name == measure}, key=lambda p: p[::-1])
+    lines = []
+    for method, part in pairs:
+        own, theirs = ours[method, part, measure], paper.get((method, part, measure), {})
+        lines.append([method, part, *(_both(own.get(a), theirs.get(b)) for a, b, _ in conditions)])
+    return table([COMPARED.get(measure, measure), "part", *(title for _, _, title in conditions)], lines)
+
+
+def _both(ours: float | None, paper: float | None) -> str:
+    text = "-" if ours is None else f"{ours:.4f}"
+    return text if paper is None else f"{text} ({paper:.4f})"
+
+
+def effects_table(found: Sequence[Effect], title: str) -> str:
+    """Directions of an effect, ours and the paper's."""
+    lines = [
+        [
+            e.method,
+            e.part,
+            COMPARED[e.measure],
+            f"{e.difference:+.4f}",
+            e.ours,
+            e.paper or "-",
+            e.agreement or "-",
+        ]
+        for e in found
+    ]
+    heading = ["method", "part", "measure", "mean difference", "here", "paper", "direction"]
+    return f"{title}: {counted(found)}.\n\n{table(heading, lines)}"
+
+
+def split_table(rows: "pd.DataFrame", measure: str = "aupro_001") -> str:
+    """How much higher a measure is if presses, not specimens, are held out; empty without rows of both splits."""
+    if set(rows["split"]) != {"press", "specimen"}:
+        return ""
+    means = (
+        rows.groupby(["backbone", "mode", "method", "part", "split"])[measure]
+        .mean()
+        .unstack("split")
+        .dropna()
+    )
+    lines = [
+        [*keys, f"{both['press']:.4f}", f"{both['specimen']:.4f}", f"{both['press'] - both['specimen']:+.4f}"]
+        for keys, both in means.iterrows()
+    ]
+    heading = ["backbone", "mode", "method", "part", "by press", "by specimen", "difference"]
+    return (
+        f"## Split by press and by specimen\n\nMean {COMPARED[measure]} over all conditions and seeds. In a split by "
+        f"press, other presses of a tested specimen are in the bank.\n\n{table(heading, lines)}"
+    )
+
+
+def refusals(rows: "pd.DataFrame") -> str:
+    """What was not scored, and why; empty where every cell was."""
+    if "error" not in rows or rows["error"].isna().all():
+        return ""
+    bad = rows[rows["error"].notna()]
+    lines = [
+        [method, mode, backbone, len(group), sentence]
+        for (method, mode, backbone, sentence), group in bad.groupby(["method", "mode", "backbone", "error"])
+    ]
+    return f"## Not scored\n\n{table(['method', 'mode', 'backbone', 'cells', 'why'], lines)}"
+
+
+def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> str:
+    """Median seconds of a cell by its stages, and the bank, for each condition and method."""
+    lines = []
+    for (value, method), group in rows.groupby([condition, "method"]):
+        seconds = [f"{group[stage].median():.2f}" for stage in ("fit_s", "score_s", "measure_s")]
+        bank = f"{group['bank_bytes'].median() / 1e6:.1f}"
+        lines.append([name(value), method, len(group), int(group["presses"].median()), *seconds, bank])
+    heading = [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"]
+    return f"## Cost\n\nMedians per cell, as measured while the study ran.\n\n{table(heading, lines)}"
