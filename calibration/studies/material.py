@@ -71,6 +71,9 @@ class Material:
         return {
             "pictures_sha256": self.presses.pictures.sha256[:16],
             "trunk_sha256": self.trunk.sha256[:16],
+            "weights": str(
+                self.trunk.facts.get("weights") or self.trunk.facts.get("file", "of unknown origin")
+            ),
             "program": importlib.metadata.version("gelgate"),
         }
 

@@ -47,8 +47,8 @@ def _head(rows: "pd.DataFrame") -> str:
     return (
         "# Does high resolution pay?\n\n"
         f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {rows['most_presses'].max()} nominal presses in "
-        f"the pool, the same for every view; {rows['held_out'].max()} nominal presses and all defective ones are scored. "
-        f"Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}\n"
+        f"the pool, the same for every view; {rows['held_out'].max()} nominal presses and all defective ones are "
+        f"scored. Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}\n"
         f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_described, VIEWS))}\n"
         "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
         "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "
