@@ -10,6 +10,7 @@ __all__ = ["is_installed", "needs"]
 _STUDIES = ("onnx", "joblib", "pandas", "matplotlib", "jinja2")
 _PACKAGES = {
     "export": ("onnx",),
+    "openvino": ("openvino", "onnx"),
     "benchmark": ("onnx", "jinja2"),
     "train": ("torch", "onnx", "jinja2"),
     "studies": _STUDIES,

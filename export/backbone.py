@@ -1,145 +1,269 @@
-"""`gelgate export backbone`: a PyTorch checkpoint of weights becomes an ONNX trunk, without torchvision.
+"""`export backbone`: weights of a ResNet or a vision transformer, or an ONNX network, become a trunk of the gateway.
 
-A checkpoint is a pickle, and an unrestricted pickle runs any code of its author. Only PyTorch's weights-only loader is
-used here: it builds tensors and plain containers and refuses everything else. There is no fallback.
+Before anything is written, the trunk is compared with a NumPy reference of the same network (or with the ONNX network
+itself) at its input and at every tap. The licence of the weights is in the trunk's metadata, and so in every bundle
+that is fitted on it.
 """
 
 import hashlib
-import importlib
-import os
-import pickle
-import warnings
-import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, TAPS, build_trunk
+from edge.model.archive import write_file
+from edge.model.licence import LICENCE
+from export.known_weights import Encoder, check_release, encoder
+from export.licence import stated_licence
+from export.onnx_trunk import graph_trunk, named_taps
+from export.onnx_values import first_conv_input, run_values
+from export.parity import ParityReport, Stage, compare
+from export.weights_file import file_sha256, is_onnx, read_checkpoint, read_weights
+from plugins.backbones.input_steps import IMAGENET, InputSteps, applied
+from plugins.backbones.reference import forward
+from plugins.backbones.resnet import TAPS, build_trunk
 from plugins.backbones.topology import State, check_state, expected_shapes, topology
+from plugins.backbones.vit import known_vit_taps, vit_shape
+from plugins.backbones.vit_reference import vit_forward
+from plugins.backbones.vit_trunk import build_vit_trunk
 
-__all__ = ["export_backbone", "read_checkpoint", "weights_sha256"]
+__all__ = ["BackboneExport", "BackboneOptions", "export_backbone", "read_checkpoint", "weights_sha256"]
 
-# Keys under which training scripts store the weights, and prefixes that wrappers add to every name.
-CONTAINERS = ("state_dict", "model", "model_state_dict")
-WRAPPERS = ("module.", "_orig_mod.")
+PATCHES = "patch_embed.proj.weight"
+
+HALF_TOLERANCE = 5e-3
+"""Allowed difference of a trunk whose weights are stored as float16, in place of the usual one (measured: 3e-4)."""
+
+
+@dataclass(frozen=True)
+class BackboneOptions:
+    """How a file becomes a trunk.
+
+    topology: of a ResNet; ViTs and ONNX graphs need none. taps: see `export backbone --help`; empty: the usual ones.
+    licence: of the weights, required. encoder: a published touch encoder whose preprocessing is used. steps: instead of
+    its, or of ImageNet's. frame: (h, w) of the inspected region. version: V1 or V2 where the caller states it. second:
+    a file whose blocks follow. prefix: of the weights' names, where a file holds several networks. heads: of the
+    attention. prefix_tokens, high: of an ONNX graph; see `graph_trunk`.
+    """
+
+    licence: str | None
+    topology: str = "wide_resnet50_2"
+    taps: tuple[str, ...] = ()
+    encoder: str | None = None
+    steps: InputSteps | None = None
+    background: NDArray[np.uint8] | None = None
+    frame: tuple[int, int] = (224, 224)
+    weights: Literal["float32", "float16"] = "float32"
+    version: str | None = None
+    second: Path | None = None
+    prefix: str | None = None
+    heads: int | None = None
+    prefix_tokens: int | None = None
+    high: float = 1.0
+
+
+@dataclass(frozen=True)
+class BackboneExport:
+    """A trunk that agrees with its reference. facts: as in its metadata. parity: the comparison."""
+
+    trunk: bytes
+    taps: tuple[str, ...]
+    facts: dict[str, str]
+    parity: ParityReport
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.trunk).hexdigest()
 
 
 def export_backbone(
-    checkpoint: Path,
-    output: Path,
-    topology_name: str,
-    taps: Sequence[str] = TAPS,
-    *,
-    mean: Sequence[float] = IMAGENET_MEAN,
-    std: Sequence[float] = IMAGENET_STD,
-    weights: Literal["float32", "float16"] = "float32",
-) -> dict[str, str]:
-    """Write the trunk, completely or not at all; returns its facts, which are also in the file's metadata.
+    source: Path, output: Path | None, options: BackboneOptions, report: Path | None = None
+) -> BackboneExport:
+    """Make the trunk of a `.pth`, `.safetensors` or `.onnx` file and write it, completely or not at all.
 
-    Errors: ConfigError for a file that is not a checkpoint of this topology, OSError when the output cannot be written.
+    output: None writes no trunk. report: a folder for the comparison, which is written also where it fails. Errors:
+    ConfigError for a file that is not what the options say or a licence that is not stated, BundleCorrupt where the
+    trunk differs from its reference, OSError of the disk.
     """
-    net = topology(topology_name)
-    state = read_checkpoint(checkpoint)
-    check_state(state, net, f"the weights in {checkpoint}")
-    facts = {"weights": checkpoint.name, "weights_sha256": weights_sha256(state, topology_name)}
-    trunk = build_trunk(state, topology_name, taps, mean=mean, std=std, weights=weights, facts=facts)
-    part = output.with_name(f".{output.name}.part")
-    try:
-        part.write_bytes(trunk)
-        os.replace(part, output)
-    finally:
-        part.unlink(missing_ok=True)
-    return {**facts, "trunk_sha256": hashlib.sha256(trunk).hexdigest(), "bytes": str(len(trunk))}
-
-
-def read_checkpoint(path: Path) -> State:
-    """The weights in a `.pth` file, by name, float32. Errors: ConfigError with what the file is instead."""
-    if not path.is_file():
-        raise ConfigError(f"checkpoint {path} does not exist; give the path of a .pth file")
-    if _is_onnx(path):
-        raise ConfigError(f"{path} is already an ONNX graph; use it directly: gelgate fit --backbone {path}")
-    loaded = _load(path)
-    for name in CONTAINERS:
-        if isinstance(loaded, Mapping) and isinstance(loaded.get(name), Mapping):
-            loaded = loaded[name]
-    tensors = (
-        {name: value for name, value in loaded.items() if hasattr(value, "numpy")}
-        if isinstance(loaded, Mapping)
-        else {}
-    )
-    if not tensors:
+    known = encoder(options.encoder) if options.encoder else None
+    licence = stated_licence(options.licence, f"the weights in {source}", known.licence if known else None)
+    if not source.is_file():
         raise ConfigError(
-            f"{path} holds {_described(loaded)} and no weights by name; save model.state_dict() with torch.save"
+            f"checkpoint {source} does not exist; give the path of a .pth, .safetensors or .onnx file"
         )
-    return {_unwrapped(str(name)): _as_numpy(value) for name, value in tensors.items()}
+    facts = {"weights": source.name, "file_sha256": file_sha256(source), LICENCE: licence}
+    if known:
+        facts["encoder"] = f"{known.name} ({known.source})"
+    steps = _steps(options, known)
+    made = _from_graph if is_onnx(source) else _from_weights
+    export = made(source, options, steps, facts)
+    if report is not None:
+        export.parity.write(report)
+    export.parity.raise_if_different()
+    if output is not None:
+        write_file(output, export.trunk)
+    return export
 
 
 def weights_sha256(state: State, topology_name: str) -> str:
     """SHA-256 over the weights that the topology uses, sorted by name: the same for every file that holds them."""
+    return _sha256_of(state, sorted(expected_shapes(topology(topology_name))))
+
+
+def _sha256_of(state: State, names: Sequence[str]) -> str:
     digest = hashlib.sha256()
-    for name in sorted(expected_shapes(topology(topology_name))):
+    for name in names:
         digest.update(name.encode() + b"\0")
         digest.update(np.ascontiguousarray(state[name], "<f4").tobytes())
     return digest.hexdigest()
 
 
-def _load(path: Path) -> Any:
-    try:
-        torch = importlib.import_module("torch")
-    except ImportError as error:
+def _steps(options: BackboneOptions, known: Encoder | None) -> InputSteps:
+    steps = options.steps or (known.steps if known else IMAGENET)
+    if steps is None:
+        assert known is not None
         raise ConfigError(
-            f"reading {path} needs PyTorch, which is not installed; pip install 'gelgate[train]', "
-            "or export on another machine and copy the .onnx file"
-        ) from error
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about old pickle protocols; real faults are raised
-        try:
-            return torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # on foreign bytes the loader raises any error
-            raise ConfigError(f"{path} {_complaint(path, error)}") from error
-
-
-def _complaint(path: Path, error: Exception) -> str:
-    if "TorchScript" in str(error):
-        return (
-            "is a TorchScript archive, not a checkpoint of weights; save model.state_dict() with torch.save"
+            f"the encoder {known.name} has another mean and std for every sensor; pass those of the data it was "
+            f"trained on with --mean and --std ({known.source})"
         )
-    if isinstance(error, pickle.UnpicklingError) and zipfile.is_zipfile(path):
-        return "holds more than weights and was not loaded; save model.state_dict() alone with torch.save"
-    return (
-        f"is not a PyTorch checkpoint of weights ({type(error).__name__}); give a file written by torch.save"
+    if known and known.needs_background and options.background is None:
+        raise ConfigError(
+            f"the encoder {known.name} reads differences from the untouched gel; pass a picture of it with --background"
+        )
+    return steps if options.background is None else replace(steps, background=options.background)
+
+
+def _from_graph(
+    source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
+) -> BackboneExport:
+    taps = named_taps(options.taps)
+    facts = {**facts, "preprocessing": steps.words}
+    made = graph_trunk(
+        source.read_bytes(),
+        taps,
+        steps,
+        _probe(options.frame),
+        high=options.high,
+        prefixes=options.prefix_tokens,
+        facts=facts,
+        where=str(source),
+    )
+    return BackboneExport(made.trunk, made.taps, facts, _compared(made.stages, source, facts))
+
+
+def _from_weights(
+    source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
+) -> BackboneExport:
+    state = _selected(read_weights(source), options.prefix, source)
+    if options.second is not None:
+        state = _continued(state, read_weights(options.second), options.second)
+    return (_vit if PATCHES in state else _resnet)(state, source, options, steps, facts)
+
+
+def _resnet(
+    state: State, source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
+) -> BackboneExport:
+    net = topology(options.topology)
+    version = check_release(facts["file_sha256"], options.version, net.name, str(source))
+    check_state(state, net, f"the weights in {source}", until=options.taps or TAPS)
+    digest = _sha256_of(state, [name for name in sorted(expected_shapes(net)) if name in state])
+    facts = {**facts, "release": version, "weights_sha256": digest}
+    taps = options.taps or TAPS
+    is_free = steps.size is None and steps.background is None
+    frame = None if is_free else options.frame
+    trunk = build_trunk(state, net.name, taps, steps=steps, frame=frame, weights=options.weights, facts=facts)
+    # Three steps of stride 32 show every kind of border; a larger frame shows nothing more.
+    frames = _probe(frame or (96, 96))
+    planes = applied(steps, frames)
+    expected = forward(state, net.name, planes.astype(np.float32), taps)
+    return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
+
+
+def _vit(
+    state: State, source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
+) -> BackboneExport:
+    eps = encoder(options.encoder).eps if options.encoder else 1e-6
+    shape = vit_shape(state, f"the weights in {source}", options.heads, eps)
+    last = [tap for tap in known_vit_taps(shape) if tap != "norm"]
+    taps = options.taps or (last[len(last) // 2 - 1], last[-1])
+    facts = {**facts, "weights_sha256": _sha256_of(state, sorted(state))}
+    trunk = build_vit_trunk(state, shape, taps, steps, options.frame, weights=options.weights, facts=facts)
+    frames = _probe(options.frame)
+    planes = applied(steps, frames)
+    return _exported(
+        trunk, taps, planes, vit_forward(state, shape, planes, taps), frames, source, facts, options.weights
     )
 
 
-def _is_onnx(path: Path) -> bool:
-    """Whether a file parses as an ONNX model with a graph. It starts with its format's version, field 1."""
-    with path.open("rb") as file:
-        if file.read(1) != b"\x08":
-            return False
-    import onnx
-
-    try:
-        return bool(onnx.load(path, load_external_data=False).graph.node)
-    except Exception:  # noqa: BLE001 (protobuf raises its own classes; then it is not ONNX)
-        return False
-
-
-def _unwrapped(name: str) -> str:
-    while name.startswith(WRAPPERS):
-        name = name.partition(".")[2]
-    return name
-
-
-def _as_numpy(value: Any) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = value.detach().float().numpy()
-    return array
+def _exported(
+    trunk: bytes,
+    taps: Sequence[str],
+    planes: NDArray[np.float64],
+    expected: Mapping[str, NDArray[np.floating]],
+    frames: NDArray[np.uint8],
+    source: Path,
+    facts: dict[str, str],
+    weights: str,
+) -> BackboneExport:
+    found = run_values(trunk, [first_conv_input(trunk), *taps], {"frames": frames}, "the trunk")
+    tolerance = None if weights == "float32" else HALF_TOLERANCE
+    stages = [Stage("input", planes, found[0], "input")]
+    stages += [
+        Stage(tap, expected[tap], f, tolerance=tolerance) for tap, f in zip(taps, found[1:], strict=True)
+    ]
+    return BackboneExport(trunk, tuple(taps), facts, _compared(stages, source, facts))
 
 
-def _described(value: object) -> str:
-    if isinstance(value, Mapping):
-        return f"a table of {', '.join(map(str, list(value)[:4])) or 'nothing'}"
-    return f"a {type(value).__name__}"
+def _compared(stages: Sequence[Stage], source: Path, facts: dict[str, str]) -> ParityReport:
+    return compare(stages, title=f"Trunk of {source.name}", facts=facts)
+
+
+def _probe(frame: tuple[int, int]) -> NDArray[np.uint8]:
+    """Two frames, uint8 (2, h, w, 3): noise, and slopes with noise; every level and every channel differs."""
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (2, *frame, 3))
+    rows, columns = np.indices(frame)
+    slope = np.stack([255 * rows / frame[0], 255 * columns / frame[1], 255 - 255 * rows / frame[0]], axis=2)
+    return np.stack([noise[0], 0.7 * slope + 0.3 * noise[1]]).astype(np.uint8)
+
+
+def _selected(state: State, prefix: str | None, source: Path) -> State:
+    """The weights of one network, without the prefix of their names. Errors: ConfigError where there are several."""
+    if prefix is None:
+        ends = ("patch_embed.proj.weight", "layer1.0.conv1.weight")
+        found = sorted({key.removesuffix(end) for key in state for end in ends if key.endswith(end)})
+        if len(found) > 1:
+            raise ConfigError(
+                f"{source} holds several networks, under {', '.join(found)}; choose one with --prefix, after "
+                "self-supervised training the teacher's"
+            )
+        prefix = found[0] if found else ""
+    chosen = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
+    if not chosen:
+        raise ConfigError(
+            f"{source} has no weights under '{prefix}'; its names begin with {_beginnings(state)}"
+        )
+    return chosen
+
+
+def _beginnings(state: State) -> str:
+    return ", ".join(sorted({key.partition(".")[0] for key in state})[:6])
+
+
+def _continued(state: State, second: State, file: Path) -> State:
+    """The first network with the blocks of the second after its own, as T3 stores encoder and trunk."""
+    numbers = [int(key.split(".")[1]) for key in state if key.startswith("blocks.")]
+    first = 1 + max(numbers, default=-1)
+    added = {}
+    for key, value in second.items():
+        parts = key.split(".")
+        if parts[0] == "blocks" and len(parts) > 2 and parts[1].isdigit():
+            key = ".".join(["blocks", str(first + int(parts[1])), *parts[2:]])
+        added[key] = value
+    if first == 0 or not any(key.startswith("blocks.") for key in added):
+        raise ConfigError(f"{file} does not continue a transformer: both files must hold blocks.<number>.")
+    return {**state, **added}

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from export.backbone_command import backbone
+
 __all__ = ["export"]
 
 export = typer.Typer(help="Import trained backbones, or write graphs.", no_args_is_help=True)
@@ -15,41 +17,7 @@ def _group() -> None:
     """Import trained backbones, or write graphs."""
 
 
-@export.command()
-def backbone(
-    checkpoint: Annotated[Path, typer.Argument(help="A .pth file of weights in torchvision's naming.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx"),
-    topology: Annotated[str, typer.Option(help="resnet18, resnet50 or wide_resnet50_2.")] = "wide_resnet50_2",
-    taps: Annotated[
-        str, typer.Option(help="Feature maps to output, by torchvision's names.")
-    ] = "layer1,layer2,layer3",
-    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1.")] = "0.485,0.456,0.406",
-    std: Annotated[str, typer.Option(help="Then RGB is divided by this.")] = "0.229,0.224,0.225",
-    half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
-) -> None:
-    """Convert a PyTorch checkpoint to an ONNX trunk.
-
-    It needs PyTorch, but not torchvision."""
-    from edge.core.errors import ConfigError
-    from edge.extras import needs
-    from export.backbone import export_backbone
-
-    needs("train", "export backbone")
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
-    facts = export_backbone(
-        checkpoint,
-        output,
-        topology,
-        tuple(tap.strip() for tap in taps.split(",") if tap.strip()),
-        mean=_three("--mean", mean),
-        std=_three("--std", std),
-        weights="float16" if half else "float32",
-    )
-    typer.echo(f"{output}: {topology}, {taps}, {int(facts['bytes']) / 1e6:.1f} MB")
-    typer.echo(f"weights sha256 {facts['weights_sha256']}")
-    typer.echo(f"trunk   sha256 {facts['trunk_sha256']}")
+export.command()(backbone)
 
 
 @export.command()
@@ -115,20 +83,3 @@ def merge(
     typer.echo(
         f"{output} written; it differs from the bundle by at most {difference:.1e} of the largest score"
     )
-
-
-def _three(option: str, text: str) -> tuple[float, float, float]:
-    """Three numbers, red, green, blue. Errors: ConfigError."""
-    import math
-
-    from edge.core.errors import ConfigError
-
-    try:
-        red, green, blue = (float(number) for number in text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"{option} is three numbers such as 0.485,0.456,0.406, found '{text}'") from error
-    if not all(math.isfinite(value) for value in (red, green, blue)) or (
-        option == "--std" and min(red, green, blue) <= 0
-    ):
-        raise ConfigError(f"{option} holds numbers that cannot scale a picture: '{text}'")
-    return red, green, blue

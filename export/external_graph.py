@@ -3,7 +3,9 @@
 The graph was not trained on these presses, so their scores need no folds: their quantile is split-conformal.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +32,15 @@ from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Graphs, bundle_files
 from edge.model.manifest import Facts, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
+from export.direction import direction_warnings
 
 __all__ = ["WrapConfig", "wrap_files"]
 
 
 @dataclass(frozen=True)
 class WrapConfig:
-    """What to make. method: the name in the results. The other fields are those of `FitConfig`."""
+    """What to make. method: the name in the results. facts: of the graph, for the manifest, such as its licence. The
+    other fields are those of `FitConfig`."""
 
     part: str
     position: str
@@ -46,6 +50,7 @@ class WrapConfig:
     alpha: float = 0.05
     threshold: float | None = None
     threads: int = 2
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -79,6 +84,7 @@ def wrap_files(
             part=config.part,
             position=config.position,
             method=config.method,
+            facts=dict(config.facts),
             profile=ProfileEntry.of(config.profile),
             region=RegionEntry.of(region),
             threshold=threshold,
@@ -93,6 +99,7 @@ def wrap_files(
     for k, frame in enumerate(presses.frames):
         scores[k] = scorer.score(frame).anomaly_score
         report("score", (k + 1) / len(presses))
+    said += direction_warnings(scorer, presses.frames, scores)
     golden = golden_frames(scorer, presses.frames)
     tolerance = measured_tolerance(scorer, golden, config.threads)
     threshold = (

@@ -5,7 +5,6 @@ Its inputs and outputs are those of a bundle's pair of graphs, so the gateway al
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from edge.model.archive import write_file
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
+from export.onnx_values import rename, same_versions
 from plugins.backbones.tiled import mosaic_trunk
 
 __all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]
@@ -63,7 +63,7 @@ def merged_graph(bundle: Bundle) -> bytes:
     kept = [i for i in head.graph.input if i.name in taps]
     del head.graph.input[:]
     head.graph.input.extend(kept)
-    trunk, head = _same_versions(trunk, head)
+    trunk, head = same_versions(trunk, head)
     # Prefixes keep the inner names of the two graphs distinct; the outer names are restored below.
     merged = compose.merge_models(
         compose.add_prefix(trunk, "trunk/"),
@@ -71,7 +71,7 @@ def merged_graph(bundle: Bundle) -> bytes:
         io_map=[(f"trunk/{tap}", f"head/{tap}") for tap in taps],
         outputs=["head/score_map", "head/score"],
     )
-    _rename(merged, {"trunk/frames": "frames", "head/score_map": "score_map", "head/score": "score"})
+    rename(merged, {"trunk/frames": "frames", "head/score_map": "score_map", "head/score": "score"})
     merged.graph.name = f"{bundle.manifest.method}_{bundle.manifest.part}_{bundle.manifest.position}"
     del merged.metadata_props[:]
     for key, value in _metadata(bundle).items():
@@ -125,27 +125,3 @@ def _largest_difference(bundle: Bundle, graph: bytes) -> float:
         )
         worst = max(worst, apart / scale)
     return worst
-
-
-def _same_versions(trunk: Any, head: Any) -> tuple[Any, Any]:
-    """Both at the higher opset and IR version of the two, as merging requires."""
-    from onnx import version_converter
-
-    opset = max(trunk.opset_import[0].version, head.opset_import[0].version)
-    models = [
-        m if m.opset_import[0].version == opset else version_converter.convert_version(m, opset)
-        for m in (trunk, head)
-    ]
-    ir_version = max(m.ir_version for m in models)
-    for m in models:
-        m.ir_version = ir_version
-    return models[0], models[1]
-
-
-def _rename(model: Any, names: dict[str, str]) -> None:
-    """Rename values in inputs, outputs and nodes."""
-    for value in [*model.graph.input, *model.graph.output]:
-        value.name = names.get(value.name, value.name)
-    for node in model.graph.node:
-        for side in (node.input, node.output):
-            side[:] = [names.get(name, name) for name in side]

@@ -9,11 +9,14 @@ from typing import Any
 from edge import registry
 from edge.core.errors import ConfigError, FitError
 from edge.model.onnx_prune import cut_trunk
-from edge.model.onnx_validation import GraphRefused, output_names
+from edge.model.onnx_validation import GraphRefused, metadata, output_names
 
 __all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
 
 DEFAULT_BACKBONE = "tactile_resnet18"
+
+# Longer entries are a trunk's tiles or another tool's data, not a fact for the manifest.
+MOST_METADATA = 500
 
 
 @dataclass(frozen=True)
@@ -53,12 +56,13 @@ def _whole(name: str, taps: Sequence[str]) -> Trunk:
 
     if name.endswith(".onnx") or "/" in name:
         try:
-            return Trunk(Path(name).stem, Path(name).read_bytes(), {"file": Path(name).name})
+            graph = Path(name).read_bytes()
         except OSError as error:
             raise FitError(
                 f"the trunk {name} cannot be read: {error.strerror}; make it with `gelgate export backbone`, or name "
                 f"an installed backbone ({_known()})"
             ) from error
+        return Trunk(Path(name).stem, graph, {**_metadata(graph), "file": Path(name).name})
     if name not in registry.names("backbones"):
         raise ConfigError(
             f"no backbone is named '{name}'; known: {_known()}, or a path to a trunk .onnx file"
@@ -69,6 +73,14 @@ def _whole(name: str, taps: Sequence[str]) -> Trunk:
     if set(taps) <= set(output_names(usual)):
         return Trunk(name, usual, facts)
     return Trunk(name, backbone.trunk(tuple(taps)), {**facts, "taps": list(taps)})
+
+
+def _metadata(graph: bytes) -> dict[str, str]:
+    """What the file says of itself, such as its weights and their licence; nothing where it is not a graph."""
+    try:
+        return {key: value for key, value in metadata(graph).items() if len(value) <= MOST_METADATA}
+    except GraphRefused:  # refused where it is opened, with the sentence for that
+        return {}
 
 
 def _known() -> str:

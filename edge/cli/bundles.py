@@ -105,7 +105,11 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
 
 
 def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
+    from edge.model.licence import licence_sentence
+
     rows = []
+    if licence := licence_sentence(manifest):
+        rows.append(("licence", licence.removeprefix("licence of the ")))
     if manifest.contact:
         spans = {name: getattr(manifest.contact, name) for name in ("x", "y", "area")}
         rows.append(

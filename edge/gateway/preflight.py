@@ -17,6 +17,7 @@ from edge.core.plugins import HasAddress
 from edge.core.ports import Clock, Device
 from edge.gateway.opening import device_opener, open_scorer
 from edge.model.bundle import Bundle
+from edge.model.licence import licence_sentence
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
 
@@ -73,10 +74,11 @@ class Preflight:
         """Load, hash and score the golden frames; returns the finding. Errors: BundleError."""
         self.scorer, worst = open_scorer(config)
         bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
+        licence = licence_sentence(manifest)
         return (
             f"{manifest.part}/{manifest.position}, {manifest.method} ({manifest.mode}), threshold "
             f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
-            f"(within {worst:.1e}); {bundle.signature.text}"
+            f"(within {worst:.1e}); {bundle.signature.text}{f'; {licence}' if licence else ''}"
         )
 
     def open_sensor(self, config: Config, clock: Clock) -> str:

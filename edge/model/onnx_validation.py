@@ -10,7 +10,7 @@ Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["GraphRefused", "check_graph", "fields", "output_names"]
+__all__ = ["GraphRefused", "check_graph", "fields", "metadata", "output_names"]
 
 STANDARD_DOMAINS = frozenset({b"", b"ai.onnx"})
 MAX_NODES = 20_000
@@ -29,6 +29,7 @@ CHILDREN: dict[str, dict[int, str]] = {
 }
 DOMAIN_FIELD = {"opset": 1, "node": 7}
 GRAPH_OUTPUT_FIELD = 12
+METADATA_FIELD = 14
 EXTERNAL_DATA_FIELD, DATA_LOCATION_FIELD = 13, 14
 
 
@@ -63,6 +64,17 @@ def output_names(data: bytes) -> list[str]:
                 found = [bytes(v) for n, v in _fields(value, budget) if n == 1 and isinstance(v, memoryview)]
                 names += [name.decode("utf-8", "replace") for name in found]
     return names
+
+
+def metadata(data: bytes) -> dict[str, str]:
+    """The model's metadata, key to value, without opening a session. Errors: GraphRefused."""
+    budget, found = _Budget(), {}
+    for number, entry in _fields(memoryview(data), budget):
+        if number == METADATA_FIELD and isinstance(entry, memoryview):
+            pair = {n: bytes(v) for n, v in _fields(entry, budget) if isinstance(v, memoryview)}
+            key, value = (pair.get(n, b"").decode("utf-8", "replace") for n in (1, 2))
+            found[key] = value
+    return found
 
 
 def fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:

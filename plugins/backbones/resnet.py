@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
+from plugins.backbones.input_steps import InputSteps, input_planes
 from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
 from plugins.onnx_builder import Graph, Value
 
@@ -33,14 +34,17 @@ def build_trunk(
     *,
     mean: Sequence[float] = IMAGENET_MEAN,
     std: Sequence[float] = IMAGENET_STD,
+    steps: InputSteps | None = None,
+    frame: tuple[int, int] | None = None,
     weights: Literal["float32", "float16"] = "float32",
     facts: Mapping[str, str] | None = None,
 ) -> bytes:
     """The trunk as serialised ONNX.
 
     Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named as
-    the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. weights: how they are
-    stored; float16 halves the file and is widened once when the graph is loaded. facts: further entries for the graph's
+    the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. steps: other preprocessing,
+    in place of mean and std. frame: (h, w) where it is fixed, as these steps may need. weights: how they are stored;
+    float16 halves the file and is widened once when the graph is loaded. facts: further entries for the graph's
     metadata, which always has topology, mean and std.
 
     Errors: ConfigError for an unknown topology or tap, weights that are not this network's, or no tap at all.
@@ -51,12 +55,19 @@ def build_trunk(
     wanted = {tap: last_block(net, tap) for tap in taps}
     check_state(state, net, until=taps)
     builder = _TrunkBuilder(net, state, weights)
-    outputs = builder.run(_normalised(builder.graph, mean, std), set(wanted.values()))
+    steps = steps or InputSteps(_three(mean), _three(std))
+    outputs = builder.run(input_planes(builder.graph, steps, frame), set(wanted.values()))
     for tap, block in wanted.items():
         value, channels = outputs[block]
         size: tuple[int | str, int | str] = (1, 1) if tap == "avgpool" else (f"{tap}_h", f"{tap}_w")
         builder.graph.output(tap, value, ("n", channels, *size))
-    colours = {"mean": ",".join(map(str, mean)), "std": ",".join(map(str, std))}
+    if steps.copies != 1:
+        raise ConfigError(
+            f"{net.name} reads three channels, the steps give {3 * steps.copies}; use one frame"
+        )
+    colours = {"mean": ",".join(map(str, steps.mean)), "std": ",".join(map(str, steps.std))}
+    if (steps.background, steps.size) != (None, None):
+        colours["preprocessing"] = steps.words
     return builder.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
 
 
@@ -72,14 +83,9 @@ def folded(state: State, conv: Conv) -> tuple[NDArray[np.float64], NDArray[np.fl
     ], beta - mean * scale
 
 
-def _normalised(graph: Graph, mean: Sequence[float], std: Sequence[float]) -> Value:
-    """uint8 RGB (n, h, w, 3) to float32 (n, 3, h, w), each channel (x / 255 - mean) / std."""
-    frames = graph.input("frames", ("n", "h", "w", 3), "uint8")
-    planes = graph.transpose(graph.op("Cast", frames, to=1), 0, 3, 1, 2)
-    scale = 1 / (255 * np.asarray(std, np.float64))
-    shift = -np.asarray(mean, np.float64) / np.asarray(std, np.float64)
-    scaled = graph.op("Mul", planes, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
-    return graph.op("Add", scaled, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    red, green, blue = values
+    return red, green, blue
 
 
 class _TrunkBuilder:

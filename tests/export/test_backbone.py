@@ -13,13 +13,14 @@ from typer.testing import CliRunner
 
 from edge.cli import build
 from edge.core.errors import ConfigError
-from export.backbone import export_backbone, read_checkpoint, weights_sha256
+from export.backbone import BackboneOptions, export_backbone, read_checkpoint, weights_sha256
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 
 torch = pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: checkpoints are read with torch")
 
 STATE = random_state("resnet18", 1)
+RESNET18 = BackboneOptions("own", "resnet18")
 TENSORS = {name: torch.from_numpy(np.array(value)) for name, value in STATE.items()}
 
 
@@ -32,7 +33,7 @@ def saved(folder: Path, content: Any) -> Path:
 def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
     """The trunk computes the network whose weights were saved, and names them in its metadata."""
     classifier = {"fc.weight": torch.zeros(5, 512), "bn1.num_batches_tracked": torch.tensor(3)}
-    facts = export_backbone(saved(tmp_path, TENSORS | classifier), tmp_path / "trunk.onnx", "resnet18")
+    facts = export_backbone(saved(tmp_path, TENSORS | classifier), tmp_path / "trunk.onnx", RESNET18).facts
     rgb = np.random.default_rng(0).integers(0, 256, (1, 40, 40, 3), dtype=np.uint8)
     session = onnxruntime.InferenceSession(tmp_path / "trunk.onnx", providers=["CPUExecutionProvider"])
     expected = forward(STATE, "resnet18", normalise(rgb), ("layer3",))["layer3"]
@@ -116,7 +117,7 @@ def test_the_wrong_topology_names_the_keys(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"weights\.pth are not a resnet50 .*missing \(.*conv3.*unexpected|missing"
     ):
-        export_backbone(saved(tmp_path, TENSORS), tmp_path / "trunk.onnx", "resnet50")
+        export_backbone(saved(tmp_path, TENSORS), tmp_path / "trunk.onnx", BackboneOptions("own", "resnet50"))
     assert not (tmp_path / "trunk.onnx").exists()
 
 
@@ -138,11 +139,14 @@ def test_the_command_writes_and_reports(tmp_path: Path) -> None:
         str(tmp_path / "t.onnx"),
         "--topology",
         "resnet18",
+        "--licence",
+        "own",
     ]
     runner = CliRunner()
     done = runner.invoke(build(), [*arguments, "--taps", "layer1,layer2", "--half"], catch_exceptions=False)
     assert done.exit_code == 0
-    assert "resnet18, layer1,layer2, 1.4 MB" in done.output
+    assert "layer1, layer2, 1.4 MB" in done.output
+    assert "licence of the weights own" in done.output
     assert "weights sha256" in done.output
     with pytest.raises(ConfigError, match="exists already"):
         runner.invoke(build(), arguments, catch_exceptions=False)
@@ -154,6 +158,6 @@ def test_colours_must_be_three_numbers(tmp_path: Path, bad: str) -> None:
     with pytest.raises(ConfigError, match="--mean"):
         CliRunner().invoke(
             build(),
-            ["export", "backbone", "x.pth", "-o", str(tmp_path / "t.onnx"), "--mean", bad],
+            ["export", "backbone", "x.onnx", "-o", str(tmp_path / "t.onnx"), "--mean", bad],
             catch_exceptions=False,
         )

@@ -89,7 +89,7 @@ def test_the_command_makes_a_bundle_that_verifies(tmp_path: Path) -> None:
     def run(*arguments: object) -> Result:
         return CliRunner().invoke(cli.build(), [str(a) for a in arguments])
 
-    options = ("-o", tmp_path / "bolt.zip", "--part", "bolt", "--profile", "cropped_lr")
+    options = ("-o", tmp_path / "bolt.zip", "--part", "bolt", "--profile", "cropped_lr", "--licence", "own")
     done = run("wrap", tmp_path / "detector.onnx", tmp_path / "good", *options)
     assert done.exit_code == 0, done.output
     assert Bundle.load(tmp_path / "bolt.zip").manifest.method == "external"

@@ -1,0 +1,173 @@
+"""`gelgate export backbone`: weights or a network from other tools become a trunk."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edge.core.imaging.region import Region
+    from edge.core.imaging.sensor_profile import SensorProfile
+    from export.backbone import BackboneOptions
+    from plugins.backbones.input_steps import InputSteps
+
+__all__ = ["backbone", "three_numbers"]
+
+Licence = Annotated[
+    str | None,
+    typer.Option(help="Licence of the weights, such as MIT; 'own' for your own.", show_default=False),
+]
+
+
+def backbone(
+    checkpoint: Annotated[Path, typer.Argument(help="A .pth, .safetensors or .onnx file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx"),
+    licence: Licence = None,
+    topology: Annotated[
+        str, typer.Option(help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2.")
+    ] = "wide_resnet50_2",
+    taps: Annotated[
+        str,
+        typer.Option(
+            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, NAME=VALUE of a graph."
+        ),
+    ] = "",
+    encoder: Annotated[
+        str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3 or sparsh.")
+    ] = "",
+    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1; default: ImageNet's.")] = "",
+    std: Annotated[str, typer.Option(help="Then RGB is divided by this; default: ImageNet's.")] = "",
+    size: Annotated[str, typer.Option(help="Resize frames to HEIGHTxWIDTH before the network.")] = "",
+    background: Annotated[
+        Path | None, typer.Option(help="A picture of the free gel, subtracted from every frame.")
+    ] = None,
+    profile: Annotated[str, typer.Option(help="Sensor profile of the frames.")] = "mini_lr",
+    region: Annotated[str, typer.Option(help="The inspected region, as for `fit`.")] = "centre",
+    version: Annotated[
+        str | None, typer.Option(help="V1 or V2 of torchvision's weights: refused if the file is the other.")
+    ] = None,
+    second: Annotated[
+        Path | None, typer.Option(help="Weights of the blocks that follow, such as T3's trunk.")
+    ] = None,
+    prefix: Annotated[
+        str | None, typer.Option(help="Of the weights' names, where a file holds several networks.")
+    ] = None,
+    heads: Annotated[
+        int | None, typer.Option(min=1, help="Attention heads; default: one per 64 channels.")
+    ] = None,
+    prefix_tokens: Annotated[
+        int | None, typer.Option(min=0, help="Tokens before the patches in a graph's sequences.")
+    ] = None,
+    high: Annotated[float, typer.Option(help="Value of full brightness in a graph's input: 1 or 255.")] = 1.0,
+    half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False,
+    report: Annotated[
+        Path | None, typer.Option(help="Folder for the comparison with the original, parity.html.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+) -> None:
+    """Convert weights or a network to a trunk.
+
+    It is compared with the original at every tap before it is written. A .pth file needs PyTorch."""
+    from edge.core.errors import ConfigError
+    from edge.core.imaging.known_profiles import profile as known_profile
+    from edge.core.imaging.region import Region
+    from edge.extras import needs
+    from export.backbone import BackboneOptions
+
+    needs("train" if checkpoint.suffix in (".pth", ".pt", ".ckpt", ".tar") else "export", "export backbone")
+    if output.exists() and not overwrite:
+        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
+    sensor = known_profile(profile)
+    inspected = Region.parse(region, sensor.size)
+    options = BackboneOptions(
+        licence=licence,
+        topology=topology,
+        taps=tuple(tap.strip() for tap in taps.split(",") if tap.strip()),
+        encoder=encoder or None,
+        steps=_steps(encoder, mean, std, size),
+        background=None if background is None else _free_gel(background, sensor, inspected),
+        frame=(inspected.height, inspected.width),
+        weights="float16" if half else "float32",
+        version=version,
+        second=second,
+        prefix=prefix,
+        heads=heads,
+        prefix_tokens=prefix_tokens,
+        high=high,
+    )
+    _make(checkpoint, output, options, report)
+
+
+def _make(checkpoint: Path, output: Path, options: "BackboneOptions", report: Path | None) -> None:
+    from edge.model.licence import is_non_commercial
+    from export.backbone import export_backbone
+
+    made = export_backbone(checkpoint, output, options, report)
+    worst = max(made.parity.results, key=lambda result: result.difference)
+    typer.echo(f"{output}: {', '.join(made.taps)}, {len(made.trunk) / 1e6:.1f} MB")
+    typer.echo(f"equal to the original: largest difference {worst.difference:.1e}, at {worst.name}")
+    limit = "; not for commercial use" if is_non_commercial(made.facts["licence"]) else ""
+    typer.echo(f"licence of the weights {made.facts['licence']}{limit}")
+    for name in ("release", "weights_sha256"):
+        if name in made.facts:
+            typer.echo(f"{name.replace('_', ' ')} {made.facts[name]}")
+    typer.echo(f"trunk sha256 {made.sha256}")
+
+
+def _steps(encoder: str, mean: str, std: str, size: str) -> "InputSteps | None":
+    """The preprocessing that the options change; None where they leave it alone."""
+    from dataclasses import replace
+
+    from export.known_weights import encoder as known_encoder
+    from plugins.backbones.input_steps import IMAGENET
+
+    if not (mean or std or size):
+        return None
+    usual = known_encoder(encoder).steps if encoder else IMAGENET
+    steps = usual or IMAGENET
+    if mean:
+        steps = replace(steps, mean=three_numbers("--mean", mean))
+    if std:
+        steps = replace(steps, std=three_numbers("--std", std))
+    return replace(steps, size=_two_sizes(size)) if size else steps
+
+
+def _free_gel(picture: Path, sensor: "SensorProfile", region: "Region") -> "NDArray[np.uint8]":
+    """The region of a picture of the free gel, uint8 (h, w, 3). Errors: as `read_presses`."""
+    import numpy as np
+
+    from calibration.fitting.nominal_presses import read_presses
+
+    return np.asarray(read_presses([picture], sensor, region).frames[0], np.uint8)
+
+
+def _two_sizes(text: str) -> tuple[int, int]:
+    from edge.core.errors import ConfigError
+
+    try:
+        height, width = (int(number) for number in text.split("x"))
+    except ValueError as error:
+        raise ConfigError(f"--size is HEIGHTxWIDTH such as 224x224, found '{text}'") from error
+    if not (1 <= height <= 4096 and 1 <= width <= 4096):
+        raise ConfigError(f"--size is 1 to 4096 pixels each way, found '{text}'")
+    return height, width
+
+
+def three_numbers(option: str, text: str) -> tuple[float, float, float]:
+    """Three numbers, red, green, blue. Errors: ConfigError."""
+    import math
+
+    from edge.core.errors import ConfigError
+
+    try:
+        red, green, blue = (float(number) for number in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"{option} is three numbers such as 0.485,0.456,0.406, found '{text}'") from error
+    if not all(math.isfinite(value) for value in (red, green, blue)) or (
+        option == "--std" and min(red, green, blue) <= 0
+    ):
+        raise ConfigError(f"{option} holds numbers that cannot scale a picture: '{text}'")
+    return red, green, blue

@@ -1,0 +1,183 @@
+"""Any ONNX network with named taps becomes a trunk: frames in, feature maps out, nothing after the last tap.
+
+A tap is a value inside the graph, `NAME=VALUE` or the value's own name. A map (n, c, h, w) stays as it is; a sequence
+of tokens (n, l, c) loses its prefix tokens and becomes the patch grid (n, c, rows, columns).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+from edge.core.suggest import suggestion
+from export.onnx_values import (
+    PIXELS,
+    load_model,
+    picture_input,
+    read_frames,
+    run_each,
+)
+from export.parity import Stage
+from plugins.backbones.input_steps import InputSteps, applied
+
+__all__ = ["GraphTrunk", "graph_trunk", "named_taps"]
+
+MOST_PREFIXES = 8
+"""Class, distillation and register tokens together: DINOv2 with registers has five."""
+
+
+@dataclass(frozen=True)
+class GraphTrunk:
+    """A trunk made from a foreign graph, and how to compare the two.
+
+    values: tap to the value in the foreign graph. prefixes: tap to the number of tokens that were dropped.
+    """
+
+    trunk: bytes
+    taps: tuple[str, ...]
+    stages: tuple[Stage, ...]
+
+
+def named_taps(taps: Sequence[str]) -> dict[str, str]:
+    """`layer1=/blocks.3/Add_1_output_0` or a value's own name, to a name for each value. Errors: ConfigError."""
+    pairs = [tap.partition("=")[::2] for tap in taps]
+    named = {name.strip(): (value or name).strip() for name, value in pairs}
+    if not taps or len(named) < len(taps) or not all(named) or not all(named.values()):
+        raise ConfigError(
+            f"taps are distinct values of the graph, such as layer1=/blocks.3/Add_1_output_0; found "
+            f"{', '.join(taps) or 'none'}"
+        )
+    return named
+
+
+def graph_trunk(
+    data: bytes,
+    taps: Mapping[str, str],
+    steps: InputSteps,
+    frames: NDArray[np.uint8],
+    *,
+    high: float = 1.0,
+    prefixes: int | None = None,
+    facts: Mapping[str, str] | None = None,
+    where: str = "the graph",
+) -> GraphTrunk:
+    """Make the trunk, and compute its stages and the foreign graph's on `frames`, uint8 (n, h, w, 3).
+
+    high: what the brightest level is in the graph's input after the steps. prefixes: tokens to drop from sequences;
+    None: as many as leave a square grid, at most eight. Errors: ConfigError for a graph without this picture input or
+    these values, or values that are no feature maps.
+    """
+    model = load_model(data, where)
+    _check_values(model, taps, where)
+    picture = picture_input(model, where)
+    frame = (frames.shape[1], frames.shape[2])
+    if picture.size is not None and picture.size != (steps.size or frame):
+        steps = replace(steps, size=picture.size)
+    pixels = applied(steps, frames) * high
+    pixels = pixels if picture.layout == "nchw" else pixels.transpose(0, 2, 3, 1)
+    pixels = np.rint(pixels).clip(0, 255).astype(np.uint8) if picture.is_bytes else pixels.astype(np.float32)
+    expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)
+    grids = {tap: _grid(array, tap, prefixes) for tap, array in zip(taps, expected, strict=True)}
+    body = _pruned(model, picture.name, list(taps.values()), where)
+    merged = read_frames(body, picture, steps, frame, high)
+    _end(merged, taps, grids, {tap: array.shape for tap, array in zip(taps, expected, strict=True)}, facts)
+    trunk = bytes(merged.SerializeToString())
+    front = f"front/{PIXELS}"
+    found = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
+    shown = [_as_maps(array, *grids[tap]) for tap, array in zip(taps, expected, strict=True)]
+    stages = [Stage(tap, e, f) for tap, e, f in zip(taps, shown, found[1:], strict=True)]
+    return GraphTrunk(trunk, tuple(taps), (Stage("input", pixels, found[0], "input"), *stages))
+
+
+def _check_values(model: Any, taps: Mapping[str, str], where: str) -> None:
+    known = [name for node in model.graph.node for name in node.output if name]
+    for tap, value in taps.items():
+        if value not in known:
+            raise ConfigError(
+                f"{where} has no value '{value}' for the tap '{tap}'; {suggestion(value, known)} (of {len(known)}; "
+                "netron.app shows them all)"
+            )
+
+
+def _grid(array: NDArray[Any], tap: str, prefixes: int | None) -> tuple[int, int, int]:
+    """(rows, columns, prefix tokens) of a tap's values; rows 0 for a map. Errors: ConfigError."""
+    if array.dtype not in (np.float32, np.float16) or array.ndim not in (3, 4):
+        raise ConfigError(
+            f"the tap '{tap}' is {array.dtype} {array.shape}; expected are a map (n, c, h, w) or tokens (n, l, c) of "
+            "floats"
+        )
+    if array.ndim == 4:
+        return 0, 0, 0
+    for dropped in range(MOST_PREFIXES + 1) if prefixes is None else (prefixes,):
+        side = round(max(array.shape[1] - dropped, 0) ** 0.5)
+        if side > 0 and side * side == array.shape[1] - dropped:
+            return side, side, dropped
+    raise ConfigError(
+        f"the tap '{tap}' has {array.shape[1]} tokens, and no square grid is left when prefix tokens are dropped; "
+        "state them with --prefix-tokens, and use a square region"
+    )
+
+
+def _as_maps(array: NDArray[Any], rows: int, columns: int, dropped: int) -> NDArray[Any]:
+    if rows == 0:
+        return array
+    return array[:, dropped:].transpose(0, 2, 1).reshape(len(array), array.shape[2], rows, columns)
+
+
+def _pruned(model: Any, start: str, values: list[str], where: str) -> Any:
+    from onnx.utils import Extractor
+
+    try:
+        return Extractor(model).extract_model([start], values)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{where} cannot be cut at {', '.join(values)}: {error!s:.200}") from error
+
+
+def _end(
+    merged: Any,
+    taps: Mapping[str, str],
+    grids: Mapping[str, tuple[int, int, int]],
+    shapes: Mapping[str, tuple[int, ...]],
+    facts: Mapping[str, str] | None,
+) -> None:
+    """Give every tap its name, as a map; the outputs are the taps alone."""
+    import onnx
+    from onnx import helper
+
+    del merged.graph.output[:]
+    for tap, value in taps.items():
+        rows, columns, dropped = grids[tap]
+        at, shape = f"model/{value}", shapes[tap]
+        merged.graph.node.extend(_to_map(at, tap, rows, columns, dropped, shape, merged.graph.initializer))
+        size = [shape[1], shape[2], shape[3]] if rows == 0 else [shape[2], rows, columns]
+        merged.graph.output.append(helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, ["n", *size]))
+    helper.set_model_props(merged, dict(facts or {}))
+    onnx.checker.check_model(merged)
+
+
+def _to_map(
+    value: str, tap: str, rows: int, columns: int, dropped: int, shape: tuple[int, ...], constants: Any
+) -> list[Any]:
+    from onnx import helper, numpy_helper
+
+    def vector(name: str, *numbers: int) -> str:
+        constants.append(numpy_helper.from_array(np.array(numbers, np.int64), f"tap/{tap}/{name}"))
+        return f"tap/{tap}/{name}"
+
+    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> Any:
+        return helper.make_node(kind, inputs, [output], name=output, **attributes)
+
+    if rows == 0:
+        return [node("Cast", [value], tap, to=1)]
+    ends = [vector("first", dropped), vector("last", shape[1]), vector("axis", 1)]
+    return [
+        node("Slice", [value, *ends], f"tap/{tap}/patches"),
+        node("Transpose", [f"tap/{tap}/patches"], f"tap/{tap}/channels", perm=[0, 2, 1]),
+        node(
+            "Reshape", [f"tap/{tap}/channels", vector("size", 0, shape[2], rows, columns)], f"tap/{tap}/map"
+        ),
+        node("Cast", [f"tap/{tap}/map"], tap, to=1),
+    ]

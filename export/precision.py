@@ -1,0 +1,290 @@
+"""A bundle in another precision: measured on the part's nominal frames, chosen by measurement, written to its card.
+
+float32, float16 storage, and int8. int8 is calibrated on nominal frames; layers that it harms most stay in float until
+the score maps agree within the limit. `auto` takes int8 only where this machine computes it correctly (a probe for
+VNNI) and faster, float16 storage where the maps stay the same, float32 otherwise.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.bundle_measurements import cost_card, measured_tolerance
+from calibration.metrics.aupro import aupro
+from edge.core.detector import Bank
+from edge.core.errors import BundleMismatch, FitError
+from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
+from edge.model.manifest import Facts, Manifest
+from edge.model.scorer import Scorer, map_peaks
+from edge.model.session import saturates
+from export.quantise import halved, layers, quantised
+
+__all__ = ["LIMIT", "Measured", "Precision", "Precisions", "chosen", "in_precision", "measured"]
+
+Precision = Literal["float32", "float16", "int8"]
+
+LIMIT = 0.05
+"""Allowed difference of the score maps in int8: the norm of the difference over the norm of the float maps."""
+
+STORAGE_LIMIT = 0.01
+"""The same for weights that are only stored as float16."""
+
+WORTH = 0.9
+"""int8 must take less than this part of the float graph's time to be worth its difference."""
+
+CALIBRATION_FRAMES = 32
+ALONE_FRAMES = 4
+TIMED_RUNS = 9
+
+Report = Callable[[str, float], None]
+Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
+"""Frames with the masks of their defects, for AU-PRO."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One precision of the bundle's network. map_difference: relative norm over nominal frames. score_difference: the
+    largest, relative to the threshold. rise: the largest by which a nominal score rises. aupro_change: None without
+    masks. milliseconds: median of the network and its head for a frame, on this machine. in_float: layers that stayed.
+    """
+
+    precision: Precision
+    graph: bytes
+    map_difference: float
+    score_difference: float
+    rise: float
+    aupro_change: float | None
+    milliseconds: float
+    bytes: int
+    in_float: tuple[str, ...] = ()
+
+    def card(self) -> dict[str, Any]:
+        """For the manifest: everything but the graph."""
+        values = {key: value for key, value in asdict(self).items() if key not in ("graph", "precision")}
+        return {key: round(v, 6) if isinstance(v, float) else v for key, v in values.items()}
+
+
+@dataclass(frozen=True)
+class Precisions:
+    """All precisions that were measured. is_int8_exact: whether int8 products do not saturate here (VNNI or similar).
+    faults: why a precision is missing."""
+
+    results: tuple[Measured, ...]
+    is_int8_exact: bool
+    limit: float
+    faults: tuple[str, ...] = ()
+
+    def of(self, precision: Precision) -> Measured:
+        """Errors: FitError with the reason where it could not be made."""
+        for result in self.results:
+            if result.precision == precision:
+                return result
+        raise FitError(f"this bundle has no {precision}: {'; '.join(self.faults) or 'it was not measured'}")
+
+
+def measured(
+    bundle: Bundle,
+    frames: NDArray[np.uint8],
+    masked: Masked = ((), ()),
+    *,
+    limit: float = LIMIT,
+    threads: int = 2,
+    report: Report = lambda stage, fraction: None,
+) -> Precisions:
+    """Make and measure every precision. frames: nominal, uint8 (n, h, w, 3) of the bundle's region, at least four.
+
+    Errors: BundleMismatch for a bundle without its trunk, or already in int8; FitError for too few frames.
+    """
+    network = _network(bundle)
+    if len(frames) < ALONE_FRAMES:
+        raise FitError(f"{len(frames)} nominal frames cannot calibrate int8; give at least {ALONE_FRAMES}")
+    comparison = _Comparison(bundle, frames, masked, threads)
+    results, faults = [comparison.of("float32", network)], []
+    results.append(comparison.of("float16", halved(network)))
+    report("int8", 0.0)
+    try:
+        results.append(_int8(network, frames, comparison, limit, report))
+    except Exception as error:  # noqa: BLE001 (the quantiser raises anything on operators that it does not know)
+        faults.append(f"onnxruntime cannot quantise it ({str(error).strip()[:150] or type(error).__name__})")
+    return Precisions(tuple(results), not saturates(), limit, tuple(faults))
+
+
+def chosen(precisions: Precisions) -> Measured:
+    """The precision for this machine: int8 if it is exact, within the limit and faster; float16 storage if the maps
+    stay the same; else float32."""
+    plain, half = precisions.of("float32"), precisions.of("float16")
+    whole = next((one for one in precisions.results if one.precision == "int8"), None)
+    if (
+        whole is not None
+        and precisions.is_int8_exact
+        and whole.map_difference <= precisions.limit
+        and whole.milliseconds < WORTH * plain.milliseconds
+    ):
+        return whole
+    return half if half.map_difference <= STORAGE_LIMIT and half.bytes < plain.bytes else plain
+
+
+def in_precision(
+    bundle: Bundle, precisions: Precisions, choice: Measured, frames: NDArray[np.uint8], threads: int = 2
+) -> tuple[Manifest, dict[str, bytes]]:
+    """The bundle with this network: its golden frames, tolerance, costs and card are measured again.
+
+    The threshold rises by the largest rise of a nominal score, so nominal presses fail no more often than before.
+    Errors: FitError where the score maps differ by more than the limit.
+    """
+    allowed = precisions.limit if choice.precision == "int8" else STORAGE_LIMIT
+    if choice.map_difference > allowed:
+        raise FitError(
+            f"in {choice.precision} the score maps differ by {choice.map_difference:.3g}, {allowed:g} is allowed; keep "
+            "float32, or raise --limit and evaluate the bundle on damaged presses"
+        )
+    graphs = _with_network(bundle, choice.graph)
+    manifest = bundle.manifest
+    threshold = manifest.threshold
+    if choice.rise > 0:
+        words = f"{threshold.method}, raised by {choice.rise:.3g} for {choice.precision}"
+        threshold = threshold.model_copy(update={"value": threshold.value + choice.rise, "method": words})
+    card: dict[str, Any] = {
+        "chosen": choice.precision,
+        "int8_exact_here": precisions.is_int8_exact,
+        **{one.precision: one.card() for one in precisions.results},
+    }
+    fields = {name: getattr(manifest, name) for name in Facts.model_fields}
+    facts = Facts(**{**fields, "threshold": threshold, "facts": {**manifest.facts, "precision": card}})
+    scorer = Scorer(_files(bundle, facts, graphs, ()), threads)
+    golden = [_again(scorer, one) for one in bundle.golden]
+    measured_facts = {
+        "tolerance": measured_tolerance(scorer, golden, threads) if golden else facts.tolerance,
+        "cost": cost_card(scorer, frames, threads, {}),
+    }
+    return _bundle_files(bundle, facts.model_copy(update=measured_facts), graphs, golden)
+
+
+def _int8(
+    network: bytes, frames: NDArray[np.uint8], comparison: "_Comparison", limit: float, report: Report
+) -> Measured:
+    """int8, with as many of the most sensitive layers in float as the limit needs."""
+    some = frames[:: max(1, len(frames) // CALIBRATION_FRAMES)][:CALIBRATION_FRAMES]
+    best = comparison.of("int8", quantised(network, some))
+    if best.map_difference <= limit:
+        return best
+    names, alone = layers(network), []
+    for number, name in enumerate(names):
+        graph = quantised(network, some[:ALONE_FRAMES], only=[name])
+        alone.append(comparison.map_difference(graph, ALONE_FRAMES))
+        report("int8", (number + 1) / len(names))
+    worst_first = [names[k] for k in np.argsort(alone)[::-1]]
+    count = 1
+    while best.map_difference > limit and count < len(names):
+        kept = worst_first[:count]
+        found = comparison.of("int8", quantised(network, some, in_float=kept), kept)
+        best = found if found.map_difference < best.map_difference else best
+        count *= 2
+    return best
+
+
+class _Comparison:
+    """Maps and scores of the bundle as it is, with which its other precisions are compared."""
+
+    def __init__(self, bundle: Bundle, frames: NDArray[np.uint8], masked: Masked, threads: int) -> None:
+        self._bundle, self._frames, self._masked, self._threads = bundle, frames, masked, threads
+        self._plain = Scorer(bundle, threads, is_skipping=False)
+        scored = [self._plain.score(frame) for frame in frames]
+        self._maps = np.stack([one.score_map for one in scored])
+        self._scores = np.array([one.anomaly_score for one in scored])
+        self._aupro = self._aupro_of(self._plain)
+
+    def of(self, precision: Precision, graph: bytes, in_float: Sequence[str] = ()) -> Measured:
+        scorer = self._scorer(graph)
+        scored = [scorer.score(frame) for frame in self._frames]
+        scores = np.array([one.anomaly_score for one in scored])
+        found = self._aupro_of(scorer)
+        scale = abs(self._bundle.manifest.threshold.value) or float(np.abs(self._scores).max()) or 1.0
+        return Measured(
+            precision=precision,
+            graph=graph,
+            map_difference=_relative(np.stack([one.score_map for one in scored]), self._maps),
+            score_difference=float(np.abs(scores - self._scores).max()) / scale,
+            rise=max(0.0, float((scores - self._scores).max())) if precision != "float32" else 0.0,
+            aupro_change=None if found is None or self._aupro is None else found - self._aupro,
+            milliseconds=self._time(scorer),
+            bytes=len(graph),
+            in_float=tuple(in_float),
+        )
+
+    def map_difference(self, graph: bytes, count: int) -> float:
+        """Over the first frames alone."""
+        scorer = self._scorer(graph)
+        return _relative(
+            np.stack([scorer.score(one).score_map for one in self._frames[:count]]), self._maps[:count]
+        )
+
+    def _scorer(self, graph: bytes) -> Scorer:
+        facts = Facts(**{name: getattr(self._bundle.manifest, name) for name in Facts.model_fields})
+        changed = _files(self._bundle, facts, _with_network(self._bundle, graph), ())
+        return Scorer(changed, self._threads, is_skipping=False)
+
+    def _aupro_of(self, scorer: Scorer) -> float | None:
+        frames, masks = self._masked
+        return (
+            aupro([scorer.score(frame).score_map for frame in frames], list(masks)) if len(frames) else None
+        )
+
+    def _time(self, scorer: Scorer) -> float:
+        """Median milliseconds of a frame, each run next to one of the unchanged bundle so that load falls on both."""
+        taken = []
+        for k in range(TIMED_RUNS):
+            frame = self._frames[k % len(self._frames)]
+            self._plain.score(frame)
+            start = time.perf_counter()
+            scorer.score(frame)
+            taken.append(1e3 * (time.perf_counter() - start))
+        return float(np.median(taken))
+
+
+def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> float:
+    norm = float(np.linalg.norm(expected.astype(np.float64)))
+    return float(np.linalg.norm(found.astype(np.float64) - expected)) / max(norm, 1e-30)
+
+
+def _network(bundle: Bundle) -> bytes:
+    """The graph that is quantised: the trunk, or the single graph. Errors: BundleMismatch."""
+    graph = bundle.graphs.trunk if bundle.manifest.backbone else bundle.graphs.detector
+    if graph is None:
+        raise BundleMismatch(f"bundle {bundle.where} has no trunk in memory; load it with its trunk")
+    if b"QuantizeLinear" in graph:
+        raise BundleMismatch(f"bundle {bundle.where} is quantised already; start from the float bundle")
+    return graph
+
+
+def _with_network(bundle: Bundle, graph: bytes) -> Graphs:
+    return replace(bundle.graphs, **{"trunk" if bundle.manifest.backbone else "detector": graph})
+
+
+def _again(scorer: Scorer, frame: GoldenFrame) -> GoldenFrame:
+    scored = scorer.score(frame.rgb)
+    return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
+
+
+def _files(bundle: Bundle, facts: Facts, graphs: Graphs, golden: Sequence[GoldenFrame]) -> Bundle:
+    return Bundle.in_memory(*_bundle_files(bundle, facts, graphs, golden), where=bundle.where)
+
+
+def _bundle_files(
+    bundle: Bundle, facts: Facts, graphs: Graphs, golden: Sequence[GoldenFrame]
+) -> tuple[Manifest, dict[str, bytes]]:
+    entries, backbone = bundle.manifest.bank, bundle.manifest.backbone
+    bank = Bank(bundle.bank, {name: entry.packing for name, entry in entries.items()}) if entries else None
+    return bundle_files(
+        facts,
+        graphs,
+        bank,
+        golden,
+        backbone=backbone.id if backbone else "",
+        free_gel=bundle.free_gel,
+        free_view=bundle.free_view,
+    )

@@ -1,0 +1,176 @@
+"""Weights by name from a file: `.pth` through PyTorch's weights-only loader, `.safetensors` without PyTorch.
+
+A checkpoint is a pickle, and an unrestricted pickle runs any code of its author. Only PyTorch's weights-only loader is
+used here: it builds tensors and plain containers and refuses everything else. There is no fallback.
+"""
+
+import hashlib
+import importlib
+import pickle
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+from plugins.backbones.topology import State
+
+__all__ = ["MOST_BYTES", "file_sha256", "is_onnx", "read_checkpoint", "read_safetensors", "read_weights"]
+
+MOST_BYTES = 4 << 30
+"""The largest file of weights: a ViT-L in float32 has 1.2 GB; a gateway runs nothing of this size."""
+
+# Keys under which training scripts store the weights, and prefixes that wrappers add to every name.
+CONTAINERS = ("state_dict", "model", "model_state_dict")
+WRAPPERS = ("module.", "_orig_mod.")
+
+# safetensors' names of dtypes that numpy has; BF16 is widened by hand.
+_DTYPES = {
+    "F64": "<f8",
+    "F32": "<f4",
+    "F16": "<f2",
+    "I64": "<i8",
+    "I32": "<i4",
+    "I8": "i1",
+    "U8": "u1",
+    "BOOL": "?",
+}
+
+
+def read_weights(path: Path) -> State:
+    """The weights of a `.pth` or `.safetensors` file by name, float32. Errors: ConfigError with what the file is."""
+    _check_file(path)
+    return read_safetensors(path) if path.suffix == ".safetensors" else read_checkpoint(path)
+
+
+def read_checkpoint(path: Path) -> State:
+    """The weights in a `.pth` file, by name, float32. Errors: ConfigError with what the file is instead."""
+    _check_file(path)
+    if is_onnx(path):
+        raise ConfigError(
+            f"{path} is already an ONNX graph; name its taps: gelgate export backbone {path} --taps"
+        )
+    loaded = _load(path)
+    for name in CONTAINERS:
+        if isinstance(loaded, Mapping) and isinstance(loaded.get(name), Mapping):
+            loaded = loaded[name]
+    tensors = (
+        {name: value for name, value in loaded.items() if hasattr(value, "numpy")}
+        if isinstance(loaded, Mapping)
+        else {}
+    )
+    if not tensors:
+        raise ConfigError(
+            f"{path} holds {_described(loaded)} and no weights by name; save model.state_dict() with torch.save"
+        )
+    return {_unwrapped(str(name)): _as_numpy(value) for name, value in tensors.items()}
+
+
+def read_safetensors(path: Path) -> State:
+    """The weights in a `.safetensors` file, by name, float32. Errors: ConfigError with what is wrong in it."""
+    _check_file(path)
+    try:
+        safetensors = importlib.import_module("safetensors")
+    except ImportError as error:
+        raise ConfigError(
+            f"reading {path} needs safetensors, which is not installed; pip install 'gelgate[export]'"
+        ) from error
+    try:
+        entries = safetensors.deserialize(path.read_bytes())
+        state = {_unwrapped(name): _array(entry) for name, entry in entries}
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise ConfigError(
+            f"{path} is not a safetensors file of weights ({error!s:.200}); copy it again"
+        ) from error
+    if not state:
+        raise ConfigError(f"{path} holds no weights; save the model's state_dict() with safetensors")
+    return state
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, as release pages print it."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_onnx(path: Path) -> bool:
+    """Whether a file parses as an ONNX model with a graph. It starts with its format's version, field 1."""
+    with path.open("rb") as file:
+        if file.read(1) != b"\x08":
+            return False
+    import onnx
+
+    try:
+        return bool(onnx.load(path, load_external_data=False).graph.node)
+    except Exception:  # noqa: BLE001 (protobuf raises its own classes; then it is not ONNX)
+        return False
+
+
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise ConfigError(f"checkpoint {path} does not exist; give the path of a .pth or .safetensors file")
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise ConfigError(
+            f"{path} has {size / 1e9:.1f} GB, at most {MOST_BYTES / 1e9:.1f} are read; is it the weights?"
+        )
+
+
+def _array(entry: Mapping[str, Any]) -> NDArray[np.float32]:
+    """One tensor as float32. Errors: ValueError for a dtype that no weights have."""
+    dtype, data, shape = entry["dtype"], bytes(entry["data"]), entry["shape"]
+    if dtype == "BF16":
+        # A bfloat16 is the upper half of a float32.
+        return (np.frombuffer(data, "<u2").astype("<u4") << 16).view("<f4").reshape(shape).astype(np.float32)
+    if dtype not in _DTYPES:
+        raise ValueError(f"its dtype {dtype} is not one of {', '.join(_DTYPES)}, BF16")
+    return np.frombuffer(data, _DTYPES[dtype]).reshape(shape).astype(np.float32)
+
+
+def _load(path: Path) -> Any:
+    try:
+        torch = importlib.import_module("torch")
+    except ImportError as error:
+        raise ConfigError(
+            f"reading {path} needs PyTorch, which is not installed; pip install 'gelgate[train]', "
+            "or save the weights as .safetensors, or export on another machine and copy the .onnx file"
+        ) from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # about old pickle protocols; real faults are raised
+        try:
+            return torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:  # on foreign bytes the loader raises any error
+            raise ConfigError(f"{path} {_complaint(path, error)}") from error
+
+
+def _complaint(path: Path, error: Exception) -> str:
+    if "TorchScript" in str(error):
+        return (
+            "is a TorchScript archive, not a checkpoint of weights; save model.state_dict() with torch.save"
+        )
+    if isinstance(error, pickle.UnpicklingError) and zipfile.is_zipfile(path):
+        return "holds more than weights and was not loaded; save model.state_dict() alone with torch.save"
+    return (
+        f"is not a PyTorch checkpoint of weights ({type(error).__name__}); give a file written by torch.save"
+    )
+
+
+def _unwrapped(name: str) -> str:
+    while name.startswith(WRAPPERS):
+        name = name.partition(".")[2]
+    return name
+
+
+def _as_numpy(value: Any) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = value.detach().float().numpy()
+    return array
+
+
+def _described(value: object) -> str:
+    if isinstance(value, Mapping):
+        return f"a table of {', '.join(map(str, list(value)[:4])) or 'nothing'}"
+    return f"a {type(value).__name__}"

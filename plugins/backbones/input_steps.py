@@ -1,0 +1,148 @@
+"""The steps from a frame to a network's input, as data, as an ONNX graph, and in NumPy as their reference.
+
+    frame - background -> / 255 -> + offset -> resize -> (x - mean) / std -> copies
+
+Encoders that were trained on differences from the untouched gel have its picture inside the graph, so a bundle of such
+a trunk belongs to one sensor. Encoders that were trained on two frames of a film get the one settled frame twice: while
+the gateway scores a press, nothing moves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+from plugins.onnx_builder import Graph, Value
+
+__all__ = ["IMAGENET", "InputSteps", "applied", "cubic_matrix", "input_planes", "linear_matrix"]
+
+
+@dataclass(frozen=True)
+class InputSteps:
+    """What is done to a frame, uint8 RGB (h, w, 3).
+
+    mean, std: of RGB in 0..1, after the steps before them. size: (h, w) to resize to, linear with antialiasing; None
+    keeps the frame's. background: uint8 (h, w, 3), the picture without contact, subtracted. offset: added after the
+    subtraction, with the result limited to 0..1. copies: how often the three channels are given.
+    """
+
+    mean: tuple[float, float, float]
+    std: tuple[float, float, float]
+    size: tuple[int, int] | None = None
+    background: NDArray[np.uint8] | None = None
+    offset: float = 0.0
+    copies: int = 1
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([*self.mean, *self.std, self.offset]).all() and min(self.std) > 0):
+            raise ConfigError(
+                f"mean {self.mean}, std {self.std} and offset {self.offset} cannot scale a picture"
+            )
+        if self.copies < 1 or (self.size is not None and min(self.size) < 1):
+            raise ConfigError(f"a network's input has a size and a copy, found {self.size} and {self.copies}")
+
+    @property
+    def words(self) -> str:
+        """The steps in order, for a graph's metadata."""
+        steps = ["x/255"] if self.background is None else ["(x-background)/255"]
+        if self.background is not None and self.offset:
+            steps.append(f"+{self.offset:g}, limited to 0..1")
+        if self.size is not None:
+            steps.append(f"resize {self.size[0]}x{self.size[1]}")
+        steps.append(f"-{_listed(self.mean)}, /{_listed(self.std)}")
+        if self.copies > 1:
+            steps.append(f"the settled frame {self.copies} times")
+        return "; ".join(steps)
+
+
+IMAGENET = InputSteps((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+"""The usual normalisation of ImageNet-trained networks (torchvision's published transforms)."""
+
+
+def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None = None) -> Value:
+    """Add the input `frames` uint8 (n, h, w, 3) and the steps; the value is float32 (n, 3 x copies, h', w').
+
+    frame: (h, w) of the frames where it is fixed. Errors: ConfigError for a background of another size.
+    """
+    h, w = frame or ("h", "w")
+    x = graph.op("Cast", graph.input("frames", ("n", h, w, 3), "uint8"), to=1)
+    if steps.background is not None:
+        if frame is not None and steps.background.shape != (*frame, 3):
+            raise ConfigError(
+                f"the background is {steps.background.shape[:2]}, frames are {frame} (h, w); give a picture of the "
+                "free gel from the same sensor, cut to the same region"
+            )
+        x = graph.op("Sub", x, graph.constant(steps.background.astype(np.float32)))
+    x = graph.transpose(x, 0, 3, 1, 2)
+    shift = np.zeros(3)
+    if steps.background is not None and steps.offset:
+        x = graph.op("Mul", x, graph.scalar(1 / 255))
+        x = graph.op("Clip", graph.op("Add", x, graph.scalar(steps.offset)), graph.scalar(0), graph.scalar(1))
+        scale = 1 / np.asarray(steps.std, np.float64)
+    else:
+        scale = 1 / (255 * np.asarray(steps.std, np.float64))
+    shift = -np.asarray(steps.mean, np.float64) / np.asarray(steps.std, np.float64)
+    if steps.size is not None and steps.size != frame:
+        if frame is None:
+            raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
+        x = _resized(graph, x, frame, steps.size)
+    x = graph.op("Mul", x, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
+    x = graph.op("Add", x, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
+    return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
+
+
+def _resized(graph: Graph, planes: Value, frame: tuple[int, int], size: tuple[int, int]) -> Value:
+    """Two products with fixed matrices: runtimes differ in how they resize with antialiasing at the border."""
+    rows, columns = (linear_matrix(a, b).astype(np.float32) for a, b in zip(frame, size, strict=True))
+    across = graph.op("MatMul", planes, graph.constant(columns.T))
+    return graph.op("MatMul", graph.constant(rows), across)
+
+
+def applied(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """The same in NumPy: uint8 (n, h, w, 3) to float64 (n, 3 x copies, h', w')."""
+    x = frames.astype(np.float64)
+    if steps.background is not None:
+        x = x - steps.background
+    x = x / 255
+    if steps.background is not None and steps.offset:
+        x = np.clip(x + steps.offset, 0, 1)
+    if steps.size is not None and steps.size != frames.shape[1:3]:
+        rows, columns = (linear_matrix(a, b) for a, b in zip(frames.shape[1:3], steps.size, strict=True))
+        x = np.einsum("yh,nhwc,xw->nyxc", rows, x, columns, optimize=True)
+    x = (x - np.asarray(steps.mean)) / np.asarray(steps.std)
+    planes = np.ascontiguousarray(x.transpose(0, 3, 1, 2))
+    return np.concatenate([planes] * steps.copies, axis=1)
+
+
+def linear_matrix(source: int, target: int) -> NDArray[np.float64]:
+    """Linear resampling with antialiasing as a matrix (target, source)."""
+    return _resampling(source, target, lambda x: np.clip(1 - np.abs(x), 0, None))
+
+
+def cubic_matrix(source: int, target: int) -> NDArray[np.float64]:
+    """Bicubic resampling (a = -1/2) with antialiasing as a matrix (target, source)."""
+
+    def kernel(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = np.abs(x)
+        near = (1.5 * x - 2.5) * x**2 + 1
+        far = ((-0.5 * x + 2.5) * x - 4) * x + 2
+        return np.where(x < 1, near, np.where(x < 2, far, 0))
+
+    return _resampling(source, target, kernel)
+
+
+def _resampling(
+    source: int, target: int, kernel: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """The kernel is widened to an output pixel where pixels become fewer; rows sum to 1 at the border too."""
+    scale = source / target
+    centres = (np.arange(target) + 0.5) * scale - 0.5
+    weights = kernel((np.arange(source) - centres[:, None]) / max(scale, 1.0))
+    matrix: NDArray[np.float64] = weights / weights.sum(axis=1, keepdims=True)
+    return matrix
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in values) + ")"

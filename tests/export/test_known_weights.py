@@ -1,0 +1,76 @@
+"""Releases are known by their hash; licences are asked for, kept, and printed."""
+
+import pytest
+import tiny
+
+from edge.core.errors import ConfigError
+from edge.model.licence import is_non_commercial, licence_of, licence_sentence
+from edge.model.manifest import Manifest
+from export.known_weights import ENCODERS, RELEASES, check_release, encoder, release_of
+from export.licence import stated_licence
+
+V1, V2 = "95faca4d" + 56 * "0", "9ba9bcbe" + 56 * "0"
+
+
+def test_v1_and_v2_are_told_apart_by_the_hash() -> None:
+    """A V2 file where V1 was declared is refused; undeclared it is named; another file is unknown."""
+    assert check_release(V1, "V1", "wide_resnet50_2", "a.pth") == "torchvision wide_resnet50_2 IMAGENET1K_V1"
+    assert check_release(V2, None, "wide_resnet50_2", "a.pth").endswith("IMAGENET1K_V2")
+    with pytest.raises(ConfigError, match=r"a\.pth are the V2 weights .*, V1 was declared"):
+        check_release(V2, "V1", "wide_resnet50_2", "a.pth")
+    with pytest.raises(ConfigError, match="not a resnet50; pass --topology wide_resnet50_2"):
+        check_release(V1, None, "resnet50", "a.pth")
+    assert check_release("0" * 64, None, "resnet18", "a.pth") == "unknown"
+    assert check_release("0" * 64, "V1", "resnet18", "a.pth").startswith("V1 (stated")
+
+
+def test_every_release_is_a_network_that_can_be_exported() -> None:
+    """Eight digits each, of the three networks."""
+    assert {release.topology for release in RELEASES.values()} == {"resnet18", "resnet50", "wide_resnet50_2"}
+    assert all(len(key) == 8 and release_of(key + "0" * 56) == one for key, one in RELEASES.items())
+
+
+def test_encoders_have_licences() -> None:
+    """Sparsh's is not for commercial use, the others are."""
+    assert {name: is_non_commercial(one.licence) for name, one in ENCODERS.items()} == {
+        "tvl": False,
+        "t3": False,
+        "sparsh": True,
+    }
+    with pytest.raises(ConfigError, match="no touch encoder is named 'unit'; known: tvl, t3, sparsh"):
+        encoder("unit")
+
+
+@pytest.mark.parametrize("text", [None, "", "  ", "two\nlines", "x" * 201])
+def test_a_licence_is_one_short_line(text: str | None) -> None:
+    """Nothing, several lines and long texts are refused."""
+    with pytest.raises(ConfigError, match="the licence of a file"):
+        stated_licence(text, "a file")
+
+
+@pytest.mark.parametrize("licence", ["CC-BY-NC-4.0", "CC BY-NC-SA 4.0", "Non-commercial", "research only"])
+def test_licences_that_forbid_commercial_use(licence: str) -> None:
+    """By the letters NC as a word, or in words."""
+    assert is_non_commercial(licence)
+
+
+@pytest.mark.parametrize("licence", ["MIT", "Apache-2.0", "BSD-3-Clause", "own, for Nancy GmbH"])
+def test_licences_that_allow_it(licence: str) -> None:
+    """NC inside a word says nothing."""
+    assert not is_non_commercial(licence)
+
+
+def manifest(**facts: object) -> Manifest:
+    return tiny.tiny_files(facts=facts)[0]
+
+
+def test_a_manifest_says_its_licences() -> None:
+    """Of the detector and of the trunk, each once; nothing where nothing was stated."""
+    assert licence_of(manifest()) is None
+    assert licence_sentence(manifest()) is None
+    both = manifest(licence="MIT", backbone={"licence": "CC-BY-NC-4.0"})
+    assert licence_of(both) == "MIT, CC-BY-NC-4.0"
+    assert licence_sentence(both) == (
+        "licence of the weights MIT, CC-BY-NC-4.0: not for commercial use, not for production"
+    )
+    assert licence_of(manifest(licence="MIT", backbone={"licence": "MIT"})) == "MIT"
