@@ -21,7 +21,7 @@ test: $(VENV)/.test debian lint
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/detectors/test_smoothing.py
+	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/detectors/test_smoothing.py
 
 # Every verb in an environment of its own, made by `pip install .` without extras.
 test-plain: $(VENV)/.test

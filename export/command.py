@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from export.backbone_command import backbone
+from export.precision_command import precision
 
 __all__ = ["export"]
 
@@ -18,6 +19,7 @@ def _group() -> None:
 
 
 export.command()(backbone)
+export.command()(precision)
 
 
 @export.command()

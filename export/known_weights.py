@@ -1,4 +1,4 @@
-"""Releases of weights that are told apart by their file's hash, and touch encoders with what their authors publish.
+"""Releases of weights that are distinguished by their file's hash, and touch encoders with what their authors publish.
 
 The names of torchvision's files carry the first eight digits of their SHA-256, so a file is recognised also when it
 was renamed. Ref: torchvision.models.resnet (the `url` of each weights entry).

@@ -1,6 +1,6 @@
 """A bundle in another precision: measured on the part's nominal frames, chosen by measurement, written to its card.
 
-float32, float16 storage, and int8. int8 is calibrated on nominal frames; layers that it harms most stay in float until
+float32, float16 storage, and int8. int8 is calibrated on nominal frames, as they are and with a painted square; layers that it harms most stay in float until
 the score maps agree within the limit. `auto` takes int8 only where this machine computes it correctly (a probe for
 VNNI) and faster, float16 storage where the maps stay the same, float32 otherwise.
 """
@@ -21,6 +21,7 @@ from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
 from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import saturates
+from export.direction import painted
 from export.quantise import halved, layers, quantised
 
 __all__ = ["LIMIT", "Measured", "Precision", "Precisions", "chosen", "in_precision", "measured"]
@@ -169,19 +170,21 @@ def _int8(
 ) -> Measured:
     """int8, with as many of the most sensitive layers in float as the limit needs."""
     some = frames[:: max(1, len(frames) // CALIBRATION_FRAMES)][:CALIBRATION_FRAMES]
-    best = comparison.of("int8", quantised(network, some))
+    # Ranges of nominal frames alone would cut what damage shows: each is also given with a painted square.
+    both = np.concatenate([some, [painted(frame) for frame in some]])
+    best = comparison.of("int8", quantised(network, both))
     if best.map_difference <= limit:
         return best
     names, alone = layers(network), []
     for number, name in enumerate(names):
-        graph = quantised(network, some[:ALONE_FRAMES], only=[name])
+        graph = quantised(network, both[:ALONE_FRAMES], only=[name])
         alone.append(comparison.map_difference(graph, ALONE_FRAMES))
         report("int8", (number + 1) / len(names))
     worst_first = [names[k] for k in np.argsort(alone)[::-1]]
     count = 1
     while best.map_difference > limit and count < len(names):
         kept = worst_first[:count]
-        found = comparison.of("int8", quantised(network, some, in_float=kept), kept)
+        found = comparison.of("int8", quantised(network, both, in_float=kept), kept)
         best = found if found.map_difference < best.map_difference else best
         count *= 2
     return best

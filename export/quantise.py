@@ -4,8 +4,10 @@ int8 is calibrated on the caller's frames. Layers can be left in float; the oper
 integer kernels exist for. Imports onnx at use.
 """
 
+import contextlib
+import logging
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +79,32 @@ def quantised(
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "float.onnx", Path(folder) / "int8.onnx"
         onnx.save(model, source)
-        quantize_static(
-            source,
-            target,
-            Frames(),
-            quant_format=QuantFormat.QDQ,
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            op_types_to_quantize=list(QUANTISED),
-            nodes_to_quantize=list(only) or None,
-            nodes_to_exclude=[*in_float, *_before_the_first_layer(model)],
-        )
+        with _quiet():
+            quantize_static(
+                source,
+                target,
+                Frames(),
+                quant_format=QuantFormat.QDQ,
+                per_channel=True,
+                activation_type=QuantType.QUInt8,
+                weight_type=QuantType.QInt8,
+                op_types_to_quantize=list(QUANTISED),
+                nodes_to_quantize=list(only) or None,
+                nodes_to_exclude=[*in_float, *_before_the_first_layer(model)],
+            )
         return target.read_bytes()
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """The quantiser advises in the root log to prepare graphs that ours need not."""
+    root = logging.getLogger()
+    before = root.level
+    root.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        root.setLevel(before)
 
 
 def _prepared(data: bytes) -> Any:
