@@ -15,17 +15,14 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
-from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
+from calibration.fitting.recorded_presses import FoundPress, PressFinder
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.table import State
-from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import VIEW_SIZE, decode
-from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -237,23 +234,18 @@ def _specimen(path: Path) -> str | None:
 
 def _read_recording(folder: Path, gathered: _Gathered) -> None:
     """Every press that settles, and the free gel before each."""
-    recording, detector = Recording.open(folder), PressDetector(gathered.profile)
+    recording, finder = Recording.open(folder), PressFinder(gathered.profile)
     specimens: dict[int, object] = {}
-    last_free: CameraFrame | None = None
-    settled = 0
     for recorded in recording:
         specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
-        for event in detector.feed(recorded.frame):
-            if isinstance(event, PressSettled) and (chosen := detector.chosen(event)) is not None:
-                _add_settled(folder, chosen, specimens[chosen.sequence], detector.tracker, gathered)
-                settled += 1
-            elif isinstance(event, PressBegan | ReferenceReady) and last_free is not None:
-                gathered.add_free(decode(last_free, gathered.profile).rgb)
-        if detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
-            last_free = detector.newest
-    if detector.looked_at == 0:
-        gathered.refused.append(_why_unread(folder, recording, detector))
-    gathered.faults += _incomplete(recording, settled, detector)
+        for found in finder.feed(recorded.frame):
+            if isinstance(found, FoundPress):
+                _add_settled(folder, found, specimens[found.frame.sequence], gathered)
+            else:
+                gathered.add_free(decode(found.frame, gathered.profile).rgb)
+    if finder.detector.looked_at == 0:
+        gathered.refused.append(why_unread(folder, recording, finder.detector))
+    gathered.faults += _incomplete(recording, finder.settled, finder.detector)
 
 
 def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> list[str]:
@@ -271,20 +263,20 @@ def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> 
     return found
 
 
-def _why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:
+def why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:
+    """Why no frame of a recording was looked at."""
     if detector.first_fault is None:
         return f"{folder} has no frames"
     return f"all {detector.corrupt} frames of {folder} were refused; the first: {detector.first_fault}"
 
 
-def _add_settled(
-    folder: Path, frame: CameraFrame, specimen: object, tracker: ContactTracker, gathered: _Gathered
-) -> None:
-    picture = decode(frame, gathered.profile).rgb
-    mask, relief = tracker.chosen_mask, tracker.chosen_relief
-    contact = None if mask is None or relief is None else _Contact(mask, relief.area)
+def _add_settled(folder: Path, found: FoundPress, specimen: object, gathered: _Gathered) -> None:
+    contact = None if found.mask is None or found.relief is None else _Contact(found.mask, found.relief)
     gathered.add(
-        picture, f"{folder.name}#{frame.sequence}", None if specimen is None else str(specimen), contact
+        decode(found.frame, gathered.profile).rgb,
+        f"{folder.name}#{found.frame.sequence}",
+        None if specimen is None else str(specimen),
+        contact,
     )
 
 

@@ -9,7 +9,11 @@ weight 1 / (pieces + 1), shared by its presses; the same weight is at infinity, 
 piece exceeds the (1 - alpha) quantile of these weighted scores with probability alpha at most. With one press each
 that is the ceil((n + 1)(1 - alpha))-th smallest of n scores.
 
-The probability is over bundles: one bundle's own rate differs from it, see `rate_range`. With folds it is approximate
+The probability is over bundles: one bundle's own rate differs from it. What is promised of one bundle is the exact
+binomial limit of the presses, and of the pieces, above its threshold (`by_press`, `by_piece`). It is a quantile of the
+same distribution as `rate_range`, so the two statements cannot contradict each other: the one is a mean over bundles,
+the other a limit for 90 of 100 bundles. Where pieces have several presses, how many of them lie above the threshold
+is random, and the limit by piece is approximate. With folds it is approximate
 (Vovk's cross-conformal scores have no exact bound). A fold has fewer presses than the final bank and the same share of
 the bank's size (`Nominal.room`), so its scores are usually higher. They are equal where a method divides them by
 distances measured in the same fold (SPADE). tests/bench/test_false_alarms.py measures the effect.
@@ -22,8 +26,9 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.binomial import CONFIDENCE, beta_quantile, upper_rate
 from edge.core.errors import FitError
-from edge.model.manifest import ThresholdEntry
+from edge.model.manifest import RatePromise, ThresholdEntry
 
 __all__ = [
     "FLOOR_MARGIN",
@@ -88,7 +93,23 @@ def conformal_threshold(
         nominal_scores=tuple(map(float, ordered)),
         pieces=pieces,
         rate_range=rate_range(pieces, alpha),
+        by_press=_promised(found > value),
+        by_piece=_promised(_of_pieces(found > value, keys)) if pieces < len(found) else None,
     )
+
+
+def _promised(is_alarm: NDArray[np.bool_]) -> RatePromise:
+    """What alarms among so many trials still allow. is_alarm: of each trial, (n,)."""
+    alarms, trials = int(is_alarm.sum()), len(is_alarm)
+    return RatePromise(
+        trials=trials, alarms=alarms, rate=upper_rate(alarms, trials, CONFIDENCE), confidence=CONFIDENCE
+    )
+
+
+def _of_pieces(is_alarm: NDArray[np.bool_], keys: Sequence[str]) -> NDArray[np.bool_]:
+    """Whether any press of a piece is above the threshold, (pieces,)."""
+    high = {key for key, alarm in zip(keys, is_alarm, strict=True) if alarm}
+    return np.array([key in high for key in dict.fromkeys(keys)])
 
 
 def _rank(pieces: Sequence[str], alpha: float) -> int | None:
@@ -126,33 +147,10 @@ def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
     """
     rank = math.ceil((pieces + 1) * (1 - alpha) - ROUNDING)
     if rank > pieces:
-        return 0.0, _beta_quantile(RANGE, 1, pieces)
+        return 0.0, beta_quantile(RANGE, 1, pieces)
     tail = (1 - RANGE) / 2
     shape = pieces + 1 - rank, rank
-    return _beta_quantile(tail, *shape), _beta_quantile(1 - tail, *shape)
-
-
-def _beta_quantile(probability: float, a: int, b: int) -> float:
-    """Of the beta distribution with integer parameters, by bisection; to 1e-12."""
-    low, high = 0.0, 1.0
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if _beta_below(middle, a, b) < probability else (low, middle)
-    return (low + high) / 2
-
-
-def _beta_below(x: float, a: int, b: int) -> float:
-    """P(Beta(a, b) <= x) as P(Binomial(a + b - 1, x) >= a), 0 < x < 1."""
-    n = a + b - 1
-    logs = (
-        math.lgamma(n + 1)
-        - math.lgamma(k + 1)
-        - math.lgamma(n - k + 1)
-        + k * math.log(x)
-        + (n - k) * math.log1p(-x)
-        for k in range(a, n + 1)
-    )
-    return math.fsum(map(math.exp, logs))
+    return beta_quantile(tail, *shape), beta_quantile(1 - tail, *shape)
 
 
 def check_alpha(alpha: float) -> None:

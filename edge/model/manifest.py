@@ -30,6 +30,7 @@ __all__ = [
     "Manifest",
     "ProfileEntry",
     "Provenance",
+    "RatePromise",
     "RegionEntry",
     "ThresholdEntry",
     "TilesEntry",
@@ -187,14 +188,24 @@ class GridEntry(_Entry):
         return Grid(self.frame, self.taps, self.pixels_per_mm, tiles)
 
 
+class RatePromise(_Entry):
+    """An exact binomial limit: after `alarms` in `trials` at most `rate` of trials alarm, with this confidence."""
+
+    trials: int = Field(ge=1)
+    alarms: int = Field(ge=0)
+    rate: float = Field(ge=0, le=1)
+    confidence: float = Field(gt=0, lt=1)
+
+
 class ThresholdEntry(_Entry):
     """A press fails when its score is above `value`.
 
     alpha: the requested false-alarm rate. alpha_floor: 1 / (pieces + 1), the smallest rate that presses of this number
     of pieces can guarantee, as a mean over bundles. pieces: the number of pieces; a press of an unknown piece counts as
     one. rate_range: the range of this bundle's own rate, with a probability of 95 %. nominal_scores: rising;
-    of each press the higher of two, by a bank without it and by the final bank. method: how the value was found, in
-    words; `edge.model.promise` states the guarantee.
+    of each press the higher of two, by a bank without it and by the final bank. by_press, by_piece: the limit of this
+    bundle's own rate, where a piece alarms with any of its presses; by_piece is None where each press counts as a
+    piece. method: how the value was found, in words; `edge.model.promise` states the guarantee.
     """
 
     value: float
@@ -204,6 +215,8 @@ class ThresholdEntry(_Entry):
     nominal_scores: tuple[float, ...]
     pieces: int | None = Field(default=None, ge=1)
     rate_range: tuple[float, float] | None = None
+    by_press: RatePromise | None = None
+    by_piece: RatePromise | None = None
 
     @property
     def n(self) -> int:

@@ -14,10 +14,20 @@ def promise(limit: ThresholdEntry) -> str:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
     whole = f"{_counted(limit)}: {rate} of {_whom(limit)} fail, on average over bundles"
-    if limit.rate_range is None:
-        return whole
-    low, high = map(_percent, limit.rate_range)
-    return f"{whole}; of this bundle alone {low} to {high} (95 %)"
+    return f"{whole}{_of_this_bundle(limit)}"
+
+
+def _of_this_bundle(limit: ThresholdEntry) -> str:
+    """Bundles of older versions have a range, or nothing."""
+    press, piece = limit.by_press, limit.by_piece
+    if press is not None:
+        presses = f"{_percent(press.rate)} of {'presses' if piece is None else 'presses of these pieces'}"
+        most = presses if piece is None else f"{_percent(piece.rate)} of new pieces and {presses}"
+        return f"; with this bundle at most {most}, {100 * press.confidence:.0f} % sure"
+    if limit.rate_range is not None:
+        low, high = map(_percent, limit.rate_range)
+        return f"; of this bundle alone {low} to {high} (95 %)"
+    return ""
 
 
 def _counted(limit: ThresholdEntry) -> str:

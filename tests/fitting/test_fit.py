@@ -119,8 +119,17 @@ def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
     assert any("24 presses of 6 pieces promise" in warning for warning in manifest.provenance.warnings)
     assert promise(limit) == (
         "24 presses of 6 pieces: at best 14 % (1 in 7), not the 5 % asked for, of sound presses of new pieces fail, "
-        "on average over bundles; of this bundle alone 0 % to 39 % (95 %)"
+        "on average over bundles; with this bundle at most 32 % of new pieces and 9.1 % of presses of these pieces, "
+        "90 % sure"
     )
+
+
+def test_a_bundle_of_an_older_version_keeps_its_range() -> None:
+    """Without a limit of its own its promise is in the words of its version."""
+    limit = fit_files(presses(24), config(), created="").manifest.threshold
+    older = limit.model_copy(update={"by_press": None})
+    assert promise(older).endswith("on average over bundles; of this bundle alone 0.11 % to 15 % (95 %)")
+    assert promise(older.model_copy(update={"rate_range": None})).endswith("on average over bundles")
 
 
 def test_a_press_that_stands_apart_is_named() -> None:

@@ -138,3 +138,34 @@ def test_how_many_pieces_a_rate_needs(alpha: float, count: int) -> None:
     """The least n with 1 / (n + 1) at most the rate."""
     assert needed(alpha) == count
     assert not conformal_threshold(np.arange(max(4.0, count)), alpha).is_floored
+
+
+def test_one_bundle_is_promised_by_press_and_by_piece() -> None:
+    """Worked by hand: the threshold is 8 and presses 9 and 10 of piece d lie above: 2 of 7 presses, 1 of 4 pieces."""
+    scores = [1.0, 2.0, 3.0, 7.0, 8.0, 9.0, 10.0]
+    limit = conformal_threshold(scores, 0.3, specimens=["a", "b", "c", "d", "d", "d", "d"])
+    assert limit.by_press is not None
+    assert limit.by_piece is not None
+    assert (limit.by_press.alarms, limit.by_press.trials) == (2, 7)
+    assert (limit.by_piece.alarms, limit.by_piece.trials) == (1, 4)
+    assert limit.by_press.rate == pytest.approx(stats.beta(3, 5).ppf(0.9), abs=1e-9)
+    assert limit.by_piece.rate == pytest.approx(stats.beta(2, 3).ppf(0.9), abs=1e-9)
+
+
+def test_presses_of_unknown_pieces_have_one_promise() -> None:
+    """22 without an alarm: at most 10 %, 90 % sure."""
+    limit = conformal_threshold(np.arange(22.0), 0.05)
+    assert limit.by_piece is None
+    assert limit.by_press is not None
+    assert limit.by_press.alarms == 0
+    assert limit.by_press.rate == pytest.approx(1 - 0.1 ** (1 / 22), abs=1e-9)
+    assert limit.by_press.rate < 0.1
+
+
+def test_the_promise_of_one_bundle_lies_in_its_range() -> None:
+    """The two statements of a manifest agree: the limit (90 %) is within the range (95 %)."""
+    for pieces in (10, 25, 60, 200):
+        limit = conformal_threshold(np.arange(float(pieces)), 0.05)
+        assert limit.by_press is not None
+        assert limit.rate_range is not None
+        assert limit.rate_range[0] < limit.by_press.rate < limit.rate_range[1]

@@ -1,0 +1,60 @@
+"""Exact binomial limits: the rate of alarms that so many trials with so few alarms still allow.
+
+Ref: Clopper and Pearson, Biometrika 26 (1934). A threshold that k of n scores exceed has the same limit: the rate above
+the (n - k)-th smallest of n exchangeable scores has the distribution Beta(k + 1, n - k), whatever the scores (Vovk,
+Conditional validity of inductive conformal predictors, 2012). So it holds for a threshold chosen from the scores, too.
+"""
+
+import math
+
+__all__ = ["CONFIDENCE", "beta_quantile", "trials_needed", "upper_rate"]
+
+CONFIDENCE = 0.9
+"""The probability with which a limit holds, over sets of presses."""
+
+
+def upper_rate(alarms: int, trials: int, confidence: float = CONFIDENCE) -> float:
+    """The rate that is exceeded with probability 1 - confidence at most, after `alarms` of `trials`, 0 to 1."""
+    if not 0 <= alarms <= trials:
+        raise ValueError(f"alarms are 0 to {trials}, found {alarms}")
+    return 1.0 if alarms == trials else beta_quantile(confidence, alarms + 1, trials - alarms)
+
+
+def trials_needed(rate: float, alarms: int = 0, confidence: float = CONFIDENCE) -> int:
+    """The least number of trials that, with this number of alarms, have an upper rate of `rate` at most."""
+    if not (0 < rate < 1 and 0 < confidence < 1):
+        raise ValueError(f"rate and confidence lie between 0 and 1, found {rate} and {confidence}")
+    low, high = alarms, max(2 * alarms, 1)
+    while not _is_shown(rate, alarms, high, confidence):
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if _is_shown(rate, alarms, middle, confidence) else (middle, high)
+    return high
+
+
+def _is_shown(rate: float, alarms: int, trials: int, confidence: float) -> bool:
+    return trials > alarms and _beta_below(rate, alarms + 1, trials - alarms) >= confidence
+
+
+def beta_quantile(probability: float, a: int, b: int) -> float:
+    """Of the beta distribution with integer parameters, by bisection; to 1e-12."""
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _beta_below(middle, a, b) < probability else (low, middle)
+    return (low + high) / 2
+
+
+def _beta_below(x: float, a: int, b: int) -> float:
+    """P(Beta(a, b) <= x) as P(Binomial(a + b - 1, x) >= a), 0 < x < 1."""
+    n = a + b - 1
+    logs = (
+        math.lgamma(n + 1)
+        - math.lgamma(k + 1)
+        - math.lgamma(n - k + 1)
+        + k * math.log(x)
+        + (n - k) * math.log1p(-x)
+        for k in range(a, n + 1)
+    )
+    return math.fsum(map(math.exp, logs))

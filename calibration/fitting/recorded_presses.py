@@ -1,0 +1,61 @@
+"""The presses in a stream of camera frames, found exactly as the gateway finds them, and the free gel before each."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.events import Event, PressBegan, PressSettled, ReferenceReady
+from edge.core.contact.press_detector import PressDetector
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact.table import State
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.sensor_profile import SensorProfile
+
+__all__ = ["FoundFreeGel", "FoundPress", "PressFinder"]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPress:
+    """The settled frame of a press.
+
+    mask: where it touches, bool (120, 160), and relief: the share of the view in which it shows fine structure; None
+    where the free gel is not known.
+    """
+
+    frame: CameraFrame
+    mask: NDArray[np.bool_] | None
+    relief: float | None
+
+
+@dataclass(frozen=True)
+class FoundFreeGel:
+    """The last frame of the free gel before a press."""
+
+    frame: CameraFrame
+
+
+class PressFinder:
+    """Feed it every frame of one sensor, in order. settled: presses found so far."""
+
+    def __init__(self, profile: SensorProfile, settings: ContactSettings | None = None) -> None:
+        self.detector = PressDetector(profile, settings)
+        self.settled = 0
+        self._last_free: CameraFrame | None = None
+
+    def feed(self, frame: CameraFrame) -> Iterator[FoundPress | FoundFreeGel]:
+        """What this frame completes."""
+        for event in self.detector.feed(frame):
+            yield from self._found(event)
+        if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
+            self._last_free = self.detector.newest
+
+    def _found(self, event: Event) -> Iterator[FoundPress | FoundFreeGel]:
+        if isinstance(event, PressSettled) and (chosen := self.detector.chosen(event)) is not None:
+            self.settled += 1
+            tracker = self.detector.tracker
+            relief = tracker.chosen_relief
+            yield FoundPress(chosen, tracker.chosen_mask, None if relief is None else relief.area)
+        elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
+            yield FoundFreeGel(self._last_free)
