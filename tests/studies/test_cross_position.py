@@ -1,0 +1,114 @@
+"""Validation 2 on a small dataset: rows, what few presses of the second position give, splits, and refusals."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import gelgate
+from study_cells import quiet
+from study_dataset import study_dataset
+
+from calibration.studies.cross_position import CrossPosition, both_held_out, study_cross_position
+from calibration.studies.material import material
+from calibration.studies.stable import StableFractions
+from calibration.studies.study import Options
+from edge.core.errors import DatasetError
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return study_dataset(tmp_path_factory.mktemp("crossed"))
+
+
+def options(dataset: Path, output: Path, **changed: Any) -> Options:
+    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
+    return Options(dataset=dataset, output=output, **(asked | changed))
+
+
+@pytest.fixture(scope="module")
+def rows(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    asked = options(dataset, tmp_path_factory.mktemp("rows"), splits=("press", "specimen"))
+    study_cross_position(asked, StableFractions(1.0, asked.output))
+    return study_cross_position(asked, StableFractions(1.0, asked.output)).read()
+
+
+def test_there_is_a_row_for_every_share_seed_and_split(rows: list[dict[str, Any]]) -> None:
+    """Run twice, each cell has one row, with the presses of both positions that it learnt from."""
+    assert len(rows) == 4 * 2 * 2
+    assert all("error" not in row for row in rows)
+    by_press = [row for row in rows if row["split"] == "press"]
+    assert {(row["target_fraction"], row["source_presses"], row["target_presses"]) for row in by_press} == {
+        (0.0, 6, 0),
+        (0.05, 6, 0),
+        (0.1, 6, 1),
+        (0.15, 6, 1),
+    }
+    assert {(row["test_nominal"], row["test_defective"]) for row in by_press} == {(4, 4)}
+
+
+def test_a_press_of_the_second_position_helps_there(rows: list[dict[str, Any]]) -> None:
+    """It rises on the second position alone and on both together; the first position keeps what it had."""
+    none, one = (
+        [row for row in rows if row["split"] == "press" and row["target_presses"] == count]
+        for count in (0, 1)
+    )
+
+    def mean(some: list[dict[str, Any]], measure: str) -> float:
+        return float(np.mean([row[measure] for row in some]))
+
+    for measure in ("pixel_auroc_target", "pixel_auroc"):
+        assert mean(one, measure) > mean(none, measure) + 0.05
+    assert mean(one, "pixel_auroc_source") > mean(none, "pixel_auroc_source") - 0.05
+
+
+def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(dataset: Path, tmp_path: Path) -> None:
+    """Also where the two positions hold out different ones."""
+    from calibration.studies.cross_position import cross_position_cells
+
+    asked = options(dataset, tmp_path, splits=("specimen",), held_out=3)
+    fractions = StableFractions(1.0, tmp_path)
+    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked, fractions)[0]
+    evaluate = CrossPosition(asked.dataset, asked.features, asked.taps())
+    source, target = (material(place) for place in evaluate.places(cell))
+    held = both_held_out(source, target, cell)
+    tested, learnt = (
+        {
+            found.presses.specimens[row]
+            for found, one in zip((source, target), held, strict=True)
+            for row in some(one)
+        }
+        for some in (lambda one: one.test, lambda one: one.pool)
+    )
+
+    assert tested
+    assert learnt
+    assert tested & learnt == set()
+
+
+def test_what_has_no_second_position_is_refused(dataset: Path, tmp_path: Path) -> None:
+    """The part, the positions that it has, and what the study needs."""
+    alone = study_dataset(tmp_path / "alone", positions=("pos1",))
+    fractions = StableFractions(1.0, tmp_path)
+    with pytest.raises(DatasetError, match=r"no part of dataset .* has a second position; this study needs"):
+        study_cross_position(options(alone, tmp_path), fractions)
+    with pytest.raises(DatasetError, match="PZ3 has the one position pos1"):
+        study_cross_position(options(alone, tmp_path, parts=("PZ3",)), fractions)
+    with pytest.raises(
+        DatasetError, match="no position 'pos9' other than its source 'pos1'; it has pos1, pos2"
+    ):
+        study_cross_position(options(dataset, tmp_path, parts=("PZ3",)), fractions, "pos9")
+
+
+def test_the_command_needs_a_fraction(dataset: Path, tmp_path: Path) -> None:
+    """From rows of good-fraction, or the operator's, in percent."""
+    study = ("study", "cross-position", dataset, "-o", tmp_path / "new", "--method", "padim")
+
+    assert (
+        "run `gelgate study good-fraction` into the same folder, or give --fraction"
+        in gelgate(*study).sentence()
+    )
+    assert (
+        "--fraction is a percentage above 0 up to 100, such as 40, found 400"
+        in gelgate(*study, "--fraction", 400).sentence()
+    )

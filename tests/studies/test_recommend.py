@@ -1,0 +1,165 @@
+"""`gelgate recommend`: answers from rows alone, which turn with the rows, and say where the rows do not decide."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import gelgate
+
+from calibration.studies.recommend import NEEDS, recommended
+from calibration.studies.rows import Rows
+
+METHODS = ("spade", "padim", "fapm")
+
+
+def rows_of(
+    study: str,
+    levels: Mapping[str, float],
+    measure: str = "aupro_001",
+    parts: tuple[str, ...] = ("PZ3",),
+    **more: Any,
+) -> list[dict[str, Any]]:
+    """Rows of ten seeds; a method's measure is its level and a small step per seed."""
+    return [
+        {
+            "key": json.dumps([study, method, part, seed, measure, more], sort_keys=True),
+            "study": study,
+            "part": part,
+            "position": "pos1",
+            "method": method,
+            "mode": "corrected",
+            "backbone": "tactile_resnet18",
+            "split": "press",
+            "seed": seed,
+            measure: level + 0.001 * seed,
+            **more,
+        }
+        for part in parts
+        for method, level in levels.items()
+        for seed in range(10)
+    ]
+
+
+def covering(need: str, levels: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Rows that answer the first question of a need with these levels."""
+    match need:
+        case "few-presses":
+            return rows_of("good-fraction", levels, shots=8)
+        case "localisation":
+            return rows_of("good-fraction", levels, fraction=1.0)
+        case "cross-position":
+            return rows_of("cross-position", levels, target_fraction=0.0)
+        case "high-resolution":
+            return rows_of("resolution", levels, "aupro_001_common", view="hr_tiled")
+        case "no-fixture":
+            return rows_of("good-fraction", levels, parts=("PZ4", "PZ5"), fraction=1.0)
+        case "least-time":
+            return rows_of("good-fraction", {m: -v for m, v in levels.items()}, "score_ms", fraction=1.0)
+        case "bad-presses":
+            return rows_of("bad-presses", levels, bad=0.1)
+    raise AssertionError(need)
+
+
+@pytest.mark.parametrize("need", NEEDS)
+@pytest.mark.parametrize("best", METHODS)
+def test_the_answer_turns_with_the_rows(need: str, best: str) -> None:
+    """Whichever method has the better numbers is the answer, for every need."""
+    rows = covering(need, {method: 0.8 if method == best else 0.6 for method in METHODS})
+    standing = recommended(rows, [need])[0].standing
+
+    assert standing is not None
+    assert standing.best == best
+
+
+@pytest.mark.parametrize("need", NEEDS)
+def test_rows_that_overlap_do_not_decide(need: str) -> None:
+    """Two methods with the same numbers: undecided, with both names."""
+    answer = recommended(covering(need, {"spade": 0.8, "padim": 0.8, "fapm": 0.2}), [need])[0]
+
+    assert answer.standing is not None
+    assert answer.standing.best is None
+    assert "undecided between spade and padim:" in answer.lines()[-1]
+
+
+@pytest.mark.parametrize("need", NEEDS)
+def test_a_need_that_the_rows_do_not_cover_names_its_command(need: str) -> None:
+    """Rows of another study, or none at all, answer nothing."""
+    for rows in ([], rows_of("other", {"spade": 0.5})):
+        for answer in recommended(rows, [need]):
+            assert answer.standing is None
+            assert "the rows do not cover this; `gelgate study" in answer.lines()[-1]
+
+
+def test_a_gain_is_the_difference_of_two_conditions() -> None:
+    """A method that is worse everywhere can gain most."""
+    before = rows_of("cross-position", {"spade": 0.6, "padim": 0.1}, target_fraction=0.0)
+    after = rows_of("cross-position", {"spade": 0.65, "padim": 0.5}, target_fraction=0.05)
+    zero_shot, gain = (answer.standing for answer in recommended([*before, *after], ["cross-position"]))
+
+    assert zero_shot is not None
+    assert gain is not None
+    assert (zero_shot.best, gain.best) == ("spade", "padim")
+    assert gain.means["padim"].value == pytest.approx(0.4)
+
+
+def test_cells_that_were_refused_are_no_evidence() -> None:
+    """A row with an error counts as missing."""
+    rows = [
+        row | {"error": "cannot be fitted"} for row in covering("localisation", {"spade": 0.9, "padim": 0.1})
+    ]
+
+    assert recommended(rows, ["localisation"])[0].standing is None
+
+
+def written(folder: Path, rows: list[dict[str, Any]]) -> str:
+    file = Rows(folder / "rows.jsonl")
+    for row in rows:
+        file.append(row)
+    return str(folder)
+
+
+def test_the_command_prints_numbers_with_intervals(tmp_path: Path) -> None:
+    """And the setup of the rows; a need without rows has its command."""
+    done = gelgate("recommend", written(tmp_path, covering("localisation", {"spade": 0.8, "padim": 0.6})))
+
+    assert done.code == 0
+    assert "rows of tactile_resnet18, corrected mode, split by press" in done.out
+    assert "  spade        0.8045  [0.80" in done.out
+    assert "  -> spade" in done.out
+    assert "gelgate study resolution DATASET -o FOLDER" in done.out
+
+
+def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
+    """The operator chooses the mode; what the rows do not have is refused."""
+    rows = covering("localisation", {"spade": 0.8, "padim": 0.6})
+    paper = [
+        r | {"mode": "paper", "key": f"{r['key']} paper"} for r in covering("localisation", {"padim": 0.9})
+    ]
+    folder = written(tmp_path, [*rows, *paper])
+
+    assert (
+        "several values of mode: corrected, paper; choose one with --mode"
+        in gelgate("recommend", folder).sentence()
+    )
+    assert "-> spade" in gelgate("recommend", folder, "--mode", "corrected", "--need", "localisation").out
+    assert (
+        "no row has the split 'specimen'"
+        in gelgate("recommend", folder, "--mode", "paper", "--split", "specimen").sentence()
+    )
+
+
+def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
+    """Two rows of one method, part and seed, such as with two fractions, cannot be compared."""
+    once = covering("cross-position", {"spade": 0.8, "padim": 0.6})
+    again = [row | {"fraction": 0.4, "key": f"{row['key']} 0.4"} for row in once]
+
+    refusal = gelgate("recommend", written(tmp_path, [*once, *again]), "--need", "cross-position").sentence()
+    assert "two rows of cross-position have spade on PZ3 with seed 0 and other settings" in refusal
+
+
+def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
+    """One sentence, with the nearest known name."""
+    assert "there are no rows at" in gelgate("recommend", tmp_path).sentence()
+    assert "did you mean 'few-presses'?" in gelgate("recommend", tmp_path, "--need", "few-pressse").sentence()
