@@ -1,1 +1,20 @@
-"""The paper's three validations as studies of independent cells, and the reports made from their rows."""
+"""The paper's three validations as studies of independent cells, and the reports made from their rows.
+
+From Python: `from calibration.studies import good_fraction, figure`.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calibration.studies.notebook import figure, good_fraction
+
+__all__ = ["figure", "good_fraction"]
+
+
+def __getattr__(name: str) -> Any:
+    """Imported at use: the command line imports this package for its help."""
+    if name not in __all__:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    from calibration.studies import notebook
+
+    return getattr(notebook, name)

@@ -54,7 +54,7 @@ def good_fraction(
     """Accuracy by the number of nominal presses.
 
     The same command continues an interrupted study; finished cells are kept."""
-    from calibration.studies.good_fraction import study_good_fraction
+    from calibration.studies.good_fraction_study import study_good_fraction
     from calibration.studies.numbers import parsed_counts, parsed_fractions
     from calibration.studies.study import Options, as_modes, as_splits
 

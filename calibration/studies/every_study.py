@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from calibration.studies.cross_position import study_cross_position
-from calibration.studies.good_fraction import study_good_fraction
+from calibration.studies.good_fraction_study import study_good_fraction
 from calibration.studies.report import write_report
 from calibration.studies.resolution import study_resolution
 from calibration.studies.rows import Rows

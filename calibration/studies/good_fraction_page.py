@@ -1,15 +1,168 @@
-"""The page of the good-fraction study."""
+"""The page of the good-fraction study, from its rows."""
 
+import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from calibration.studies.curves import Curve, curves, gel_share, same_in_every_seed
+from calibration.studies.figures import fraction_figure, overview_figure, shots_figure, svg
 from calibration.studies.page import Page
+from calibration.studies.page_parts import by_setup, cost_table, only_scored, refusals, split_table, table
+from calibration.studies.published import stable_fraction
+from calibration.studies.stable import STABLE_WITHIN, stable_from
+from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["page"]
 
+_FIGURE_MEASURES = ("aupro_001", "auprc", "image_auroc")
+
 
 def page(rows: "pd.DataFrame") -> Page:
-    """The page from its rows."""
-    return Page(f"# How many presses a part needs\n\n{len(rows)} rows.\n")
+    """The page. rows: of this study."""
+    scored = only_scored(rows)
+    figures: dict[str, str] = {}
+    sections = [_head(rows)]
+    for title, group in by_setup(scored):
+        drawn = dict(_figures(group))
+        figures |= drawn
+        sections += [_setup(title, group), *(f"![{name}]({name})\n" for name in drawn)]
+    sections += [_splits(scored), refusals(rows)]
+    if "fraction" in scored:
+        sections.append(cost_table(_quarters(scored), "fraction", _percent))
+    return Page("\n".join(section for section in sections if section), figures)
+
+
+def _head(rows: "pd.DataFrame") -> str:
+    where = ", ".join(sorted({f"{a} {b}" for a, b in zip(rows["part"], rows["position"], strict=True)}))
+    held, seeds = int(rows["held_out"].max()), rows["seed"].nunique()
+    return (
+        "# How many nominal presses a part needs\n\n"
+        f"{where}; {len(rows)} cells, {seeds} seed{'s' * (seeds != 1)}. Of each part {held} nominal presses are held "
+        "out, the same in every cell, and scored with the defective presses of the same position. Banks are fitted on "
+        "a share of the other nominal presses, the pool, which each seed draws. Intervals are of the mean over seeds, "
+        "95 %, by bootstrap: they show how much the choice of training presses matters, and not what other test "
+        f"presses would give. A gel is rated for {DEFAULT_LIMIT_PRESSES} presses.\n"
+    )
+
+
+def _setup(title: str, rows: "pd.DataFrame") -> str:
+    parts = [f"## {title}\n", _plateaus(rows), _levels(rows), _shots(rows), _repeated(rows)]
+    return "\n".join(part for part in parts if part)
+
+
+def _plateaus(rows: "pd.DataFrame") -> str:
+    """The plateau of each method by the stated rule, in presses and gel."""
+    if "fraction" not in rows:
+        return ""
+    lines = []
+    for method, group in rows.dropna(subset=["fraction"]).groupby("method"):
+        found = stable_from(group.astype(object).where(group.notna(), None).to_dict("records"))
+        if found is None:
+            continue
+        paper, last = stable_fraction(method), group["fraction"].max()
+        at = group[group["fraction"] == found].groupby("part")["presses"].max()
+        lines.append(
+            [
+                method,
+                _percent(found) + (" (the largest: no plateau)" if found == last else ""),
+                "-" if paper is None else _percent(paper),
+                ", ".join(f"{part} {count}" for part, count in at.items()),
+                f"{100 * gel_share(at.max()):.0f} %",
+            ]
+        )
+    heading = ["method", "plateau from", "the paper's", "presses", "of a gel's life, at most"]
+    return (
+        "**Plateau.** The smallest fraction from which on the mean over seeds is within "
+        f"{STABLE_WITHIN:g} of that of the largest fraction, for every larger fraction, every part, and AU-PRO@0.01, "
+        f"AUPRC and pixel AUROC together: one value for a method, as in the paper.\n\n{table(heading, lines)}"
+    )
+
+
+def _levels(rows: "pd.DataFrame") -> str:
+    """AU-PRO at a few fractions."""
+    found = sorted(curves(rows, "fraction", "aupro_001"), key=lambda c: (c.part, c.method))
+    if not found:
+        return ""
+    shown = _spread(sorted({x for curve in found for x in curve.x}))
+    lines = [
+        [curve.part, curve.method, int(curve.presses[-1]), *(_at(curve, x) for x in shown)] for curve in found
+    ]
+    heading = ["part", "method", "all presses", *map(_percent, shown)]
+    return f"**AU-PRO@0.01** at shares of the nominal presses, mean [interval]:\n\n{table(heading, lines)}"
+
+
+def _shots(rows: "pd.DataFrame") -> str:
+    """The field's few-shot curve."""
+    found = sorted(curves(rows, "shots", "aupro_001"), key=lambda c: (c.part, c.method))
+    if not found:
+        return ""
+    shown = sorted({x for curve in found for x in curve.x})
+    lines = [[curve.part, curve.method, *(_at(curve, x) for x in shown)] for curve in found]
+    heading = ["part", "method", *(f"{x:g}" for x in shown)]
+    return f"**AU-PRO@0.01** with few presses, mean [interval]:\n\n{table(heading, lines)}"
+
+
+def _repeated(rows: "pd.DataFrame") -> str:
+    """Where ten seeds are one computation."""
+    same = same_in_every_seed(rows)
+    if same.empty:
+        return ""
+    lines = [
+        [method, ", ".join(sorted(set(group["part"]))), ", ".join(_sizes(group)), int(group["seeds"].max())]
+        for method, group in same.groupby("method")
+    ]
+    return (
+        "**One computation, not several.** Here all seeds give identical scores, because nothing random is left; that "
+        f"they do not scatter says nothing about robustness.\n\n{table(['method', 'parts', 'at', 'seeds'], lines)}"
+    )
+
+
+def _sizes(group: "pd.DataFrame") -> list[str]:
+    fractions = group["fraction"].dropna().unique() if "fraction" in group else []
+    shots = group["shots"].dropna().unique() if "shots" in group else []
+    return [_percent(f) for f in sorted(fractions)] + [f"{k:g} presses" for k in sorted(shots)]
+
+
+def _splits(rows: "pd.DataFrame") -> str:
+    """With fractions alone: the shots are the same number of presses in both splits, of other specimens."""
+    return split_table(rows.dropna(subset=["fraction"]) if "fraction" in rows else rows)
+
+
+def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, str]]:
+    """File name and SVG text of every figure of one setup."""
+    setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
+    base = "good-fraction-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup)
+    if "fraction" in rows and rows["fraction"].notna().any():
+        for measure in _FIGURE_MEASURES:
+            yield f"{base}-{measure}.svg", svg(overview_figure(rows, measure))
+        for part in sorted(set(rows["part"])):
+            yield f"{base}-{part}.svg", svg(fraction_figure(rows, part))
+    if "shots" in rows and rows["shots"].notna().any():
+        yield f"{base}-shots.svg", svg(shots_figure(rows))
+
+
+def _at(curve: Curve, x: float) -> str:
+    (where,) = (curve.x == x).nonzero()
+    if not len(where):
+        return "-"
+    k = int(where[0])
+    if len(curve.values[k]) == 1:
+        return f"{curve.mean[k]:.3f}"
+    return f"{curve.mean[k]:.3f} [{curve.low[k]:.3f}, {curve.high[k]:.3f}]"
+
+
+def _spread(values: list[float]) -> list[float]:
+    """At most six of them, the first and the last included."""
+    count = min(6, len(values))
+    return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
+
+
+def _quarters(rows: "pd.DataFrame") -> "pd.DataFrame":
+    return rows[rows["fraction"].isin(_spread(sorted(rows["fraction"].dropna().unique())))]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"

@@ -37,9 +37,9 @@ class Material:
     """Presses with the features of all of them. backbone: as in the cell. trunk: the one that gave the features."""
 
     presses: StudyPresses
+    backbone: str
     trunk: Trunk
     taken: Taken
-    backbone: str = ""
 
     def nominal(self, rows: NDArray[np.int64], taps: Sequence[str]) -> Nominal:
         """What is learnt from some nominal presses."""
@@ -93,6 +93,6 @@ def extracted(place: Place, progress: Progress = lambda fraction: None, threads:
     trunk = open_trunk(place.backbone, place.taps)
     cache = FeatureCache(place.cache)
     taken = cache.features(trunk, place.taps, presses.pictures, progress, threads)
-    found = Material(presses, trunk, taken, place.backbone)
+    found = Material(presses, place.backbone, trunk, taken)
     assert found.masks.any()  # refused here, not in the first cell
     return found
