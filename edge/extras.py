@@ -14,6 +14,7 @@ _PACKAGES = {
     "benchmark": ("onnx", "jinja2"),
     "train": ("torch", "onnx", "jinja2"),
     "studies": _STUDIES,
+    "peers": (*_STUDIES, "torch", "anomalib"),
     "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),
 }

@@ -14,7 +14,7 @@ from calibration.metrics.pixel import pixel_measures
 from calibration.metrics.ranking import auroc
 from calibration.metrics.regions import Maps, Masks
 
-__all__ = ["REPLICATES", "Measure", "limit_name", "measure"]
+__all__ = ["REPLICATES", "Measure", "image_auroc_of", "limit_name", "measure"]
 
 REPLICATES = 1000
 
@@ -72,7 +72,7 @@ def measure(
     pixel = pixel_measures(maps, masks, weights, limit)
     low, high = (f"{b:.0e}".replace("e-0", "e-") for b in AUPIMO_BOUNDS)
     columns = {
-        "image_auroc": _image_auroc(anomaly_scores, label, weights),
+        "image_auroc": image_auroc_of(anomaly_scores, label, weights),
         "pixel_auroc": pixel.auroc,
         "pixel_auprc": pixel.average_precision,
         limit_name(limit): pixel.aupro,
@@ -82,8 +82,8 @@ def measure(
     return tuple(_measure(name, column, images.shape[0], reason) for name, column in columns.items())
 
 
-def _image_auroc(scores: NDArray[np.floating[Any]], label: NDArray[np.bool_], weights: Float) -> Float:
-    """The first weighting by scikit-learn, the replicates from the table of all pairs."""
+def image_auroc_of(scores: NDArray[np.floating[Any]], label: NDArray[np.bool_], weights: Float) -> Float:
+    """Of each row of weights (weightings, presses), float64 (weightings,): the first row ones, NaN where undefined."""
     values = np.full(weights.shape[0], np.nan)
     first = auroc(scores, label)
     if first is None:

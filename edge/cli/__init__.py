@@ -29,6 +29,7 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         4: "a sensor or broker is not available",
         5: "`gelgate verify`: the bundle is not sound",
         6: "a recording was played, and the presses found are not the presses that it holds",
+        7: "`gelgate tradeoff --check`: a point has become worse than in the earlier run",
         130: "interrupted with Ctrl-C; not `gelgate run` and `gelgate record`, which it stops with 0",
     }
 )
@@ -49,7 +50,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 _ORDER: Final = (
     "demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run", "watch", "gel",
     "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
-    "study", "report", "train-backbone", "evaluate-backbone",
+    "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
 )  # fmt: skip
 
 # Errors of a disk that is full, read-only or faulty; such an error names no file.

@@ -39,7 +39,15 @@ from edge.model.signature import UNSIGNED, SignatureFinding, Trust
 from edge.model.trunk_store import read_trunk
 from edge.model.verified_files import read_verified
 
-__all__ = ["Bundle", "GoldenFrame", "Graphs", "bundle_files", "parse_manifest", "write_bundle"]
+__all__ = [
+    "Bundle",
+    "GoldenFrame",
+    "Graphs",
+    "bundle_files",
+    "manifest_bytes",
+    "parse_manifest",
+    "write_bundle",
+]
 
 MAX_MANIFEST_BYTES = 16 << 20
 TRUNK, HEAD, DETECTOR = "trunk.onnx", "head.onnx", "detector.onnx"
@@ -214,7 +222,7 @@ def bundle_files(
     if free_view is not None:
         parts["free_view"] = keep(FREE_VIEW, _png(free_view))
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
-    files[MANIFEST] = _manifest_bytes(manifest)
+    files[MANIFEST] = manifest_bytes(manifest)
     return manifest, files
 
 
@@ -227,7 +235,8 @@ def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = Fa
     return path
 
 
-def _manifest_bytes(manifest: Manifest) -> bytes:
+def manifest_bytes(manifest: Manifest) -> bytes:
+    """The manifest's file; its SHA-256 is the bundle's identity."""
     return (json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
 
 

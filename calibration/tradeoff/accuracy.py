@@ -1,0 +1,93 @@
+"""How good one point is: four measures of its scored presses, with intervals bootstrapped by piece."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.metrics import interval, pixel_measures, specimen_weights
+from calibration.metrics.summary import image_auroc_of
+
+__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measured", "recall_at"]
+
+FALSE_ALARMS: Final = 0.01
+"""The false-positive rate of AU-PRO (pixels) and of the recall (presses)."""
+
+MEASURES: Final[Mapping[str, str]] = {
+    "aupro_fpr01": "AU-PRO up to 1 % false positives",
+    "pixel_auprc": "AUPRC of pixels",
+    "image_auroc": "AUROC of presses",
+    "recall_fpr01": "recall at 1 % false alarms",
+}
+"""Each measure with its name for people."""
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known of the scored presses. masks: bool (h, w) each. weights: float64 (replicates + 1, presses), the
+    first row ones, then how often each press counts in a replicate drawn by piece."""
+
+    label: NDArray[np.bool_]
+    masks: Sequence[NDArray[np.bool_]]
+    weights: Float
+
+    @classmethod
+    def of(
+        cls,
+        label: NDArray[np.bool_],
+        masks: Sequence[NDArray[np.bool_]],
+        specimens: Sequence[str],
+        replicates: int,
+        seed: int,
+    ) -> "Truth":
+        drawn = specimen_weights(specimens, label, replicates, np.random.default_rng(seed))
+        return cls(label, masks, np.concatenate([np.ones((1, label.size)), drawn]))
+
+
+def measured(
+    maps: Sequence[NDArray[np.float32]], scores: NDArray[np.floating[Any]], truth: Truth
+) -> dict[str, dict[str, float | None]]:
+    """Each measure with its value and the 95 % interval, low and high; None where it is undefined."""
+    pixel = pixel_measures(maps, truth.masks, truth.weights, FALSE_ALARMS)
+    columns = {
+        "aupro_fpr01": pixel.aupro,
+        "pixel_auprc": pixel.average_precision,
+        "image_auroc": image_auroc_of(scores, truth.label, truth.weights),
+        "recall_fpr01": recall_at(scores, truth.label, truth.weights),
+    }
+    return {name: _summary(columns[name]) for name in MEASURES}
+
+
+def _summary(column: Float) -> dict[str, float | None]:
+    low, high = interval(column[1:]) or (None, None)
+    value = float(column[0]) if np.isfinite(column[0]) else None
+    return {"value": value, "low": low, "high": high}
+
+
+def recall_at(
+    scores: NDArray[np.floating[Any]],
+    is_defective: NDArray[np.bool_],
+    weights: Float,
+    rate: float = FALSE_ALARMS,
+) -> Float:
+    """The share of defective presses above the lowest threshold with at most `rate` false alarms, per weighting.
+
+    scores: (presses,). weights: (weightings, presses). A press alarms when its score is above the threshold, and a
+    threshold is the score of a sound press; NaN where a weighting lacks a class.
+    """
+    sound, order = scores[~is_defective], np.argsort(scores[~is_defective])[::-1]
+    falling = sound[order]
+    counted = weights[:, ~is_defective][:, order]
+    first_of_tie = np.searchsorted(-falling, -falling, side="left")
+    above = np.concatenate([np.zeros((len(weights), 1)), np.cumsum(counted, axis=1)], axis=1)[:, first_of_tie]
+    total_sound, bad = counted.sum(axis=1), weights[:, is_defective]
+    allowed = above <= rate * total_sound[:, None] + 1e-9
+    last = allowed.shape[1] - 1 - np.argmax(allowed[:, ::-1], axis=1)
+    found = ((scores[is_defective][None] > falling[last][:, None]) * bad).sum(axis=1)
+    total_bad = bad.sum(axis=1)
+    is_defined = (total_sound > 0) & (total_bad > 0)
+    return np.where(is_defined, found / np.where(is_defined, total_bad, 1.0), np.nan)

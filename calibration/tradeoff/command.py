@@ -1,0 +1,241 @@
+"""The verb `tradeoff`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.tradeoff.point import OperatingPoint
+    from calibration.tradeoff.presses import Chosen
+    from calibration.tradeoff.run import RunSettings
+
+__all__ = ["tradeoff"]
+
+LOSS = 7
+"""The exit code of `--check` where something became worse."""
+
+
+def tradeoff(
+    dataset: Annotated[
+        Path, typer.Argument(help="the folder of presses, good ones and defective ones with masks")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the folder for rows.jsonl and tradeoff.html")
+    ] = Path("tradeoff"),
+    part: Annotated[str | None, typer.Option(help="the part; optional for a dataset of one part")] = None,
+    position: Annotated[str | None, typer.Option(help="the position; optional for one position")] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="a detector, again for more; by default every installed one")
+    ] = None,
+    backbone: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
+        ),
+    ] = None,
+    within: Annotated[
+        str | None, typer.Option(help="choose a point: most time of a press, such as 20ms")
+    ] = None,
+    under: Annotated[str | None, typer.Option(help="choose a point: largest bank, such as 8MB")] = None,
+    presses: Annotated[int | None, typer.Option(help="choose a point: most nominal presses", min=1)] = None,
+    point: Annotated[str | None, typer.Option(help="make only the bundle of the point of this name")] = None,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(help="where the chosen bundle is written, a folder or a name ending in .zip"),
+    ] = None,
+    check: Annotated[
+        Path | None, typer.Option(help="rows.jsonl of an earlier run: fail where this one is worse")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="also draw the rows as an SVG file of this name")
+    ] = None,
+    peers: Annotated[
+        bool, typer.Option("--peers", help="also measure anomalib's PaDiM and PatchCore")
+    ] = False,
+    rounds: Annotated[int, typer.Option(help="rounds of timing", min=7)] = 25,
+    minutes: Annotated[
+        float, typer.Option(help="after this many no new round of timing begins", min=0)
+    ] = 12.0,
+    bootstrap: Annotated[int, typer.Option(help="bootstrap replicates per accuracy interval", min=20)] = 200,
+    seed: Annotated[int, typer.Option(help="fixes every random choice", min=0)] = 0,
+    threads: Annotated[int, typer.Option(help="threads of the runtime", min=1, max=64)] = 2,
+    overwrite: Annotated[
+        bool, typer.Option(help="measure again although the folder has rows; replace the bundle")
+    ] = False,
+) -> None:
+    """Measure what accuracy costs: time, memory, presses.
+
+    Some 80 operating points in one run: detectors, trunks, precisions, bank sizes, resolutions, numbers of presses.
+    Writes a row for each and a page to explore them. With limits it chooses a point and writes its bundle. A folder
+    that holds rows is not measured again; an interrupted run goes on.
+    """
+    from calibration.tradeoff.pick import Limits, size, time_ms
+    from calibration.tradeoff.run import RunSettings, presses_of
+    from edge.extras import needs
+
+    needs("peers" if peers else "studies", "tradeoff --peers" if peers else "tradeoff")
+    limits = Limits(time_ms(within) if within else None, size(under) if under else None, presses)
+    is_choosing = bool(limits.names) or point is not None
+    _check_options(output, bundle, overwrite, is_choosing, check)
+    settings = RunSettings(
+        dataset,
+        part,
+        position,
+        seed=seed,
+        threads=threads,
+        rounds=rounds,
+        replicates=bootstrap,
+        minutes=minutes,
+    )
+    chosen = presses_of(settings)
+    points = _points(chosen, method, backbone)
+    if point is not None:
+        _write_bundle(point, points, chosen, settings, bundle or Path(point), overwrite, None)
+        return
+    rows = _rows(points, chosen, settings, output, overwrite, peers)
+    _report(rows, output, picture)
+    if limits.names:
+        _choose(rows, limits, points, chosen, settings, bundle or output / "bundle", overwrite)
+    if check is not None:
+        _check(rows, check)
+
+
+def _check_options(
+    output: Path, bundle: Path | None, overwrite: bool, is_choosing: bool, check: Path | None
+) -> None:
+    """Before any work. Errors: ConfigError."""
+    from calibration.tradeoff.rows import read_rows
+    from edge.core.errors import ConfigError
+
+    if bundle is not None and not is_choosing:
+        raise ConfigError("--bundle needs a point: give limits (--within, --under, --presses) or --point")
+    if bundle is not None and bundle.exists() and not overwrite:
+        raise ConfigError(f"{bundle} exists already; choose another name or add --overwrite")
+    if output.exists() and not output.is_dir():
+        raise ConfigError(f"--output {output} is a file; name a folder")
+    if check is not None:
+        read_rows(check)
+
+
+def _points(
+    chosen: "Chosen", method: Sequence[str] | None, backbone: Sequence[str] | None
+) -> "tuple[OperatingPoint, ...]":
+    from calibration.tradeoff.plan import BACKBONES, chosen_points
+    from edge import registry
+
+    return chosen_points(
+        tuple(backbone or BACKBONES),
+        tuple(method or registry.names("detectors")),
+        has_high_resolution=bool(chosen.high),
+        most_presses=len(chosen.fitted),
+    )
+
+
+def _rows(
+    points: "tuple[OperatingPoint, ...]",
+    chosen: "Chosen",
+    settings: "RunSettings",
+    output: Path,
+    overwrite: bool,
+    peers: bool,
+) -> list[dict[str, Any]]:
+    """The rows of the folder, measured where it has none. Errors: as `measure`."""
+    from calibration.progress import progress
+    from calibration.tradeoff.rows import read_rows, write_rows
+    from calibration.tradeoff.run import clean, measure, require_same_run
+
+    file = output / "rows.jsonl"
+    if file.is_file() and not overwrite:
+        rows = read_rows(file)
+        require_same_run(rows, points, chosen, settings, file)
+        typer.echo(f"{file} holds {len(rows)} points; --overwrite measures them again")
+        return rows
+    if not chosen.high:
+        typer.echo("no high-resolution pictures of these presses: one resolution is measured", err=True)
+    rows = measure(points, chosen, settings, output / "unfinished", progress, with_peers=peers)
+    write_rows(file, rows)
+    clean(output / "unfinished")
+    return rows
+
+
+def _report(rows: list[dict[str, Any]], output: Path, picture: Path | None) -> None:
+    """The page, the picture where wanted, and a table of the front."""
+    from calibration.evaluate.report import write_atomically
+    from calibration.tradeoff.page import page
+    from calibration.tradeoff.table import table
+
+    write_atomically(output / "tradeoff.html", page(rows).encode())
+    if picture is not None:
+        from calibration.tradeoff.figure import svg
+
+        write_atomically(picture, svg(rows))
+    typer.echo(table(rows))
+    typer.echo(f"{len(rows)} points; the page is {output / 'tradeoff.html'}")
+
+
+def _choose(
+    rows: list[dict[str, Any]],
+    limits: Any,
+    points: "tuple[OperatingPoint, ...]",
+    chosen: "Chosen",
+    settings: "RunSettings",
+    bundle: Path,
+    overwrite: bool,
+) -> None:
+    from calibration.tradeoff.pick import pick
+    from edge.core.errors import ConfigError
+
+    picked = pick(rows, limits)
+    if picked.row is None:
+        raise ConfigError(picked.reasons[0])
+    typer.echo("\n".join(picked.reasons))
+    _write_bundle(picked.row["key"], points, chosen, settings, bundle, overwrite, picked.row)
+
+
+def _write_bundle(
+    key: str,
+    points: "tuple[OperatingPoint, ...]",
+    chosen: "Chosen",
+    settings: "RunSettings",
+    bundle: Path,
+    overwrite: bool,
+    row: dict[str, Any] | None,
+) -> None:
+    """Fit the point and write its bundle; says so where its bank differs from the measured one."""
+    from calibration.fitting.command import refuse_existing, summary, write
+    from calibration.progress import Stages
+    from calibration.tradeoff.chosen_bundle import bundle_of, point_of
+
+    found = point_of(key, points)
+    refuse_existing(bundle, overwrite)
+    with Stages() as report:
+        fitted = bundle_of(found, chosen, settings, row=row, report=report)
+    made = fitted.manifest.facts["tradeoff"]["content_sha256"]
+    if row is not None and made != row["content_sha256"]:
+        typer.echo(
+            "warning: the fit gave its bank more room than the measured point had; the accuracy in the bundle is its "
+            "own, the times are the measured point's",
+            err=True,
+        )
+    write(fitted, bundle, overwrite)
+    summary(fitted, bundle)
+    typer.echo(f"trunk, head and bank: {made}")
+
+
+def _check(rows: list[dict[str, Any]], earlier: Path) -> None:
+    from calibration.tradeoff.check import check, same_front
+    from calibration.tradeoff.rows import read_rows
+
+    before = read_rows(earlier)
+    losses, remarks = check(before, rows)
+    for line in (*remarks, *losses):
+        typer.echo(line, err=True)
+    typer.echo(
+        f"{100 * same_front(before, rows):.0f} % of the points are on the front in both runs or in neither"
+    )
+    if losses:
+        typer.echo(f"{len(losses)} losses against {earlier}", err=True)
+        raise typer.Exit(LOSS)
+    typer.echo(f"no loss against {earlier}")

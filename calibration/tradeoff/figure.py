@@ -1,0 +1,190 @@
+"""The picture of a run: accuracy against milliseconds, the front marked, the floor drawn. Made from rows alone."""
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from calibration.tradeoff.page import FIRST, METHOD_NAMES
+from calibration.tradeoff.rows import Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["figure", "svg"]
+
+COLOURS: Final = ("#2f6db3", "#c8621f", "#27876a", "#8257ab", "#b93a5b", "#86751c", "#5d6a75", "#1f8ea3")
+INK, SOFT, GRID, FLOOR = "#22272b", "#626a70", "#eceae4", "#ece7da"
+
+STYLE: Final[dict[Any, Any]] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.edgecolor": "#c9c6bd",
+    "axes.labelcolor": SOFT,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "gelgate",
+}
+
+
+def svg(rows: Sequence[Row]) -> bytes:
+    """The picture as SVG bytes; equal rows give equal bytes."""
+    import matplotlib as mpl
+
+    stream = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate tradeoff"})
+    return stream.getvalue()
+
+
+def figure(rows: Sequence[Row]) -> "Figure":
+    """Accuracy (AU-PRO) against the milliseconds of a press, as a matplotlib figure without a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
+    made = Figure(figsize=(9, 5.2), facecolor="white")
+    FigureCanvasAgg(made)
+    axes = made.add_axes((0.075, 0.11, 0.9, 0.78))
+    _frame(axes, drawn)
+    _floor(axes, drawn)
+    methods = list(dict.fromkeys(row["method"] for row in drawn))
+    for row in drawn:
+        _mark(axes, row, COLOURS[methods.index(row["method"]) % len(COLOURS)])
+    _front(axes, drawn)
+    _legend(axes, methods)
+    first = rows[0]
+    made.text(0.075, 0.945, "What accuracy costs", fontsize=13, fontweight="bold", color=INK)
+    made.text(0.075, 0.908, _subtitle(first, len(drawn)), fontsize=8.5, color=SOFT)
+    return made
+
+
+def _subtitle(first: Row, points: int) -> str:
+    machine = first["machine"]
+    return (
+        f"{points} operating points on {first['part']}/{first['position']}, scored on pieces that no fit has seen; "
+        f"{machine['processor']}, {machine['threads']} threads"
+    )
+
+
+def _frame(axes: "Axes", rows: Sequence[Row]) -> None:
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axes.set_xscale("log")
+    axes.set_axisbelow(True)
+    axes.grid(color=GRID, linewidth=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_xlabel("milliseconds per press, camera bytes to published picture")
+    axes.set_ylabel("AU-PRO up to 1 % false positives")
+    axes.set_xlim(
+        min(row["floor"]["ms"] for row in rows) * 0.8, max(row["ms"]["high"] for row in rows) * 1.15
+    )
+    values = [row["accuracy"][FIRST]["value"] for row in rows]
+    room = 0.06 * max(max(values) - min(values), 0.02)
+    axes.set_ylim(min(values) - room, max(values) + 2 * room)
+    axes.xaxis.set_major_locator(_one_two_five())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _one_two_five() -> Any:
+    from matplotlib.ticker import LogLocator
+
+    return LogLocator(base=10, subs=(1, 2, 5))
+
+
+def _stairs(pairs: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Of (time, accuracy) those that no faster one reaches, by rising time."""
+    found: list[tuple[float, float]] = []
+    for time, accuracy in sorted(pairs, key=lambda pair: (pair[0], -pair[1])):
+        if not found or accuracy > found[-1][1]:
+            found.append((time, accuracy))
+    return found
+
+
+def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
+    steps = _stairs([(row["floor"]["ms"], row["accuracy"][FIRST]["value"]) for row in rows])
+    bottom, top = axes.get_ylim()
+    times, values = [steps[0][0]], [bottom]
+    for time, value in steps:
+        times += [time, time]
+        values += [values[-1], value]
+    left = axes.get_xlim()[0]
+    axes.fill_betweenx([*values, top], left, [*times, times[-1]], color=FLOOR, linewidth=0, zorder=0)
+    axes.plot(times, values, color=SOFT, linewidth=0.8, linestyle=(0, (2, 2)), zorder=1)
+    axes.annotate(
+        "faster than this machine can be",
+        (0.012, 0.5),
+        xycoords="axes fraction",
+        rotation=90,
+        va="center",
+        fontsize=8,
+        color=SOFT,
+    )
+
+
+def _mark(axes: "Axes", row: Row, colour: str) -> None:
+    shape = {"lr": "o", "hr": "s"}.get(row["view"], "D")
+    is_hollow = row["work"]["int8"] > 0
+    axes.scatter(
+        row["ms"]["median"],
+        row["accuracy"][FIRST]["value"],
+        s=14 + 1.6 * row["presses"],
+        marker=shape,
+        facecolors="white" if is_hollow else colour,
+        edgecolors=colour if is_hollow else "white",
+        linewidths=1.3 if is_hollow else 0.7,
+        alpha=1.0 if row["is_on_front"] else 0.4,
+        zorder=4 if row["is_on_front"] else 3,
+    )
+
+
+def _front(axes: "Axes", rows: Sequence[Row]) -> None:
+    front = [row for row in rows if row["is_on_front"]]
+    steps = _stairs([(row["ms"]["median"], row["accuracy"][FIRST]["value"]) for row in front])
+    times = [time for time, _ in steps] + [axes.get_xlim()[1]]
+    values = [value for _, value in steps] + [steps[-1][1]]
+    axes.step(times, values, where="post", color=INK, linewidth=1.1, zorder=2)
+    for row in front:
+        ms, accuracy = row["ms"], row["accuracy"][FIRST]["value"]
+        axes.plot(
+            [ms["low"], ms["high"]], [accuracy, accuracy], color=INK, linewidth=0.8, alpha=0.5, zorder=3
+        )
+
+
+def _legend(axes: "Axes", methods: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    def entry(label: str, marker: str, face: str, edge: str, size: float = 6) -> Line2D:
+        return Line2D(
+            [],
+            [],
+            linestyle="",
+            marker=marker,
+            markerfacecolor=face,
+            markeredgecolor=edge,
+            markersize=size,
+            label=label,
+        )
+
+    entries = [
+        entry(METHOD_NAMES.get(name, name), "o", COLOURS[k % len(COLOURS)], COLOURS[k % len(COLOURS)])
+        for k, name in enumerate(methods)
+    ]
+    entries += [
+        entry("int8 trunk", "o", "white", SOFT),
+        entry("high resolution", "s", SOFT, SOFT),
+        entry("in tiles", "D", SOFT, SOFT, 5),
+        Line2D([], [], color=INK, linewidth=1.1, label="front"),
+    ]
+    axes.legend(
+        handles=entries,
+        loc="lower right",
+        frameon=True,
+        framealpha=0.9,
+        edgecolor="none",
+        fontsize=8,
+        ncols=2,
+    )

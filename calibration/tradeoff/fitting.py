@@ -1,0 +1,209 @@
+"""The points of one view and one backbone: features once, then a bank, score maps and a bundle for each point."""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.bundle_measurements import placeholders, provenance
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.held_out import Learner
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk, open_trunk
+from calibration.tradeoff.point import VIEWS, OperatingPoint, View
+from calibration.tradeoff.presses import Chosen, Seen
+from edge import registry
+from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.errors import FitError
+from edge.core.imaging.tiles import tiling
+from edge.model.bundle import Bundle, Graphs, bundle_files
+from edge.model.manifest import Facts, GridEntry, Manifest, ProfileEntry, RegionEntry
+from edge.model.session import RUNTIME_ERRORS, open_session
+
+__all__ = ["FittedPoint", "content_sha256", "fit_points", "trunk_of"]
+
+TILE = 224
+"""Side of a tile in pixels, the input side of the seed paper's backbone."""
+
+
+@dataclass(frozen=True)
+class FittedPoint:
+    """A point with its bundle and what it gives on the scored presses.
+
+    files: of a bundle without its trunk and without golden frames. maps: float32 (n, h, w) of the region, scores:
+    float64 (n,). features_s, bank_s: seconds for the trunk over the fitted presses, and for the bank.
+    """
+
+    point: OperatingPoint
+    trunk: Trunk
+    manifest: Manifest
+    files: Mapping[str, bytes]
+    maps: NDArray[np.float32]
+    scores: NDArray[np.float64]
+    features_s: float
+    bank_s: float
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """Features of all presses by one trunk: fitted ones first. seconds: of one press."""
+
+    grid: Grid
+    features: Features
+    seconds: float
+
+
+def trunk_of(point: OperatingPoint) -> Trunk:
+    """The trunk of a point, cut after the deepest tap that the method reads, and tiled where the view is.
+
+    Errors: ConfigError, FitError.
+    """
+    detector, parameters = detector_of(point)
+    return _tiled(open_trunk(point.backbone, detector.taps(parameters)), VIEWS[point.view])
+
+
+def detector_of(point: OperatingPoint) -> tuple[Detector, Any]:
+    """The detector of a point and its parameters. Errors: ConfigError, FitError."""
+    detector = registry.detector(point.method)
+    return detector, detector.parameters(point.mode, **point.overrides)
+
+
+def _tiled(trunk: Trunk, view: View) -> Trunk:
+    if view.overlap is None:
+        return trunk
+    from plugins.backbones.tiled import tile_trunk
+
+    layout = tiling((view.region.height, view.region.width), TILE, view.overlap)
+    return replace(trunk, graph=tile_trunk(trunk.graph, layout))
+
+
+def fit_points(
+    points: Sequence[OperatingPoint],
+    chosen: Chosen,
+    seen: Seen,
+    *,
+    threads: int,
+    seed: int,
+) -> Iterator[FittedPoint]:
+    """Fit and score points of one view and one backbone, which share their features.
+
+    Errors: FitError, with the point.
+    """
+    most = max(point.presses for point in points)
+    seen = replace(seen, nominal=first(seen.nominal, most))
+    taken = _extract(points, seen, threads)
+    for point in points:
+        try:
+            yield _fitted(point, chosen, seen, taken, threads, seed)
+        except FitError as error:
+            raise FitError(f"operating point {point.key}: {error}") from error
+
+
+def _extract(points: Sequence[OperatingPoint], seen: Seen, threads: int) -> _Taken:
+    """The features of every tap that one of the points reads."""
+    view = VIEWS[points[0].view]
+    taps = sorted({tap for point in points for tap in detector_of(point)[0].taps(detector_of(point)[1])})
+    trunk = _tiled(open_trunk(points[0].backbone, taps), view)
+    session = open_session(trunk.graph, threads, f"trunk '{trunk.id}'")
+    region = view.region
+    grid = trunk_grid(session, taps, (region.height, region.width), view.profile.pixels_per_mm)
+    frames = np.concatenate([seen.nominal.frames, seen.frames])
+    start = time.perf_counter()
+    features = extract(session, frames, grid, lambda fraction: None)
+    return _Taken(grid, features, (time.perf_counter() - start) / len(frames))
+
+
+def _fitted(
+    point: OperatingPoint, chosen: Chosen, seen: Seen, taken: _Taken, threads: int, seed: int
+) -> FittedPoint:
+    detector, parameters = detector_of(point)
+    taps = detector.taps(parameters)
+    grid = replace(taken.grid, taps={tap: taken.grid.taps[tap] for tap in taps})
+    learner = Learner(detector, grid, parameters, seed, threads)
+    start = time.perf_counter()
+    bank = learner.bank(Nominal({tap: taken.features[tap][: point.presses] for tap in taps}))
+    head = learner.head(bank)
+    bank_s = time.perf_counter() - start
+    trunk = trunk_of(point)
+    facts = _facts(point, chosen, seen.nominal, learner, bank, trunk, seed)
+    graphs = Graphs(trunk=trunk.graph, head=head)
+    manifest, files = bundle_files(facts, graphs, bank, backbone=trunk.id, with_trunk=False)
+    loaded = Bundle.in_memory(manifest, files, loaded=(trunk.sha256,))
+    scored = {tap: taken.features[tap][len(seen.nominal) :] for tap in taps}
+    maps, scores = _scored(loaded, scored, threads)
+    return FittedPoint(point, trunk, manifest, files, maps, scores, taken.seconds * point.presses, bank_s)
+
+
+def _scored(
+    bundle: Bundle, features: Features, threads: int
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Score maps (n, h, w) and scores (n,) by the bundle's head. Errors: FitError."""
+    head = open_session(bundle.graphs.head or b"", threads, f"head of {bundle.manifest.method}")
+    wanted = {given.name for given in head.get_inputs()}
+    stored = {name: array for name, array in bundle.bank.items() if name in wanted}
+    maps, scores = [], []
+    for k in range(len(next(iter(features.values())))):
+        taps = {tap: found[k : k + 1] for tap, found in features.items() if tap in wanted}
+        try:
+            score_map, score = head.run(["score_map", "score"], {**taps, **stored})
+        except RUNTIME_ERRORS as error:
+            raise FitError(f"the head does not run on press {k}: {error!s:.300}") from error
+        maps.append(score_map[0])
+        scores.append(float(score[0]))
+    return np.stack(maps), np.array(scores)
+
+
+def _facts(
+    point: OperatingPoint,
+    chosen: Chosen,
+    nominal: NominalPresses,
+    learner: Learner,
+    bank: Bank,
+    trunk: Trunk,
+    seed: int,
+) -> Facts:
+    """The manifest's facts; threshold and tolerance are stand-ins, because no verdict is asked for."""
+    threshold, tolerance = placeholders()
+    view = VIEWS[point.view]
+    return Facts(
+        part=chosen.part,
+        position=chosen.position,
+        method=point.method,
+        mode=point.mode,
+        parameters=json.loads(json.dumps(vars(learner.parameters))),
+        repairs=tuple(bank.facts.get("repairs", ())),
+        facts={"backbone": trunk.facts},
+        profile=ProfileEntry.of(view.profile),
+        region=RegionEntry.of(view.region),
+        grid=GridEntry.of(learner.grid),
+        threshold=threshold,
+        tolerance=tolerance,
+        provenance=provenance("measured", first(nominal, point.presses), seed, ()),
+    )
+
+
+def first(nominal: NominalPresses, presses: int) -> NominalPresses:
+    """The first presses of a fit's order."""
+    return replace(
+        nominal,
+        frames=nominal.frames[:presses],
+        names=nominal.names[:presses],
+        specimens=nominal.specimens[:presses],
+    )
+
+
+def content_sha256(manifest: Manifest) -> str:
+    """Of trunk, head and bank: everything that decides a score, and nothing that differs between two fits.
+
+    A manifest also holds dates and measured times, so its own hash changes with every fit.
+    """
+    trunk = [manifest.backbone.trunk] if manifest.backbone else []
+    graphs = [graph for graph in (manifest.head, manifest.detector) if graph]
+    arrays = [entry for array in manifest.bank.values() for entry in (array.data, array.scale) if entry]
+    lines = sorted(f"{entry.file} {entry.sha256}" for entry in (*trunk, *graphs, *arrays))
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -1,0 +1,244 @@
+"""anomalib's PaDiM and PatchCore as rows of the same run: same presses, same measures, timed in the same rounds.
+
+They run as anomalib defines them, in PyTorch, on a ResNet-18 with the weights of the shipped trunk, so that methods and
+programs are compared and not weights. Their published figures are for other weights and pictures (MVTec AD), which are
+not at hand here; each row says so.
+
+Ref: anomalib 2.7 (Apache-2.0), models/image/padim and models/image/patchcore, with their default settings.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.tradeoff.accuracy import Truth, measured
+from calibration.tradeoff.point import VIEWS
+from calibration.tradeoff.presses import Chosen, see
+from calibration.tradeoff.rows import FORMAT, Row
+from calibration.tradeoff.timing import Drawing
+from edge.core.errors import ConfigError
+from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.imaging.frames import CameraFrame
+
+__all__ = ["NOTE", "Peer", "load_weights", "peers"]
+
+NOTE: Final = (
+    "Not compared with its published figure: that is for MVTec AD and ImageNet weights, and the dataset is not at "
+    "hand. Here it runs on the weights of the shipped trunk."
+)
+
+PRESSES: Final = 20
+LAYERS: Final = {"padim": ["layer1", "layer2", "layer3"], "patchcore": ["layer2", "layer3"]}
+CORESET: Final = 0.1
+"""anomalib's default share of the patches that PatchCore keeps."""
+
+NAMES: Final = {"padim": "anomalib_padim", "patchcore": "anomalib_patchcore"}
+
+
+@dataclass
+class Peer:
+    """A fitted model of another program. row: what its row holds before it is timed. shared: as of a lane."""
+
+    row: Row
+    model: Any
+    normalise: Callable[[NDArray[np.uint8]], Any]
+    drawing: Drawing
+
+    @property
+    def shared(self) -> tuple[object, object, object, object]:
+        profile, key = self.drawing.view.profile_name, self.row["key"]
+        return profile, key, key, profile
+
+    def press(self, number: int) -> tuple[float, float, float, float]:
+        """Milliseconds of decode, trunk (0: it cannot be told from the rest), model, overlay."""
+        start = time.perf_counter()
+        rgb = self.drawing.decode(number)
+        decoded = time.perf_counter()
+        score_map, score = _score(self.model, self.normalise(rgb))
+        scored = time.perf_counter()
+        self.drawing.draw(rgb, score_map, score)
+        end = time.perf_counter()
+        return (decoded - start) * 1e3, 0.0, (scored - decoded) * 1e3, (end - scored) * 1e3
+
+
+def peers(
+    chosen: Chosen, truth: Truth, frames: Sequence[CameraFrame], *, threads: int, seed: int
+) -> list[Peer]:
+    """Both models, fitted on the first presses and scored on the same ones as every point.
+
+    frames: camera frames to be timed on. Errors: ConfigError where the dataset gives too few presses.
+    """
+    import torch
+
+    torch.set_num_threads(threads)
+    seen = see(chosen, VIEWS["lr"])
+    if len(seen.nominal) < PRESSES:
+        raise ConfigError(
+            f"--peers fits {PRESSES} presses, the dataset gives {len(seen.nominal)}; press more good parts"
+        )
+    normalise = _normaliser()
+    return [
+        _fitted(method, chosen, seen.nominal.frames[:PRESSES], seen.frames, truth, normalise, frames, seed)
+        for method in LAYERS
+    ]
+
+
+def _fitted(
+    method: str,
+    chosen: Chosen,
+    nominal: NDArray[np.uint8],
+    scored: NDArray[np.uint8],
+    truth: Truth,
+    normalise: Callable[[NDArray[np.uint8]], Any],
+    frames: Sequence[CameraFrame],
+    seed: int,
+) -> Peer:
+    import torch
+
+    torch.manual_seed(seed)
+    model = _model(method)
+    start = time.perf_counter()
+    model.train()
+    model.feature_extractor.eval()
+    for frame in nominal:
+        model(normalise(frame))
+    if method == "padim":
+        model.fit()
+    else:
+        model.subsample_embedding(CORESET)
+    model.eval()
+    seconds = time.perf_counter() - start
+    found = [_score(model, normalise(frame)) for frame in scored]
+    accuracy = measured([score_map for score_map, _ in found], np.array([score for _, score in found]), truth)
+    drawing = Drawing(VIEWS["lr"], frames, f"{chosen.part}/{chosen.position}", found[0][0])
+    return Peer(_row(method, model, accuracy, seconds, normalise(nominal[0])), model, normalise, drawing)
+
+
+def _model(method: str) -> Any:
+    """A fresh model on a ResNet-18 with the weights of the shipped trunk."""
+    if method == "padim":
+        from anomalib.models.image.padim.torch_model import PadimModel
+
+        model = PadimModel("resnet18", LAYERS[method], pre_trained=False)
+    else:
+        from anomalib.models.image.patchcore.torch_model import PatchcoreModel
+
+        model = PatchcoreModel(LAYERS[method], "resnet18", pre_trained=False)
+    load_weights(model.feature_extractor.feature_extractor, open_trunk(DEFAULT_BACKBONE).graph)
+    return model
+
+
+def load_weights(network: Any, trunk: bytes) -> None:
+    """Give a ResNet-18 of timm the weights of an ONNX trunk of the same family, batch norms folded into them."""
+    import torch
+
+    convolutions = {
+        name: module for name, module in network.named_modules() if isinstance(module, torch.nn.Conv2d)
+    }
+    given = _weights(trunk)
+    # Both list a block's 3x3 layers in the order of use; its 1x1 shortcut may come before or after them.
+    for is_shortcut in (False, True):
+        names = [name for name in convolutions if ("downsample" in name) is is_shortcut]
+        kernels = [pair for pair in given if (pair[0].shape[2] == 1) is is_shortcut]
+        for name, (kernel, bias) in zip(names, kernels, strict=False):
+            _set(network, name, convolutions[name], torch.from_numpy(kernel), torch.from_numpy(bias))
+
+
+def _set(network: Any, name: str, convolution: Any, kernel: Any, bias: Any) -> None:
+    import torch
+
+    if convolution.weight.shape != kernel.shape:
+        raise ValueError(
+            f"the layer {name} has weights {tuple(convolution.weight.shape)}, not {tuple(kernel.shape)}"
+        )
+    above, _, last = name.rpartition(".")
+    normed = last.replace("conv", "bn") if last.startswith("conv") else "1"
+    norm = network.get_submodule(f"{above}.{normed}" if above else normed)
+    with torch.no_grad():
+        convolution.weight.copy_(kernel)
+        norm.weight.fill_(1.0)
+        norm.bias.copy_(bias)
+        norm.running_mean.fill_(0.0)
+        norm.running_var.fill_(1.0 - norm.eps)
+
+
+def _weights(trunk: bytes) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Kernel and bias of every convolution, in the order of use."""
+    import onnx
+    from onnx import numpy_helper
+
+    graph = onnx.load_from_string(trunk).graph
+    arrays = {one.name: numpy_helper.to_array(one).astype(np.float32) for one in graph.initializer}
+    casts = {node.output[0]: node.input[0] for node in graph.node if node.op_type == "Cast"}
+    return [
+        (arrays[casts.get(node.input[1], node.input[1])], arrays[casts.get(node.input[2], node.input[2])])
+        for node in graph.node
+        if node.op_type == "Conv"
+    ]
+
+
+def _normaliser() -> Callable[[NDArray[np.uint8]], Any]:
+    """From uint8 (h, w, 3) to a normalised float32 tensor (1, 3, h, w), as the trunk does inside its graph."""
+    import torch
+
+    from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
+
+    mean, std = (torch.tensor(values).view(1, 3, 1, 1) for values in (IMAGENET_MEAN, IMAGENET_STD))
+
+    def normalise(rgb: NDArray[np.uint8]) -> Any:
+        planes = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1)[None]
+        return (planes.float() / 255 - mean) / std
+
+    return normalise
+
+
+def _score(model: Any, planes: Any) -> tuple[NDArray[np.float32], float]:
+    """Score map (h, w) and score of one press."""
+    import torch
+
+    with torch.inference_mode():
+        found = model(planes)
+    return found.anomaly_map[0, 0].numpy().astype(np.float32), float(found.pred_score.flatten()[0])
+
+
+def _row(method: str, model: Any, accuracy: dict[str, Any], seconds: float, planes: Any) -> Row:
+    import torch
+    from torch.utils.flop_counter import FlopCounterMode
+
+    held = [one for name, one in model.state_dict().items() if not name.startswith("feature_extractor")]
+    bank = sum(one.numel() * one.element_size() for one in held)
+    trunk = sum(one.numel() * one.element_size() for one in model.feature_extractor.parameters())
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        model(planes)
+    content = hashlib.sha256()
+    for name, one in sorted(model.state_dict().items()):
+        content.update(name.encode() + one.cpu().numpy().tobytes())
+    return {
+        "format": FORMAT,
+        "key": f"{NAMES[method]}.resnet18.lr.{PRESSES}",
+        "peer": f"anomalib {version('anomalib')}, torch {version('torch')}",
+        "method": NAMES[method],
+        "mode": "corrected",
+        "backbone": "resnet18",
+        "view": "lr",
+        "settings": {},
+        "presses": PRESSES,
+        "gel_share": PRESSES / DEFAULT_LIMIT_PRESSES,
+        "accuracy": accuracy,
+        "bank_bytes": bank,
+        "bank_bytes_unpacked": bank,
+        "trunk_bytes": trunk,
+        "trunk_sha256": content.hexdigest(),
+        "content_sha256": content.hexdigest(),
+        "fit_s": {"features": 0.0, "bank": seconds},
+        "work": {"float32": float(counter.get_total_flops()), "int8": 0.0, "bytes": float(bank + trunk)},
+        "note": NOTE,
+        "peak_memory_bytes": None,
+    }

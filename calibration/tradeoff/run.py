@@ -1,0 +1,348 @@
+"""One run: every point fitted and scored, timed with all others, and written as rows."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.progress import Advance
+from calibration.studies.rows import Rows
+from calibration.threads import one_blas_thread
+from calibration.tradeoff.accuracy import Truth, measured
+from calibration.tradeoff.fitting import FittedPoint, content_sha256, fit_points
+from calibration.tradeoff.floor import Work, floor_ms, work_of
+from calibration.tradeoff.front import dominators
+from calibration.tradeoff.machine import Peak, best, fingerprint, probe
+from calibration.tradeoff.memory import peak_bytes
+from calibration.tradeoff.point import VIEWS, OperatingPoint
+from calibration.tradeoff.presses import Chosen, choose_presses, masks_of, on_common_grid, see
+from calibration.tradeoff.rows import FORMAT, Row
+from calibration.tradeoff.statistics import PressTimes, press_times
+from calibration.tradeoff.timing import STAGES, Lane, Timed, bundle_lanes, camera_frames, measure_rounds
+from edge.core.errors import ConfigError
+from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.model.bundle import Bundle, write_bundle
+
+__all__ = ["LEAST_ROUNDS", "RunSettings", "clean", "measure", "presses_of", "require_same_run"]
+
+LEAST_ROUNDS: Final = 7
+"""Below this the interval of a median over rounds is as wide as the samples."""
+
+CAMERA_FRAMES: Final = 3
+"""Different presses that are decoded and scored while timing."""
+
+MOST_SCORED: Final = 40
+"""Good and defective presses that are scored, each."""
+
+Show = Callable[[str, int], AbstractContextManager[Advance]]
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a run depends on.
+
+    most_fitted: presses that the largest fit takes. minutes: after them no new round of timing begins.
+    """
+
+    dataset: Path
+    part: str | None = None
+    position: str | None = None
+    seed: int = 0
+    threads: int = 2
+    rounds: int = 25
+    replicates: int = 200
+    most_fitted: int = 40
+    most_scored: int = MOST_SCORED
+    minutes: float = 15.0
+
+    def __post_init__(self) -> None:
+        if self.rounds < LEAST_ROUNDS:
+            raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
+
+
+def presses_of(settings: RunSettings) -> Chosen:
+    """The presses of a run. Errors: DatasetError."""
+    return choose_presses(
+        settings.dataset,
+        settings.part,
+        settings.position,
+        most_fitted=settings.most_fitted,
+        most_scored=settings.most_scored,
+        seed=settings.seed,
+    )
+
+
+@one_blas_thread()
+def measure(
+    points: Sequence[OperatingPoint],
+    chosen: Chosen,
+    settings: RunSettings,
+    folder: Path,
+    show: Show,
+    *,
+    with_peers: bool = False,
+) -> list[Row]:
+    """Measure every point and give its row; points that the folder already holds are not fitted again.
+
+    Times are always measured together, so an interrupted timing starts again. folder: is made; holds bundles until
+    the end. Errors: FitError, ConfigError (the folder holds another run), GelgateError (disk).
+    """
+    begun = time.perf_counter()
+    machine = fingerprint(settings.threads)
+    dataset = chosen.sha256()
+    _claim(folder, settings, dataset)
+    finished = Rows(folder / "points.jsonl")
+    with finished.held():
+        _fit_missing(points, chosen, settings, folder, finished, show)
+    found = {row["key"]: row for row in finished.read()}
+    rows = [found[point.key] for point in points]
+    bundles = [_bundle_folder(folder, point) for point in points]
+    with show("peak memory", len(points)) as advance:
+        memory = peak_bytes(bundles, settings.threads, advance)
+    frames = _frames(points, chosen)
+    lanes = bundle_lanes(_timed(points, rows, bundles), frames, settings.threads)
+    for row, most, point in zip(rows, memory, points, strict=True):
+        row |= {"peak_memory_bytes": most, "note": "", "command": command_of(point, chosen, settings)}
+    if with_peers:
+        from calibration.tradeoff.peers import peers
+
+        others = peers(
+            chosen,
+            _truth(chosen, settings),
+            frames[VIEWS["lr"].profile_name],
+            threads=settings.threads,
+            seed=settings.seed,
+        )
+        lanes += others
+        rows += [other.row | {"command": peers_command(chosen, settings)} for other in others]
+    before = probe(settings.threads)
+    times = _times(lanes, settings, begun, show)
+    peak = best(before, probe(settings.threads))
+    common = {"dataset_sha256": dataset, "machine": machine, "peak": asdict(peak), "rounds": times.rounds}
+    complete = [
+        row | _timed_row(k, row, times, peak) | _scope(chosen, settings) | common
+        for k, row in enumerate(rows)
+    ]
+    return with_front(complete, times.ratios)
+
+
+def require_same_run(
+    rows: Sequence[Row],
+    points: Sequence[OperatingPoint],
+    chosen: Chosen,
+    settings: RunSettings,
+    file: Path,
+) -> None:
+    """Errors: ConfigError where finished rows are of other presses, another seed or other points than wanted now."""
+    keys = {row["key"] for row in rows if not row.get("peer")}
+    wanted = {"presses": chosen.sha256(), "seed": settings.seed, "points": {point.key for point in points}}
+    found = {"presses": rows[0]["dataset_sha256"], "seed": rows[0]["seed"], "points": keys}
+    other = [name for name in wanted if wanted[name] != found[name]]
+    if other:
+        raise ConfigError(
+            f"'{file}' has rows of another run ({', '.join(other)} differ); measure again with --overwrite, or choose "
+            "another folder with --output"
+        )
+
+
+def clean(folder: Path) -> None:
+    """Remove the bundles and the journal of a finished run."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _claim(folder: Path, settings: RunSettings, dataset: str) -> None:
+    """Mark a folder as this run's. Errors: ConfigError where it holds another one."""
+    wanted = {"format": FORMAT, "dataset": dataset, "seed": settings.seed, "replicates": settings.replicates}
+    path = folder / "run.json"
+    folder.mkdir(parents=True, exist_ok=True)
+    if path.is_file() and json.loads(path.read_text()) != wanted:
+        raise ConfigError(
+            f"'{folder}' holds an unfinished run with other presses or another seed; remove it, or choose another "
+            "folder with --output"
+        )
+    path.write_text(json.dumps(wanted))
+
+
+def _bundle_folder(folder: Path, point: OperatingPoint) -> Path:
+    return folder / "bundles" / point.key
+
+
+def _fit_missing(
+    points: Sequence[OperatingPoint],
+    chosen: Chosen,
+    settings: RunSettings,
+    folder: Path,
+    rows: Rows,
+    show: Show,
+) -> None:
+    """Fit and score every point without a row, view by view and backbone by backbone."""
+    missing = [point for point in points if point.key not in rows.done()]
+    if not missing:
+        return
+    truth = _truth(chosen, settings)
+    with show("operating points", len(points)) as advance:
+        for fitted in _fitted(missing, chosen, settings):
+            _write_point(fitted, folder)
+            rows.append(_accuracy_row(fitted, truth))
+            advance(len(rows.done()))
+
+
+def _truth(chosen: Chosen, settings: RunSettings) -> Truth:
+    return Truth.of(chosen.label, masks_of(chosen), chosen.specimens, settings.replicates, settings.seed)
+
+
+def _fitted(points: Iterable[OperatingPoint], chosen: Chosen, settings: RunSettings) -> Iterator[FittedPoint]:
+    def shared(point: OperatingPoint) -> tuple[int, str]:
+        return list(VIEWS).index(point.view), point.backbone
+
+    for view, of_view in groupby(sorted(points, key=shared), key=lambda point: point.view):
+        seen = see(chosen, VIEWS[view])
+        for _, group in groupby(of_view, key=shared):
+            yield from fit_points(list(group), chosen, seen, threads=settings.threads, seed=settings.seed)
+
+
+def _write_point(fitted: FittedPoint, folder: Path) -> None:
+    """The point's bundle, and its trunk once for all points that share it."""
+    store = folder / "bundles" / "trunks"
+    store.mkdir(parents=True, exist_ok=True)
+    trunk = store / f"{fitted.trunk.sha256}.onnx"
+    if not trunk.is_file():
+        trunk.write_bytes(fitted.trunk.graph)
+    write_bundle(_bundle_folder(folder, fitted.point), fitted.files, overwrite=True)
+
+
+def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
+    """What does not depend on the machine's speed, and the seconds of the fit."""
+    point, manifest = fitted.point, fitted.manifest
+    assert manifest.backbone is not None
+    stored = sum(entry.bytes_stored for entry in manifest.bank.values())
+    return {
+        "format": FORMAT,
+        "key": point.key,
+        "method": point.method,
+        "mode": point.mode,
+        "backbone": point.backbone,
+        "view": point.view,
+        "settings": dict(point.settings),
+        "presses": point.presses,
+        "gel_share": point.presses / DEFAULT_LIMIT_PRESSES,
+        "accuracy": measured([on_common_grid(m) for m in fitted.maps], fitted.scores, truth),
+        "bank_bytes": stored,
+        "bank_bytes_unpacked": sum(entry.bytes_unpacked for entry in manifest.bank.values()),
+        "trunk_bytes": manifest.backbone.trunk.size_bytes,
+        "trunk_sha256": manifest.backbone.trunk.sha256,
+        "content_sha256": content_sha256(manifest),
+        "fit_s": {"features": fitted.features_s, "bank": fitted.bank_s},
+        "work": asdict(_work(fitted)),
+    }
+
+
+def _work(fitted: FittedPoint) -> Work:
+    assert fitted.manifest.backbone is not None
+    files = {**fitted.files, fitted.manifest.backbone.trunk.file: fitted.trunk.graph}
+    inside = fitted.manifest.model_copy(
+        update={"backbone": fitted.manifest.backbone.model_copy(update={"in_bundle": True})}
+    )
+    return work_of(Bundle.in_memory(inside, files))
+
+
+def _timed(points: Sequence[OperatingPoint], rows: Sequence[Row], bundles: Sequence[Path]) -> list[Timed]:
+    return [
+        Timed(point, bundle, row["trunk_sha256"])
+        for point, bundle, row in zip(points, bundles, rows, strict=True)
+    ]
+
+
+def _times(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show) -> PressTimes:
+    with show("rounds of timing", settings.rounds) as advance:
+        samples = measure_rounds(
+            lanes,
+            threads=settings.threads,
+            rounds=settings.rounds,
+            least=LEAST_ROUNDS,
+            seed=settings.seed,
+            until=begun + 60 * settings.minutes,
+            advance=advance,
+        )
+    return press_times(samples, seed=settings.seed)
+
+
+def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[Any]]:
+    """Camera frames of the last scored presses, which are defective, by the name of the profile."""
+    views = {VIEWS[point.view].profile_name: VIEWS[point.view] for point in points}
+    last = Chosen(
+        chosen.root,
+        chosen.part,
+        chosen.position,
+        chosen.fitted[:1],
+        chosen.scored[-CAMERA_FRAMES:],
+        chosen.high,
+    )
+    return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
+
+
+def _timed_row(k: int, row: Row, times: PressTimes, peak: Peak) -> Row:
+    """What timing adds to a row."""
+    floor, binds = floor_ms(Work(**row["work"]), peak)
+    stages = {
+        name: _plain({"median": times.stages[stage, k], "p95": times.stages_p95[stage, k]})
+        for stage, name in enumerate(STAGES)
+    }
+    press = dict(zip(("median", "low", "high"), times.ms[:, k], strict=True)) | {"p95": times.p95[k]}
+    return {
+        "ms": _plain(press),
+        "stages": stages,
+        "ratio": _plain(dict(zip(("median", "low", "high"), times.ratio[:, k], strict=True))),
+        "bare_trunk_ms": times.bare,
+        "floor": {"ms": floor, "binds": binds},
+    }
+
+
+def _scope(chosen: Chosen, settings: RunSettings) -> Row:
+    """What the row is about."""
+    return {
+        "part": chosen.part,
+        "position": chosen.position,
+        "seed": settings.seed,
+        "scored": {"good": int((~chosen.label).sum()), "defective": int(chosen.label.sum())},
+    }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
+
+
+def command_of(point: OperatingPoint, chosen: Chosen, settings: RunSettings) -> str:
+    """The command that makes the point's bundle again, with the dataset's folder name alone."""
+    return (
+        f"gelgate tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} --seed {settings.seed} "
+        f"--point {point.key} --bundle {point.method}"
+    )
+
+
+def peers_command(chosen: Chosen, settings: RunSettings) -> str:
+    """The command that measures the peers again, in a run with every point."""
+    return (
+        f"gelgate tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} --seed {settings.seed} "
+        "--peers"
+    )
+
+
+def with_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:
+    """Rows with the keys of the points that dominate each, and whether it is on the front."""
+    accuracy = np.array(
+        [np.nan if (v := row["accuracy"]["aupro_fpr01"]["value"]) is None else v for row in rows], np.float64
+    )
+    found = dominators(accuracy, ratios)
+    return [
+        row | {"is_on_front": not others, "dominated_by": [rows[k]["key"] for k in others]}
+        for row, others in zip(rows, found, strict=True)
+    ]

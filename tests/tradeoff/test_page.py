@@ -1,0 +1,72 @@
+"""The page and the picture of a run, made from rows alone."""
+
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from tradeoff_rows import row, rows_of_a_run
+
+from calibration.tradeoff.figure import figure, svg
+from calibration.tradeoff.page import page, view_name
+from calibration.tradeoff.table import table
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict[str, Any]]:
+    return rows_of_a_run()
+
+
+def test_the_page_is_one_small_file_without_network(rows: list[dict[str, Any]]) -> None:
+    """Below 1 MB, nothing is loaded, and its policy forbids to load anything."""
+    text = page(rows)
+    assert len(text.encode()) < 1_000_000
+    assert not re.search(r"(src|href)=[\"'](?!data:)", text)
+    assert set(re.findall(r"https?://[^\"'\s<]+", text)) <= {"http://www.w3.org/2000/svg"}
+    assert "default-src 'none'" in text
+
+
+def test_a_row_cannot_end_the_script(rows: list[dict[str, Any]]) -> None:
+    """A name with a closing tag stays data."""
+    text = page([rows[0] | {"note": "</script><b>", "dominated_by": []}])
+    assert "</script><b>" not in text
+    assert "\\u003c/script>" in text
+
+
+def test_the_page_has_every_point_with_its_command_and_hash(rows: list[dict[str, Any]]) -> None:
+    """As written in the rows."""
+    text = page(rows)
+    assert all(f'"key":"{one["key"]}"' in text for one in rows)
+    assert all(one["command"] in text for one in rows)
+    assert rows[0]["content_sha256"] in text
+
+
+def test_a_point_without_accuracy_is_no_error(rows: list[dict[str, Any]]) -> None:
+    """It is in the data as null, and the picture leaves it out."""
+    undefined = row("none.t", None, dominated_by=[], is_on_front=False)
+    text = page([*rows, undefined])
+    assert "null" in text
+    assert figure([*rows, undefined]).axes
+
+
+def test_the_picture_is_small_and_the_same_every_time(rows: list[dict[str, Any]]) -> None:
+    """Well-formed SVG below 300 kB without a date."""
+    drawn = svg(rows)
+    assert drawn == svg(rows)
+    assert len(drawn) < 300_000
+    assert ElementTree.fromstring(drawn).tag.endswith("svg")
+    assert b"date" not in drawn.lower()
+
+
+def test_the_table_lists_the_front_fastest_first(rows: list[dict[str, Any]]) -> None:
+    """One line per point on the front, and a heading."""
+    front = [one for one in rows if one["is_on_front"]]
+    lines = table(rows).splitlines()
+    assert len(lines) == len(front) + 1
+    assert lines[1].startswith(min(front, key=lambda one: one["ms"]["median"])["key"])
+
+
+def test_a_view_has_a_name_for_people() -> None:
+    """Size, and the overlap of tiles."""
+    assert view_name("lr") == "224x224"
+    assert view_name("hr_tiles_56") == "896x672 in tiles, overlap 56"
