@@ -27,12 +27,13 @@ __all__ = [
     "command",
     "detector",
     "device",
+    "importer",
     "names",
     "options",
     "sink",
 ]
 
-Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "commands"]
+Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "importers", "commands"]
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
 PluginGroup: TypeAlias = Literal["devices", "sinks"]
@@ -88,6 +89,11 @@ def backbone(name: str) -> "Backbone":
     if isinstance(found, Backbone):
         return found
     raise _no_plugin("backbones", name, found, Backbone)
+
+
+def importer(name: str) -> object:
+    """The importer of that name; `export.importers.finding` checks its protocol. Errors: as `device`."""
+    return _load("importers", name)
 
 
 def command(name: str) -> Verb:

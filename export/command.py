@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from export.backbone_command import backbone
+from export.importers.command import detect, import_
 from export.precision_command import precision
 
 __all__ = ["export"]
@@ -20,6 +21,8 @@ def _group() -> None:
 
 export.command()(backbone)
 export.command()(precision)
+export.command("detect")(detect)
+export.command("import")(import_)
 
 
 @export.command()

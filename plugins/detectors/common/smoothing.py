@@ -22,6 +22,7 @@ from plugins.onnx_builder import Graph, Value
 __all__ = [
     "PAPER_SIGMA_MM",
     "PAPER_SIGMA_PX",
+    "Border",
     "Smoothing",
     "Upsampling",
     "blur_px",
@@ -34,6 +35,10 @@ __all__ = [
 Upsampling = Literal["bilinear", "nearest", "sampled"]
 """bilinear and nearest take a cell as a square of pixels (the published way). sampled takes it as a sample at its top
 left pixel, the centre of strided convolutions with symmetric padding, and is bilinear between such samples."""
+
+Border = Literal["symmetric", "reflect"]
+"""What a blur sees beyond the border: symmetric repeats the edge sample (scipy's `reflect`), reflect does not, as torch
+names it."""
 
 # The blur of the published implementations, in pixels of a 224 crop (SPADE-pytorch, PaDiM, FAPM).
 PAPER_SIGMA_PX = 4.0
@@ -77,11 +82,8 @@ def _stride(cells: int, pixels: int) -> float:
 
 
 @cache
-def gaussian_matrix(pixels: int, sigma_px: float) -> NDArray[np.float64]:
-    """One axis of a Gaussian blur: float64 (pixels, pixels), each row sums to 1.
-
-    The edge sample is repeated beyond the border (scipy's `reflect`, NumPy's `symmetric`). Sigma 0 changes nothing.
-    """
+def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") -> NDArray[np.float64]:
+    """One axis of a Gaussian blur: float64 (pixels, pixels), each row sums to 1. Sigma 0 changes nothing."""
     if not (np.isfinite(sigma_px) and sigma_px >= 0):
         raise ValueError(f"a blur is a finite number of pixels, at least 0, found {sigma_px}")
     radius = int(TRUNCATE * sigma_px + 0.5)
@@ -90,7 +92,7 @@ def gaussian_matrix(pixels: int, sigma_px: float) -> NDArray[np.float64]:
         np.exp(-0.5 * (offsets / max(sigma_px, np.finfo(np.float64).tiny)) ** 2) if radius else np.ones(1)
     )
     kernel /= kernel.sum()
-    source = np.pad(np.arange(pixels), radius, mode="symmetric")
+    source = np.pad(np.arange(pixels), radius, mode=border)
     matrix = np.zeros((pixels, pixels))
     for step, weight in enumerate(kernel):
         np.add.at(matrix, (np.arange(pixels), source[step : step + pixels]), weight)
@@ -100,10 +102,14 @@ def gaussian_matrix(pixels: int, sigma_px: float) -> NDArray[np.float64]:
 
 @cache
 def smoothing_matrix(
-    cells: int, pixels: int, sigma_px: float, kind: Upsampling = "bilinear"
+    cells: int,
+    pixels: int,
+    sigma_px: float,
+    kind: Upsampling = "bilinear",
+    border: Border = "symmetric",
 ) -> NDArray[np.float64]:
     """Upsampling then blur of one axis: R = G U, float64 (pixels, cells)."""
-    matrix = gaussian_matrix(pixels, sigma_px) @ upsampling_matrix(cells, pixels, kind)
+    matrix = gaussian_matrix(pixels, sigma_px, border) @ upsampling_matrix(cells, pixels, kind)
     matrix.flags.writeable = False
     return matrix
 

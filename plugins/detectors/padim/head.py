@@ -6,7 +6,7 @@ from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.padim.parameters import PadimParameters
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["padim_head"]
+__all__ = ["emit_squared", "padim_head"]
 
 
 def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
@@ -22,7 +22,7 @@ def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -
     here = delta
     if "locations" in arrays:
         here = graph.op("Gather", delta, graph.input("locations", ("located",), "int64"), axis=1)
-    squared = _squared(graph, here, basis, weights, parameters.block**2, parameters.total_ridge)
+    squared = emit_squared(graph, here, basis, weights, parameters.block**2, parameters.total_ridge)
     if "elsewhere" in arrays:
         shared = (
             graph.input("shared_basis", ("directions", width)),
@@ -38,7 +38,7 @@ def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -
     return graph.serialise()
 
 
-def _squared(graph: Graph, delta: Value, basis: Value, weights: Value, count: int, ridge: float) -> Value:
+def emit_squared(graph: Graph, delta: Value, basis: Value, weights: Value, count: int, ridge: float) -> Value:
     """Squared distances (n, m * count) of delta (n, m * count, d): each block of `count` cells under its own basis
     (m, r, d) and weights (m, r).
 

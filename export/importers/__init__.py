@@ -1,0 +1,1 @@
+"""Importers of trained detectors: a file of a research program becomes a bundle."""

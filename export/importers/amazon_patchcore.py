@@ -1,0 +1,102 @@
+"""PatchCore of amazon-science: `patchcore_params.pkl` and the faiss index next to it.
+
+Ref: amazon-science/patchcore-inspection @fcaa92f, src/patchcore/{patchcore,common}.py; read and compared, not copied.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.core.detector import Bank
+from edge.core.errors import ConfigError
+from export.importers.contract import Imported, Recognised, Settings
+from export.importers.framing import Framing
+from export.importers.given_trunk import given_trunk
+from export.importers.heads import MapSteps, patchcore_head
+from export.reading.foreign import Foreign, checked_array, described
+from export.reading.isolated import read_foreign
+from plugins.detectors.common.descriptor import BINS, Descriptor
+
+__all__ = ["amazon_patchcore"]
+
+INDEX = "nnscorer_search_index.faiss"
+PARAMETERS = "patchcore_params.pkl"
+SIGMA_PX = 4.0
+# field -> the value that the graphs here compute.
+EXPECTED = {
+    "pretrain_embed_dimension": BINS, "target_embed_dimension": BINS, "patchsize": 3, "patchstride": 1,
+    "anomaly_scorer_num_nn": 1,
+}  # fmt: skip
+
+
+class AmazonPatchcore:
+    """The importer under `gelgate.importers`."""
+
+    name = "amazon_patchcore"
+
+    def recognised(self, file: Foreign) -> Recognised | None:
+        """What the file is, None for other files."""
+        table = file.table()
+        if not {"backbone.name", "layers_to_extract_from"} <= set(table):
+            return None
+        layers = table["layers_to_extract_from"]
+        fields = {
+            "backbone": str(table["backbone.name"])[:60],
+            "layers": ", ".join(map(str, layers)) if isinstance(layers, list) else described(layers),
+            "index": _index(file.path).name,
+        }
+        return Recognised("PatchCore of amazon-science/patchcore-inspection", fields, ("--backbone",))
+
+    def imported(self, file: Foreign, settings: Settings) -> Imported:
+        """The parts of a bundle. Errors: as `Importer`."""
+        table = file.table()
+        layers = _checked(file.path, table)
+        given = given_trunk(
+            settings, file.path, layers, f"its index and the name {table.get('backbone.name')} alone"
+        )
+        descriptor = Descriptor(layers, layers[0], "binned", False)
+        with read_foreign(_index(file.path)) as index:
+            rows = checked_array(index.path, "rows", index.table().get("rows"), None, BINS).astype(np.float32)
+        mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
+        steps = MapSteps(Framing(settings.frame), SIGMA_PX)
+        head = patchcore_head(descriptor, given.grid, len(rows), 1, True, steps)
+        bank = Bank(
+            {"bank": rows - mean, "mean": mean},
+            {} if settings.packing == "none" else {"bank": settings.packing},
+        )
+        return Imported(
+            method="patchcore",
+            source="PatchCore of amazon-science/patchcore-inspection",
+            trunk=given.trunk,
+            head=head,
+            bank=bank,
+            grid=given.grid,
+            parameters={"layers": list(layers), "sigma_px": SIGMA_PX},
+            facts={"rows": len(rows), "backbone": str(table.get("backbone.name"))[:60]},
+            says=(f"{len(rows)} rows; distances are squared, as published",),
+        )
+
+
+amazon_patchcore = AmazonPatchcore()
+
+
+def _index(path: Path) -> Path:
+    """The index next to the parameters, whose name may have a prefix."""
+    return path.with_name(path.name.replace(PARAMETERS, INDEX) if path.name.endswith(PARAMETERS) else INDEX)
+
+
+def _checked(path: Path, table: Mapping[Any, Any]) -> tuple[str, ...]:
+    """The layers. Errors: ConfigError for a setting that is computed in another way here."""
+    for name, expected in EXPECTED.items():
+        if table.get(name, expected) != expected:
+            raise ConfigError(f"{path}: '{name}' is {described(table[name])}, {expected} was expected")
+    layers = table.get("layers_to_extract_from")
+    if not isinstance(layers, list) or not layers or not all(isinstance(one, str) for one in layers):
+        raise ConfigError(
+            f"{path}: 'layers_to_extract_from' is {described(layers)}, names of layers were expected"
+        )
+    if len(set(layers)) != len(layers):
+        raise ConfigError(f"{path}: 'layers_to_extract_from' names a layer twice")
+    return tuple(layers)

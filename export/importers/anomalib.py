@@ -1,0 +1,251 @@
+"""anomalib 2.x: checkpoints (`.ckpt`) and exported modules (`.pt`) of PaDiM, PatchCore, DFM and DFKDE.
+
+Ref: open-edge-platform/anomalib v2.7.0, `models/image/*/torch_model.py` and `anomaly_map.py`, `post_processing`,
+`pre_processing`; read and compared, not copied.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.features import trunk_grid
+from calibration.fitting.trunks import Trunk
+from edge.core.detector import Bank, Grid, Packing
+from edge.core.errors import ConfigError
+from edge.model.session import open_session
+from export.importers.anomalib_file import AnomalibFile, opened
+from export.importers.contract import Imported, Recognised, Settings
+from export.importers.framing import framed_trunk
+from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
+from export.importers.padim_parts import Gaussians, padim_parts
+from export.reading.foreign import Foreign
+from plugins.backbones.resnet import build_trunk
+from plugins.backbones.topology import TOPOLOGIES, check_state
+from plugins.detectors.common.descriptor import Descriptor
+
+__all__ = ["anomalib"]
+
+# anomalib's maps: a Gaussian of four pixels, with torch's `reflect` border.
+SIGMA_PX = 4.0
+NAMES = {"padim": "PaDiM", "patchcore": "PatchCore", "dfm": "DFM", "dfkde": "DFKDE"}
+
+
+class Anomalib:
+    """The importer under `gelgate.importers`."""
+
+    name = "anomalib"
+
+    def recognised(self, file: Foreign) -> Recognised | None:
+        """What the file is, None for other files."""
+        found = opened(file)
+        if found is None:
+            return None
+        fields = {
+            "backbone": str(found.options.get("backbone", "not stated")),
+            "layers": ", ".join(found.layers),
+            "trained with": found.version,
+        }
+        return Recognised(f"{NAMES[found.method]} of anomalib ({file.form})", fields, region="full")
+
+    def imported(self, file: Foreign, settings: Settings) -> Imported:
+        """The parts of a bundle. Errors: as `Importer`."""
+        found = opened(file)
+        if found is None:
+            raise ConfigError(
+                f"{file.path} is no PaDiM, PatchCore, DFM or DFKDE of anomalib; see `gelgate export detect`"
+            )
+        model = _Model(found, settings)
+        return _METHODS[found.method](model)
+
+
+anomalib = Anomalib()
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A recognised file with its trunk, grid and map steps."""
+
+    found: AnomalibFile
+    settings: Settings
+
+    def __post_init__(self) -> None:
+        framing = self.found.framing(self.settings.frame)
+        graph = framed_trunk(self._plain_trunk(), framing)
+        session = open_session(graph, 2, f"the trunk of {self.path}")
+        grid = trunk_grid(session, self.found.layers, self.settings.frame, self.settings.pixels_per_mm)
+        object.__setattr__(self, "grid", grid)
+        object.__setattr__(self, "framing", framing)
+        object.__setattr__(
+            self, "trunk", Trunk(f"{self.backbone}_{self.path.stem}", graph, {"weights": self.path.name})
+        )
+
+    grid: Grid = None  # type: ignore[assignment]  # set above
+    framing: Any = None
+    trunk: Trunk = None  # type: ignore[assignment]
+
+    @property
+    def path(self) -> Path:
+        return self.found.path
+
+    @property
+    def backbone(self) -> str:
+        """timm names a training recipe after a point."""
+        return str(self.found.options.get("backbone", "")).partition(".")[0]
+
+    def _plain_trunk(self) -> bytes:
+        if self.backbone not in TOPOLOGIES:
+            raise ConfigError(
+                f"{self.path}: 'backbone' is {self.backbone or 'missing'}, one of {', '.join(TOPOLOGIES)} was expected"
+            )
+        mean, std = self.found.normalisation
+        state = self.found.backbone_state
+        check_state(
+            state, TOPOLOGIES[self.backbone], f"{self.path}: the backbone's weights", self.found.layers
+        )
+        return build_trunk(
+            state,
+            self.backbone,
+            self.found.layers,
+            mean=mean,
+            std=std,
+            facts={"weights": self.path.name},
+        )
+
+    def steps(self, sigma_px: float = SIGMA_PX, **kinds: Any) -> MapSteps:
+        return MapSteps(self.framing, sigma_px, border="reflect", **kinds)
+
+    def array(self, name: str, *shape: int | None) -> NDArray[Any]:
+        return self.found.array(name, *shape)
+
+    def finish(self, head: bytes, bank: Bank, facts: Mapping[str, Any], **rest: Any) -> Imported:
+        """The parts with what all methods state."""
+        threshold, words = self.found.threshold()
+        says = (words, *self._cropped(), *rest.pop("says", ()))
+        return Imported(
+            method=self.found.method,
+            source=f"{NAMES[self.found.method]} of anomalib, {self.found.version}",
+            trunk=self.trunk,
+            head=head,
+            bank=bank,
+            grid=self.grid,
+            parameters={
+                "layers": list(self.found.layers),
+                "sigma_px": SIGMA_PX,
+                **self.found.plain_options(),
+            },
+            threshold=rest.pop("threshold", threshold),
+            facts={"preprocessing": self.found.preprocessing_words(), **facts},
+            says=says,
+            **rest,
+        )
+
+    def _cropped(self) -> tuple[str, ...]:
+        if self.framing.seen >= 0.999:
+            return ()
+        return (
+            f"the model crops its pictures: it sees the middle {self.framing.seen:.0%} of the region, damage "
+            f"beyond is not "
+            "found; give a larger --region",
+        )
+
+
+def _padim(model: _Model) -> Imported:
+    inverse = model.array("model.gaussian.inv_covariance", None, None, None)
+    cells, d = inverse.shape[:2]
+    given = Gaussians(
+        path=model.path,
+        name="model.gaussian.inv_covariance",
+        layers=model.found.layers,
+        channels=model.array("model.idx", d).astype(np.int64),
+        mean=model.array("model.gaussian.mean", d, cells).T,
+        dense=lambda part: inverse[part],
+        is_inverse=True,
+    )
+    parts = padim_parts(given, model.grid, model.steps(), model.settings.rank, model.settings.packing)
+    facts = {
+        "rank": parts.reduction.basis.shape[1],
+        "ridge": parts.reduction.ridge,
+        "channels": int(d),
+        "loss": parts.reduction.loss,
+    }
+    return model.finish(parts.head, parts.bank, facts, says=(parts.reduction.words(),), exact=parts.exact)
+
+
+def _patchcore(model: _Model) -> Imported:
+    descriptor = Descriptor(model.found.layers, model.found.layers[0], "means", False)
+    rows = model.array("model.memory_bank", None, descriptor.width(model.grid)).astype(np.float32)
+    neighbours = int(model.found.options.get("num_neighbors", 9))
+    mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
+    head = patchcore_head(
+        descriptor, model.grid, len(rows), neighbours, False, model.steps(upsampling="nearest")
+    )
+    packing: dict[str, Packing] = {} if model.settings.packing == "none" else {"bank": model.settings.packing}
+    return model.finish(
+        head,
+        Bank({"bank": rows - mean, "mean": mean}, packing),
+        {"rows": len(rows), "neighbours": neighbours},
+    )
+
+
+def _dfm(model: _Model) -> Imported:
+    (tap,) = model.found.layers
+    c, h, w = model.grid.taps[tap]
+    pool = int(model.found.options.get("pooling_kernel_size", 4))
+    kind = str(model.found.options.get("score_type", "fre"))
+    if kind not in ("fre", "nll"):
+        raise ConfigError(f"{model.path}: 'score_type' is {kind}, fre or nll was expected")
+    width = c * (h // pool) * (w // pool)
+    vectors = model.array("model.pca_model.singular_vectors", width, None)
+    arrays = {"mean": model.array("model.pca_model.mean", width), "vectors": vectors.T}
+    if kind == "nll":
+        u, sigma = (model.array(f"model.gaussian_model.{name}") for name in ("u_mat", "sigma_mat"))
+        arrays["centre"] = model.array("model.gaussian_model.mean_vec", vectors.shape[1])
+        arrays["whitening"] = u / sigma
+        arrays["offset"] = np.array([2 * np.log(sigma.astype(np.float64)).sum()])
+    head = dfm_head(tap, model.grid, pool, vectors.shape[1], kind, model.steps(0.0))  # type: ignore[arg-type]  # fre or nll
+    return model.finish(
+        head, _bank(arrays, "vectors", model), {"components": vectors.shape[1], "score_type": kind}
+    )
+
+
+def _dfkde(model: _Model) -> Imported:
+    found = model.found
+    (tap,) = found.layers
+    dataset = model.array("model.classifier.kde_model.dataset", None, None)
+    vectors = model.array(
+        "model.classifier.pca_model.singular_vectors", model.grid.taps[tap][0], dataset.shape[1]
+    )
+    is_unit = found.option_value("feature_scaling_method", "scale") == "norm"
+    bandwidth = model.array(
+        "model.classifier.kde_model.bw_transform", dataset.shape[1], dataset.shape[1]
+    ).astype(np.float64)
+    if not is_unit:
+        bandwidth = bandwidth / float(model.array("model.classifier.max_length").reshape(-1)[0])
+    norm = float(model.array("model.classifier.kde_model.norm").reshape(-1)[0])
+    arrays = {
+        "mean": model.array("model.classifier.pca_model.mean", model.grid.taps[tap][0]),
+        "vectors": vectors.T,
+        "bandwidth": bandwidth,
+        "dataset": dataset,
+        "log_norm": np.array([np.log(max(norm, 1e-300)) - np.log(len(dataset))]),
+    }
+    head = dfkde_head(found.layers, model.grid, (dataset.shape[1], len(dataset)), is_unit, model.framing)
+    threshold, words = found.probability_threshold()
+    says = (f"the score is the logit of anomalib's probability; the map is the score everywhere ({words})",)
+    return model.finish(
+        head, _bank(arrays, "vectors", model), {"rows": len(dataset)}, threshold=threshold, says=says
+    )
+
+
+def _bank(arrays: Mapping[str, NDArray[Any]], packed: str, model: _Model) -> Bank:
+    plain = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+    return Bank(plain, {} if model.settings.packing == "none" else {packed: model.settings.packing})
+
+
+_METHODS: Mapping[str, Callable[[_Model], Imported]] = {
+    "padim": _padim, "patchcore": _patchcore, "dfm": _dfm, "dfkde": _dfkde
+}  # fmt: skip

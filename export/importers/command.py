@@ -1,0 +1,170 @@
+"""`gelgate export detect` and `gelgate export import`: what a foreign file is, and a bundle of it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from calibration.fitting.options import (
+    Alpha,
+    NoContact,
+    Output,
+    Overwrite,
+    Part,
+    Position,
+    Profile,
+    Resize,
+    Settings,
+    Threads,
+)
+
+if TYPE_CHECKING:
+    from calibration.fitting.nominal_presses import NominalPresses
+    from edge.core.imaging.region import Region
+    from edge.core.imaging.sensor_profile import SensorProfile
+    from export.importers.api import ImportedBundle
+
+__all__ = ["detect", "import_"]
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="A file that a research program wrote.")]
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SOURCE...", help="Nominal presses that the model was not trained on, as for `fit`."
+    ),
+]
+Licence = Annotated[
+    str | None,
+    typer.Option(
+        "--licence",
+        help="The licence of model and weights, such as Apache-2.0, or 'own'.",
+        show_default=False,
+    ),
+]
+
+GivenTrunk = Annotated[
+    str | None,
+    typer.Option(
+        help="The trunk, for files without backbone weights: .onnx, or an installed one.", show_default=False
+    ),
+]
+TrainedRegion = Annotated[
+    str | None,
+    typer.Option(
+        help="'centre', 'full', or x,y,WIDTHxHEIGHT; default: what such a model is trained on.",
+        show_default=False,
+    ),
+]
+Rank = Annotated[
+    int | None,
+    typer.Option(min=1, help="Directions of PaDiM at most; default: all, exact.", show_default=False),
+]
+PackingText = Annotated[str, typer.Option(help="How the bank is stored: none, float16 or int8.")]
+ThresholdText = Annotated[
+    str, typer.Option(help="'presses': from the presses; 'model': the model's own; or a number.")
+]
+Channels = Annotated[
+    Path | None, typer.Option(help="PaDiM's channels, where the file lacks them.", show_default=False)
+]
+ImporterName = Annotated[
+    str | None, typer.Option(help="The importer, where several know the file.", show_default=False)
+]
+
+
+def detect(file: File) -> None:
+    """Say what a file of a research program is.
+
+    It is read in a process of its own, without network, and nothing that is in it is run."""
+    from export.importers.finding import importer_of
+    from export.reading.isolated import read_foreign
+
+    with read_foreign(file) as found:
+        importer, what = importer_of(found)
+        typer.echo(f"{file}: {what.what}; importer {importer.name}")
+        for name, value in what.fields.items():
+            typer.echo(f"  {name}: {value}")
+        typer.echo(f"  {found.isolation}")
+        needs = "".join(f" {one}" for one in what.needs)
+        typer.echo(f"  gelgate export import {file} SOURCE... -o BUNDLE --part NAME --licence NAME{needs}")
+
+
+def import_(
+    file: File,
+    sources: Sources,
+    output: Output,
+    part: Part = None,
+    position: Position = None,
+    licence: Licence = None,
+    backbone: GivenTrunk = None,
+    profile: Profile = "",
+    region: TrainedRegion = None,
+    rank: Rank = None,
+    packing: PackingText = "float16",
+    threshold: ThresholdText = "presses",
+    alpha: Alpha = 0.05,
+    channels: Channels = None,
+    settings: Settings = None,
+    no_contact: NoContact = None,
+    resize: Resize = False,
+    importer: ImporterName = None,
+    threads: Threads = 2,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a bundle of a detector that a research program trained.
+
+    The threshold comes from nominal presses that the model has not seen, or from the model."""
+    from calibration.fitting.command import chosen_profile, found_sources, nominal_presses, refuse_existing
+    from calibration.progress import Stages
+    from edge.cli.named_values import named_values
+    from edge.extras import needs
+    from export.importers.api import ImportOptions, import_detector
+
+    needs("export", "export import")
+    refuse_existing(output, overwrite)
+    sensor = chosen_profile(profile, sources)
+    found = found_sources(sources, part, position, sensor)
+    options = ImportOptions(
+        part=found.part,
+        licence=licence,
+        position=found.position,
+        backbone=backbone,
+        profile=sensor.name,
+        region=region,
+        rank=rank,
+        packing=packing,  # type: ignore[arg-type]  # ImportOptions checks it
+        threshold=_threshold(threshold),
+        alpha=alpha,
+        channels=channels,
+        values=named_values("--set", settings or []),
+        importer=importer,
+        threads=threads,
+    )
+
+    def read(profile: "SensorProfile", inspected: "Region") -> "NominalPresses":
+        return nominal_presses(found, profile, inspected, no_contact, resize)
+
+    with Stages() as report:
+        made = import_detector(file, read, output, options, overwrite=overwrite, report=report)
+    _summary(made)
+    typer.echo(f"bundle {options.part}/{options.position} written to {output}")
+
+
+def _summary(made: "ImportedBundle") -> None:
+    for warning in made.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    for line in (made.what.what, *made.model.says, made.losses.words(), made.isolation):
+        typer.echo(line)
+
+
+def _threshold(text: str) -> float | Literal["presses", "model"]:
+    """Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    if text == "presses":
+        return "presses"
+    if text == "model":
+        return "model"
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ConfigError(f"--threshold is presses, model or a number, found '{text}'") from error

@@ -1,0 +1,132 @@
+"""Dense covariances as thin eigenpairs, with what the reduction costs.
+
+A covariance of N presses plus a ridge has at most N - 1 directions whose eigenvalue differs from the ridge; with those
+kept, the Mahalanobis distance is the same (Woodbury). Directions that are left out count as ridge.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+
+__all__ = ["Reduced", "distances_both_ways", "reduced"]
+
+# A direction whose squared distance would change by less than this part counts as ridge: far above the rounding of an
+# inverse in float32 (1e-5), far below what a score shows.
+CUT = 1e-3
+# Matrices decomposed at once, so that memory stays bounded.
+BLOCK = 64
+Dense = Callable[[slice], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """basis (m, r, d) float32, weights (m, r) float32, both as in a PaDiM bank.
+
+    rank: directions that differ from the ridge, of the cell that has most. loss: the largest relative change of a
+    squared distance, in the worst direction.
+    """
+
+    basis: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    ridge: float
+    rank: int
+    loss: float
+
+    def words(self) -> str:
+        """The reduction in one sentence."""
+        kept, d = self.basis.shape[1:]
+        exact = "exact" if kept >= self.rank else f"{self.rank} would be exact"
+        return (
+            f"covariances {d} x {d} became {kept} directions ({exact}) over a ridge of {self.ridge:.5g}; a "
+            f"squared distance "
+            f"changes by at most {100 * self.loss:.2g} % in the worst direction"
+        )
+
+
+def reduced(
+    dense: Dense, count: int, is_inverse: bool, rank: int | None, ridge: float | None, path: Path, name: str
+) -> Reduced:
+    """The thin form of `count` symmetric matrices (d, d), ridge included.
+
+    dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
+    diagonal; None takes the usual smallest eigenvalue. Errors: ConfigError for matrices that are no covariances.
+    """
+    bottom = _ridge(dense, count, is_inverse) if ridge is None else ridge
+    values, rows, needed, loss = [], [], 0, 0.0
+    for start in range(0, count, BLOCK):
+        spread, vectors = _spectrum(dense, slice(start, min(start + BLOCK, count)), is_inverse, path, name)
+        apart = np.abs(spread / bottom - 1)
+        order = np.argsort(-np.abs(np.log(spread / bottom)), axis=1, kind="stable")
+        apart = np.take_along_axis(apart, order, axis=1)
+        most = int((apart > CUT).sum(axis=1).max())
+        needed = max(needed, most)
+        keep = max(1, most if rank is None else min(rank, most))
+        loss = max(loss, float(apart[:, keep:].max(initial=0.0)))
+        order = order[:, :keep]
+        values.append(np.take_along_axis(spread, order, axis=1))
+        rows.append(np.take_along_axis(vectors, order[:, None, :], axis=2).swapaxes(1, 2).astype(np.float32))
+    return Reduced(_padded(rows), _padded_weights(values, bottom), bottom, needed, loss)
+
+
+def _spectrum(
+    dense: Dense, part: slice, is_inverse: bool, path: Path, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eigenvalues (m, d) of the covariances with their ridge, and eigenvectors as columns. Errors: ConfigError."""
+    matrices = np.asarray(dense(part), np.float64)
+    if not np.isfinite(matrices).all():
+        raise ConfigError(
+            f"{path}: '{name}' holds values that are not finite; fit the model again with two pictures or more"
+        )
+    values, vectors = np.linalg.eigh((matrices + matrices.swapaxes(1, 2)) / 2)
+    if not (values > 0).all():
+        raise ConfigError(
+            f"{path}: '{name}' holds a matrix with the eigenvalue {values.min():.3g}; covariances with a ridge have "
+            "positive ones, fit the model again"
+        )
+    return (1 / values if is_inverse else values), vectors
+
+
+def _ridge(dense: Dense, count: int, is_inverse: bool) -> float:
+    """The usual smallest eigenvalue, over some cells."""
+    chosen = np.unique(np.linspace(0, count - 1, min(count, BLOCK)).astype(np.int64))
+    matrices = np.concatenate([np.asarray(dense(slice(k, k + 1)), np.float64) for k in chosen])
+    values = np.linalg.eigvalsh(np.where(np.isfinite(matrices), matrices, 0))
+    ends = 1 / np.maximum(values[:, -1], 1e-12) if is_inverse else np.maximum(values[:, 0], 1e-12)
+    return float(np.median(ends))
+
+
+def _padded(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Blocks of different ranks as one array, with directions of zeros."""
+    rank = max(one.shape[1] for one in rows)
+    return np.concatenate([np.pad(one, ((0, 0), (0, rank - one.shape[1]), (0, 0))) for one in rows])
+
+
+def _padded_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.float32]:
+    rank = max(one.shape[1] for one in values)
+    padded = [np.pad(one, ((0, 0), (0, rank - one.shape[1])), constant_values=ridge) for one in values]
+    return (1 / np.concatenate(padded)).astype(np.float32)
+
+
+def distances_both_ways(
+    delta: NDArray[np.float64],
+    matrices: NDArray[np.float64],
+    is_inverse: bool,
+    thin: Reduced,
+    cells: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (n, cells) by the file's dense matrices and by the thin form. delta: (cells, n, d)."""
+    applied = (
+        delta @ matrices if is_inverse else np.linalg.solve(matrices, delta.swapaxes(1, 2)).swapaxes(1, 2)
+    )
+    full = np.sqrt(np.maximum((applied * delta).sum(axis=2), 0))
+    basis, weights = thin.basis[cells].astype(np.float64), thin.weights[cells].astype(np.float64)
+    along = delta @ basis.swapaxes(1, 2)
+    off = delta - along @ basis
+    short = np.sqrt((along**2 * weights[:, None]).sum(axis=2) + (off**2).sum(axis=2) / thin.ridge)
+    return full.T, short.T

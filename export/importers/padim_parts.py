@@ -1,0 +1,110 @@
+"""From means and dense covariances, whoever stored them, to the parts of a PaDiM bundle."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Bank, Features, Grid, Packing
+from edge.core.errors import ConfigError
+from export.importers.gaussians import Reduced, distances_both_ways, reduced
+from export.importers.heads import MapSteps, padim_head
+from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
+
+__all__ = ["Gaussians", "PadimParts", "padim_parts"]
+
+# Cells on which the full form is compared with the reduced one.
+COMPARED_CELLS = 256
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """What a file holds of PaDiM.
+
+    layers: taps in the order of the channels. channels: (d,), counted through all taps, in the file's order. mean:
+    (cells, d). dense: matrices (m, d, d) of a slice of cells. name: the matrices' field.
+    """
+
+    path: Path
+    name: str
+    layers: tuple[str, ...]
+    channels: NDArray[np.int64]
+    mean: NDArray[Any]
+    dense: Callable[[slice], NDArray[Any]]
+    is_inverse: bool
+    ridge: float | None = None
+
+
+@dataclass(frozen=True)
+class PadimParts:
+    """The head, the bank, the reduction, and the comparison of both forms."""
+
+    head: bytes
+    bank: Bank
+    reduction: Reduced
+    exact: Callable[[Features], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def padim_parts(
+    given: Gaussians, grid: Grid, steps: MapSteps, rank: int | None, packing: Packing
+) -> PadimParts:
+    """Errors: ConfigError for channels or cells that the taps do not have, or matrices that are no covariances."""
+    order, embedding = _embedding(given, grid)
+    if given.mean.shape[0] != embedding.count:
+        raise ConfigError(
+            f"{given.path}: 'mean' has {given.mean.shape[0]} places, the taps give {embedding.count} on a picture of "
+            f"{steps.framing.size} (h, w); give the picture size and trunk of the training"
+        )
+
+    def dense(part: slice) -> NDArray[Any]:
+        return np.asarray(given.dense(part))[:, order][:, :, order]
+
+    thin = reduced(dense, embedding.count, given.is_inverse, rank, given.ridge, given.path, given.name)
+    mean = np.ascontiguousarray(given.mean[:, order], np.float32)
+    arrays = {**embedding.arrays, "mean": mean, "basis": thin.basis, "weights": thin.weights}
+    packed: dict[str, Packing] = {} if packing == "none" else {"basis": packing}
+    head = padim_head(embedding, thin.ridge, steps)
+    return PadimParts(
+        head, Bank(arrays, packed), thin, partial(_both, embedding, dense, given.is_inverse, thin, mean)
+    )
+
+
+def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embedding]:
+    """The order that sorts the file's channels, and the embedding that takes them."""
+    counts = [grid.taps[tap][0] for tap in given.layers]
+    total = sum(counts)
+    order = np.argsort(given.channels, kind="stable")
+    chosen = given.channels[order]
+    if chosen[0] < 0 or chosen[-1] >= total or len(np.unique(chosen)) != len(chosen):
+        raise ConfigError(
+            f"{given.path}: the selected channels go from {chosen[0]} to {chosen[-1]}, the taps "
+            f"{', '.join(given.layers)} "
+            f"have {total}, each at most once; name the trunk and layers of the training"
+        )
+    arrays, first = {}, 0
+    for tap, count in zip(given.layers, counts, strict=True):
+        arrays[f"channels_{tap}"] = chosen[(chosen >= first) & (chosen < first + count)] - first
+        first += count
+    choice = EmbeddingChoice(
+        given.layers, given.layers[0], "random", len(chosen), False, False, tuple(int(one) for one in chosen)
+    )
+    return order, Embedding(choice, grid, arrays)
+
+
+def _both(
+    embedding: Embedding,
+    dense: Callable[[slice], NDArray[Any]],
+    is_inverse: bool,
+    thin: Reduced,
+    mean: NDArray[np.float32],
+    features: Features,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (n, cells) of some cells by the file's matrices and by the bank."""
+    cells = np.unique(np.linspace(0, embedding.count - 1, COMPARED_CELLS).astype(np.int64))
+    delta = embedding.numpy(features).at(cells) - mean[cells, None]
+    matrices = np.concatenate([np.asarray(dense(slice(k, k + 1)), np.float64) for k in cells])
+    return distances_both_ways(delta, matrices, is_inverse, thin, cells)

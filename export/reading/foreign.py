@@ -1,0 +1,98 @@
+"""What a foreign file holds, as plain values: numbers, texts, lists, tables, arrays, and records of foreign classes.
+
+A record is the name of a class with what the file keeps of an object; the class itself is never looked up.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+
+__all__ = ["Content", "Foreign", "Record", "attributes", "described"]
+
+Content = Any
+"""None, bool, int, float, str, list, dict, ndarray or Record. Tuples and sets are lists."""
+
+
+@dataclass
+class Record:
+    """An object of a foreign class. kind: the class, `package.module.Class`. args: of its constructor. state: what its
+    pickle keeps, usually a table of attributes."""
+
+    kind: str
+    args: list[Content] = field(default_factory=list)
+    state: Content = None
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A foreign file that was read. path: the file. form: what kind of file it is, in words. content: what it holds.
+    isolation: how the reader was kept from the rest of the machine, one sentence."""
+
+    path: Path
+    form: str
+    content: Content
+    isolation: str = ""
+
+    def table(self) -> Mapping[Any, Content]:
+        """The content as a table, empty where it is none."""
+        return self.content if isinstance(self.content, dict) else {}
+
+    def array(self, name: str, *shape: int | None) -> NDArray[Any]:
+        """A numeric array of the table. shape: expected sizes, None for any; no shape at all accepts every one.
+
+        Errors: ConfigError that names the file, the field, what was found and what was expected.
+        """
+        return checked_array(self.path, name, self.table().get(name), *shape)
+
+
+def checked_array(path: Path, name: str, value: Content, *shape: int | None) -> NDArray[Any]:
+    """`value` as an array of real, finite numbers of that shape. Errors: as `Foreign.array`."""
+    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
+        value = np.array(value)
+    wanted = f"numbers of shape ({', '.join('any' if n is None else str(n) for n in shape)})"
+    if not isinstance(value, np.ndarray):
+        raise ConfigError(f"{path}: '{name}' is {described(value)}, {wanted} were expected")
+    fits = value.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, value.shape, strict=False)
+    )
+    if value.dtype.kind not in "fiub" or (shape and not fits):
+        raise ConfigError(f"{path}: '{name}' is {described(value)}, {wanted} were expected")
+    if value.size == 0:
+        raise ConfigError(
+            f"{path}: '{name}' is empty; the model was saved before it was fitted, save it after the fit"
+        )
+    if value.dtype.kind == "f" and not np.isfinite(value).all():
+        raise ConfigError(f"{path}: '{name}' holds values that are not finite; fit the model again")
+    return value
+
+
+def attributes(value: Content) -> Mapping[Any, Content]:
+    """The attributes of a record, empty where it has none."""
+    state = value.state if isinstance(value, Record) else None
+    if isinstance(state, list) and state and isinstance(state[0], dict):
+        state = state[0]
+    return state if isinstance(state, dict) else {}
+
+
+def described(value: Content) -> str:
+    """What a value is, in a few words, for messages."""
+    if isinstance(value, np.ndarray):
+        return f"an array {value.dtype} {value.shape}"
+    if isinstance(value, dict):
+        return f"a table of {_some(iter(value))}" if value else "an empty table"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    if isinstance(value, Record):
+        return f"a {value.kind}"
+    return "missing" if value is None else f"{type(value).__name__} {value!r:.40}"
+
+
+def _some(names: Iterator[Any]) -> str:
+    first = [str(name)[:40] for _, name in zip(range(5), names, strict=False)]
+    return ", ".join(first)

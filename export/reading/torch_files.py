@@ -1,0 +1,141 @@
+"""PyTorch's files without PyTorch: the zip archive of today, and the older stream of pickles.
+
+Ref: torch/serialization.py. The archive has `data.pkl`, `byteorder` and one member per storage, none of them
+compressed. The older file has four pickles (magic number, protocol, sizes of the platform, the object), the list of
+storage keys, then every storage as its length, int64, and its raw elements.
+"""
+
+import io
+import pickle
+import zipfile
+from functools import cache, partial
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from export.reading.inert import Unpickler
+from export.reading.plain import plain
+from export.reading.tensors import Storage, StorageType
+
+__all__ = ["is_archive", "is_stream", "read_archive", "read_pickle", "read_stream"]
+
+MAGIC = 0x1950A86A20F9469CFC6C
+PROTOCOL = 1001
+# The start of that magic number as a pickle of protocol 2 writes it.
+STREAM_START = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+MOST_MEMBERS = 20_000
+MOST_PICKLE_BYTES = 256 << 20
+
+
+def is_archive(start: bytes) -> bool:
+    """Whether a file begins as a zip archive."""
+    return start[:4] == b"PK\x03\x04"
+
+
+def is_stream(start: bytes) -> bool:
+    """Whether a file begins as PyTorch's older one."""
+    return start.startswith(STREAM_START)
+
+
+def read_archive(file: Any) -> Any:
+    """The object of an archive. Errors: ValueError in words; any error on foreign bytes."""
+    with zipfile.ZipFile(file) as archive:
+        members = {member.filename: member for member in archive.infolist()}
+        if len(members) > MOST_MEMBERS:
+            raise ValueError(f"it has {len(members)} members, {MOST_MEMBERS} are allowed")
+        for member in members.values():
+            _check_member(member)
+        roots = [name.removesuffix("data.pkl") for name in members if PurePosixPath(name).name == "data.pkl"]
+        if len(roots) != 1:
+            raise ValueError("it is a zip archive without one data.pkl, so not of torch.save")
+        root = roots[0]
+        order = members.get(f"{root}byteorder")
+        if order is not None and archive.read(order) != b"little":
+            raise ValueError("it was written on a machine of the other byte order")
+        if members[f"{root}data.pkl"].file_size > MOST_PICKLE_BYTES:
+            raise ValueError(f"its data.pkl exceeds {MOST_PICKLE_BYTES >> 20} MiB")
+
+        @cache
+        def elements(key: str, kind: StorageType, count: int) -> NDArray[Any]:
+            member = members.get(f"{root}data/{key}")
+            if member is None or member.file_size != count * kind.itemsize:
+                raise ValueError(f"its storage {key!r:.20} is missing or cut short")
+            return kind.array(archive.read(member))
+
+        def stored(pid: Any) -> Storage:
+            kind, key, count = _checked(pid)
+            return Storage(kind, count, partial(elements, key, kind, count))
+
+        return _resolved(Unpickler(io.BytesIO(archive.read(f"{root}data.pkl")), stored, _NESTED).load())
+
+
+def read_stream(file: Any) -> Any:
+    """The object of an older file. Errors: as `read_archive`."""
+    magic, protocol, platform = (Unpickler(file).load() for _ in range(3))
+    if (magic, protocol) != (MAGIC, PROTOCOL) or not isinstance(platform, dict):
+        raise ValueError("its magic number is not that of torch.save")
+    arrays: dict[str, NDArray[Any]] = {}
+    kinds: dict[str, tuple[StorageType, int]] = {}
+
+    def stored(pid: Any) -> Storage:
+        kind, key, count = _checked(pid)
+        kinds[key] = (kind, count)
+        return Storage(kind, count, lambda: arrays[key])
+
+    found = Unpickler(file, stored, _NESTED).load()
+    for key in Unpickler(file).load():
+        kind, count = kinds[key]
+        size = int.from_bytes(file.read(8), "little")
+        data = file.read(count * kind.itemsize)
+        if size != count or len(data) != count * kind.itemsize:
+            raise ValueError(f"its storage {key!r:.20} is cut short")
+        arrays[key] = kind.array(data)
+    return _resolved(found)
+
+
+def read_pickle(file: Any) -> Any:
+    """The object of a plain pickle. Errors: as `read_archive`."""
+    return _resolved(Unpickler(file, None, _NESTED).load())
+
+
+def _nested(data: Any) -> Any:
+    """A storage inside a plain pickle: PyTorch stores it there as a complete older file."""
+    if not isinstance(data, bytes):
+        raise ValueError("a tensor's bytes are missing")
+    found = read_archive(io.BytesIO(data)) if is_archive(data) else read_stream(io.BytesIO(data))
+    if not isinstance(found, Storage):
+        raise ValueError("a tensor's bytes hold no storage")
+    return found
+
+
+_NESTED = {"torch.storage._load_from_bytes": _nested}
+
+
+def _resolved(found: Any) -> Any:
+    """Storages read at once, because their file closes; everything else later."""
+    if isinstance(found, Storage):
+        array = np.array(found.read())
+        return Storage(found.kind, found.count, lambda: array)
+    return plain(found)
+
+
+def _checked(pid: Any) -> tuple[StorageType, str, int]:
+    if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage":
+        raise pickle.UnpicklingError("it refers to data that are no storage")
+    _, kind, key, _, count = pid[:5]
+    if not isinstance(kind, StorageType) or not isinstance(key, str) or type(count) is not int or count < 0:
+        raise pickle.UnpicklingError("a storage is described wrongly")
+    return kind, key, count
+
+
+def _check_member(member: zipfile.ZipInfo) -> None:
+    """Errors: ValueError for a member that leaves the folder, or that is compressed as torch.save never does."""
+    path = PurePosixPath(member.filename)
+    if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
+        raise ValueError(f"its member '{member.filename[:60]}' leaves the archive's folder")
+    if member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
+        raise ValueError(
+            f"its member '{member.filename[:60]}' is compressed or encrypted; torch.save stores plainly"
+        )

@@ -1,0 +1,247 @@
+"""Files that anomalib wrote become models that compute what anomalib computes."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anomalib_files import (
+    SMALL,
+    WANTED,
+    interpreter,
+    made_by_anomalib,
+    pictures,
+    write_pictures,
+    write_weights,
+)
+from imported import scores_of
+from numpy.typing import NDArray
+from toy_trunk import features_of, toy_trunk
+
+from edge.core.errors import ConfigError
+from export.importers.anomalib import anomalib
+from export.importers.contract import Imported, Settings
+from export.importers.framing import Framing, framed_trunk, resizing_matrix
+from export.parity import Stage, compare, order_stage
+from export.reading.files import read_here
+from export.reading.foreign import Foreign
+
+PIXELS_PER_MM = 15.77
+# Scores of float32 graphs in another order of sums, relative to the largest: measured 2e-6 to 2e-5.
+ALIKE = 1e-4
+
+
+def opened(path: Path) -> Foreign:
+    """A file read in this process: the files here are known."""
+    return Foreign(path, *read_here(path))
+
+
+def imported(path: Path, frames: NDArray[np.uint8], **settings: Any) -> Imported:
+    given = Settings(frames.shape[1:3], PIXELS_PER_MM, **{"packing": "none", **settings})
+    return anomalib.imported(opened(path), given)
+
+
+def check(path: Path, frames: NDArray[np.uint8], expected: Any, prefix: str = "") -> None:
+    """Score, map and order are anomalib's, stage by stage."""
+    model = imported(path, frames)
+    found = scores_of(model, frames)
+    score = expected[f"{prefix}score"].astype(np.float64)
+    if model.method == "dfkde":
+        score = np.log(score / (1 - score))
+    stages = [Stage("score", score, found.score, "score", ALIKE), order_stage(score, found.score)]
+    if f"{prefix}score_map" in expected:
+        # anomalib's map is in the model's input; its maximum is drawn in the frame a little lower.
+        peaks = expected[f"{prefix}score_map"].max(axis=(1, 2))
+        stages.insert(0, Stage("map", peaks, found.score_map.max(axis=(1, 2)), "map", 0.05))
+    compare(stages).raise_if_different()
+
+
+@pytest.mark.parametrize("file", ["padim.ckpt", "patchcore.pt", "dfm.ckpt", "dfkde.ckpt"])
+def test_a_file_of_anomalib_scores_as_anomalib(file: str) -> None:
+    """Checkpoint and exported module of anomalib 2.7.0, with its resize, colours and blur."""
+    kind = file.partition(".")[0]
+    prefix = "exported_" if file.endswith(".pt") else ""
+
+    check(SMALL / file, pictures(), np.load(SMALL / f"{kind}.npz"), prefix)
+
+
+def test_a_map_is_anomalibs_pixel_by_pixel() -> None:
+    """PaDiM's map, drawn from the model's input in the frame: every pixel, the border included."""
+    expected = np.load(SMALL / "padim.npz")
+    model = imported(SMALL / "padim.ckpt", pictures())
+    raw_size = Framing((48, 64), (32, 32))
+    drawn = raw_size.back(0) @ expected["score_map"].astype(np.float64) @ raw_size.back(1).T
+
+    found = scores_of(model, pictures())
+
+    compare([Stage("map", drawn, found.score_map, "map", ALIKE)]).raise_if_different()
+
+
+def test_what_a_file_is() -> None:
+    """Method, backbone, layers and where it comes from."""
+    found = anomalib.recognised(opened(SMALL / "padim.ckpt"))
+
+    assert found is not None
+    assert found.what == "PaDiM of anomalib (PyTorch archive)"
+    assert found.fields["backbone"] == "resnet18"
+    assert found.fields["layers"] == "layer1"
+
+
+def test_the_threshold_is_on_the_raw_scale() -> None:
+    """The score that anomalib calls anomalous, and the normalisation in words."""
+    model = imported(SMALL / "padim.ckpt", pictures())
+
+    assert model.threshold == pytest.approx(float(np.load(SMALL / "padim.npz")["image_threshold"]))
+    assert "normalised scores from" in model.says[0]
+
+
+def test_sensitivity_moves_the_threshold() -> None:
+    """anomalib says anomalous where (score - t) / (max - min) + 1/2 exceeds 1 - sensitivity."""
+    file = opened(SMALL / "padim.ckpt")
+    expected = np.load(SMALL / "padim.npz")
+    file.content["anomalib_post_processor_config"]["image_sensitivity"] = 0.7
+
+    model = anomalib.imported(file, Settings((48, 64), PIXELS_PER_MM))
+
+    spread = float(expected["image_max"] - expected["image_min"])
+    assert model.threshold == pytest.approx(float(expected["image_threshold"]) - 0.2 * spread)
+
+
+def test_the_reduction_is_exact() -> None:
+    """The thin form keeps every direction that presses gave, and its distances are those of the dense matrices."""
+    model = imported(SMALL / "padim.ckpt", pictures())
+    assert model.exact is not None
+
+    full, thin = model.exact(features_of(model.trunk.graph, pictures()))
+
+    assert model.bank.arrays["basis"].shape[1] < 12
+    assert np.abs(full - thin).max() <= 1e-4 * full.max()
+
+
+def test_a_lower_rank_states_its_loss() -> None:
+    """With two directions the sentence says how many would be exact, and distances do change."""
+    model = imported(SMALL / "padim.ckpt", pictures(), rank=2)
+    assert model.exact is not None
+
+    full, thin = model.exact(features_of(model.trunk.graph, pictures()))
+
+    assert model.bank.arrays["basis"].shape[1] == 2
+    assert "would be exact" in " ".join(model.says)
+    assert np.abs(full - thin).max() > 1e-3 * full.max()
+
+
+def steps(content: dict[Any, Any]) -> list[Any]:
+    """The steps of the stored pre-processor."""
+    found: list[Any] = content["anomalib_pre_processor_config"]["transform"]["init_args"]["transforms"]
+    return found
+
+
+INVERSE = "model.gaussian.inv_covariance"
+
+Change = Callable[[dict[Any, Any]], object]
+CHANGES: dict[str, tuple[Change, str]] = {
+    "no mean": (lambda c: c["state_dict"].pop("model.gaussian.mean"), r"gaussian\.mean' is missing, numbers of shape"),
+    "an unfitted model": (
+        lambda c: c["state_dict"].update({INVERSE: np.empty((0, 12, 12), np.float32)}),
+        r"'model\.gaussian\.inv_covariance' is empty",
+    ),
+    "another picture size": (
+        lambda c: steps(c)[0]["init_args"].update(size=[64, 64]),
+        r"'mean' has 64 places, the taps give 256",
+    ),
+    "a rotation before the model": (
+        lambda c: steps(c).append(
+            {"class_path": "torchvision.transforms.v2.RandomRotation", "init_args": {}}
+        ),
+        r"the pre-processor has a RandomRotation",
+    ),
+    "no pre-processor": (lambda c: c.pop("anomalib_pre_processor_config"), r"the pre-processor is not stored"),
+    "an unknown backbone": (
+        lambda c: c["hyper_parameters"].update(backbone="mobilenetv3"), r"'backbone' is mobilenetv3, one of",
+    ),
+    "missing layers": (
+        lambda c: c["hyper_parameters"].update(layers=["layer1", "layer4"]), r"missing \(layer2\.0\.conv1\.weight",
+    ),
+    "values that are not finite": (
+        lambda c: c["state_dict"].update({"model.gaussian.mean": np.full((12, 64), np.nan)}), r"not finite",
+    ),
+    "channels that do not exist": (
+        lambda c: c["state_dict"].update({"model.idx": np.arange(60, 72)}), r"the selected channels go from 60 to 71",
+    ),
+    "matrices that are no covariances": (
+        lambda c: c["state_dict"].update({INVERSE: -np.array(c["state_dict"][INVERSE])}),
+        r"with the eigenvalue",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_wrong_field_is_named(change: str) -> None:
+    """The sentence has the file, the field, what was found and what was expected."""
+    file = opened(SMALL / "padim.ckpt")
+    file.content["state_dict"] = dict(file.content["state_dict"])
+    edit, sentence = CHANGES[change]
+    edit(file.content)
+
+    with pytest.raises(ConfigError, match=sentence) as refused:
+        anomalib.imported(file, Settings((48, 64), PIXELS_PER_MM))
+    assert "padim.ckpt" in str(refused.value)
+
+
+@pytest.mark.parametrize(("pixels", "onto"), [(240, 64), (48, 32), (31, 64), (64, 64)])
+@pytest.mark.parametrize("is_antialiased", [True, False])
+def test_a_resize_is_pytorchs(pixels: int, onto: int, is_antialiased: bool) -> None:
+    """The matrix of one axis against torch's interpolation."""
+    torch = pytest.importorskip("torch")
+    line = np.random.default_rng(0).random(pixels).astype(np.float32)
+    expected = torch.nn.functional.interpolate(
+        torch.from_numpy(line)[None, None, None], (1, onto), mode="bilinear", antialias=is_antialiased
+    )
+
+    np.testing.assert_allclose(
+        resizing_matrix(pixels, onto, is_antialiased) @ line, expected[0, 0, 0], atol=1e-5
+    )
+
+
+def test_a_trunk_behind_a_resize_sees_the_resized_frame() -> None:
+    """The taps are those of the picture that was resized and cropped before."""
+    trunk = toy_trunk({"layer1": (4, 2)})
+    framing = Framing((48, 64), (32, 40), (24, 24))
+    flat = np.full((1, 48, 64, 3), 90, np.uint8)
+
+    found = features_of(framed_trunk(trunk, framing), flat)["layer1"]
+    expected = features_of(trunk, flat[:, :24, :24])["layer1"]
+
+    np.testing.assert_allclose(found[:, :, 1:-1, 1:-1], expected[:, :, 1:-1, 1:-1], rtol=1e-4)
+    assert framing.seen == pytest.approx(24 * 24 / (32 * 40))
+
+
+@pytest.mark.slow
+@pytest.mark.importers
+def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
+    """Trained now, by whatever version is installed, with several layers, another size and a crop."""
+    python = interpreter()
+    frames = pictures(12, 3)
+    write_pictures(tmp_path / "pictures", frames, 3)
+    write_weights(tmp_path / "weights.npz")
+    wanted = {
+        "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch"]},
+        "patchcore": {"backbone": "resnet18", "center_crop_size": [32, 32], "formats": ["torch"]},
+        "dfm": {**WANTED["dfm"], "layer": "layer3", "score_type": "nll"},
+        "dfkde": {**WANTED["dfkde"], "layers": ["layer4"]},
+    }
+    wanted["dfm"]["pca_level"] = 0.9
+    made = made_by_anomalib(tmp_path, wanted, (40, 48), python)
+
+    for name in wanted:
+        expected = np.load(made / f"{name}.npz")
+        if "center_crop_size" not in wanted[name]:
+            check(made / f"{name}.ckpt", frames, expected)
+        if "torch" in wanted[name].get("formats", []):
+            check(
+                made / f"{name}.pt",
+                frames,
+                {k: v for k, v in expected.items() if "map" not in k},
+                "exported_",
+            )

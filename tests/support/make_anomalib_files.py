@@ -1,0 +1,137 @@
+"""Trains models with anomalib and writes its files, and what anomalib itself computes from the same pictures.
+
+It runs under an interpreter that has anomalib (`make test-importers` makes one) and imports nothing of gelgate:
+
+    python make_anomalib_files.py PICTURES WEIGHTS.npz OUT '{"padim": {"backbone": "resnet18"}}' 224x224
+
+PICTURES has the folders `good` and `bad`. Per model: `OUT/<name>.ckpt`, `.pt`, `.onnx`, OpenVINO's `.xml` and `.bin`,
+and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every picture of `good`, then `bad`, before
+normalisation.
+"""
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+# torchvision's wheels are built for torch with CUDA; beside torch for the CPU its compiled operators do not load, and
+# its import then asks for these two, which nothing here calls.
+try:
+    import torchvision.io  # noqa: F401
+except RuntimeError:
+    for _name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+        del sys.modules[_name]
+    _library = torch.library.Library("torchvision", "DEF")
+    for _operator in ("nms", "qnms"):
+        _library.define(f"{_operator}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+
+from anomalib.data import Folder
+from anomalib.deploy import ExportType
+from anomalib.engine import Engine
+from anomalib.models import Dfkde, Dfm, Padim, Patchcore
+
+MODELS = {"padim": Padim, "patchcore": Patchcore, "dfm": Dfm, "dfkde": Dfkde}
+
+
+def pictures(folder: Path) -> torch.Tensor:
+    """Float32 (n, 3, h, w) in 0..1, `good` before `bad`, as anomalib reads them."""
+    files = [file for part in ("good", "bad") for file in sorted((folder / part).glob("*.png"))]
+    planes = [np.asarray(Image.open(file).convert("RGB")).transpose(2, 0, 1) for file in files]
+    return torch.from_numpy(np.stack(planes)).float() / 255
+
+
+def trained(folder: Path, weights: Path, out: Path, kind: str, options: dict, size: tuple[int, int]):
+    """A fitted model with these backbone weights, and the seconds that its fit took."""
+    torch.manual_seed(0)
+    crop = options.pop("center_crop_size", None)
+    pre = {} if crop is None else {"center_crop_size": tuple(crop)}
+    cls = MODELS[kind]
+    model = cls(
+        pre_trained=False, pre_processor=cls.configure_pre_processor(size, **pre), visualizer=False, **options
+    )
+    state = {name: torch.from_numpy(value) for name, value in np.load(weights).items()}
+    missing, _ = model.model.feature_extractor.feature_extractor.load_state_dict(state, strict=False)
+    if [name for name in missing if "num_batches_tracked" not in name]:
+        raise SystemExit(f"the weights lack {missing[:4]}")
+    has_bad = any((folder / "bad").glob("*.png"))
+    data = Folder(
+        name="presses",
+        root=folder,
+        normal_dir="good",
+        abnormal_dir="bad",
+        train_batch_size=8,
+        eval_batch_size=8,
+        num_workers=0,
+        val_split_mode="same_as_test",
+        test_split_mode="from_dir" if has_bad else "synthetic",
+        normal_split_ratio=0.2,
+        seed=0,
+    )
+    engine = Engine(
+        max_epochs=1,
+        devices=1,
+        accelerator="cpu",
+        default_root_dir=out / "run",
+        logger=False,
+        enable_progress_bar=False,
+    )
+    start = time.perf_counter()
+    engine.fit(model=model, datamodule=data)
+    return engine, model, time.perf_counter() - start
+
+
+def computed(model, planes: torch.Tensor):
+    """Scores (n,), maps (n, h, w) or None, and seconds (n,), picture by picture."""
+    maps, scores, times = [], [], []
+    with torch.no_grad():
+        for one in planes:
+            start = time.perf_counter()
+            found = model(one[None].clone())
+            times.append(time.perf_counter() - start)
+            scores.append(found.pred_score.reshape(-1).numpy())
+            maps.append(None if found.anomaly_map is None else found.anomaly_map[:, 0].numpy())
+    return np.concatenate(scores), None if maps[0] is None else np.concatenate(maps), np.array(times)
+
+
+def main(folder: Path, weights: Path, out: Path, wanted: dict, size: tuple[int, int]) -> None:
+    """Train, export, and store what anomalib computes."""
+    out.mkdir(parents=True, exist_ok=True)
+    frames = pictures(folder)
+    for name, options in wanted.items():
+        kind = options.pop("kind", name)
+        formats = options.pop("formats", ["torch", "onnx", "openvino"])
+        engine, model, seconds = trained(folder, weights, out, kind, options, size)
+        engine.trainer.save_checkpoint(out / f"{name}.ckpt")
+        model.eval()
+        scores, maps, times = computed(model.model, model.pre_processor.transform(frames))
+        # An exported module resizes without antialiasing.
+        exported, exported_maps, _ = computed(model.model, model.pre_processor.export_transform(frames))
+        post = model.post_processor
+        np.savez(
+            out / f"{name}.npz",
+            score=scores,
+            exported_score=exported,
+            seconds=times,
+            fit_seconds=seconds,
+            image_threshold=float(post.image_threshold),
+            image_min=float(post.image_min),
+            image_max=float(post.image_max),
+            **({} if maps is None else {"score_map": maps, "exported_score_map": exported_maps}),
+        )
+        for form in formats:
+            model_path = engine.export(
+                model=model, export_type=ExportType(form), export_root=out / "export" / name
+            )
+            for file in Path(model_path).parent.iterdir():
+                if file.suffix in (".pt", ".onnx", ".xml", ".bin"):
+                    shutil.copy(file, out / f"{name}{file.suffix}")
+
+
+if __name__ == "__main__":
+    height, width = (int(number) for number in sys.argv[5].split("x"))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), json.loads(sys.argv[4]), (height, width))
