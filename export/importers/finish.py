@@ -1,6 +1,5 @@
 """`import_detector`: an imported model is measured on nominal presses and becomes a complete bundle."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,12 +32,14 @@ from edge.core.errors import ConfigError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Graphs, bundle_files
+from edge.model.licence import LICENCE
 from edge.model.manifest import Facts, GridEntry, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
 from edge.model.packing import pack
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
 from export.importers.contract import Imported
 from export.parity import Stage, compare, rank_correlation
+from export.weights_file import file_sha256
 
 __all__ = ["ImportConfig", "Losses", "import_files"]
 
@@ -246,11 +247,3 @@ class _Import:
             found["losses"] = losses.words()
             found["file_sha256"] = file_sha256(self.source)
         return found
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file; of a folder, empty."""
-    if not path.is_file():
-        return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
