@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from calibration.studies.further_commands import cross_position, every_study, resolution
+from calibration.studies.further_commands import bad_presses, cross_position, every_study, resolution
 from calibration.studies.options import (
     Backbones,
     Cache,
@@ -82,4 +82,5 @@ def good_fraction(
 
 study.command("cross-position")(cross_position)
 study.command("resolution")(resolution)
+study.command("bad-presses")(bad_presses)
 study.command("all")(every_study)

@@ -1,4 +1,4 @@
-"""`gelgate study cross-position`, `resolution` and `all`."""
+"""`gelgate study cross-position`, `resolution`, `bad-presses` and `all`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from calibration.studies.stable import StableFractions
     from calibration.studies.study import Options
 
-__all__ = ["cross_position", "every_study", "resolution"]
+__all__ = ["bad_presses", "cross_position", "every_study", "resolution"]
 
 Fraction = Annotated[
     float | None,
@@ -104,6 +104,34 @@ def resolution(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
     )
     study_resolution(options, _fractions(fraction, output), _views(view), presses)
+    typer.echo(f"rows: {output / 'rows.jsonl'}")
+
+
+def bad_presses(
+    dataset: DatasetFolder,
+    output: Folder,
+    part: Parts = None,
+    position: Position = None,
+    fraction: Fraction = None,
+    method: Methods = None,
+    mode: Modes = None,
+    backbone: Backbones = None,
+    split: Splits = None,
+    seeds: Seeds = 10,
+    held_out: HeldOutCount = 20,
+    jobs: Jobs = 1,
+    dask: DaskAddress = None,
+    cache: Cache = None,
+) -> None:
+    """Accuracy with damaged presses among the nominal ones.
+
+    The same command continues an interrupted study."""
+    from calibration.studies.bad_presses import study_bad_presses
+
+    options = _options(
+        dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
+    )
+    study_bad_presses(options, _fractions(fraction, output))
     typer.echo(f"rows: {output / 'rows.jsonl'}")
 
 

@@ -33,10 +33,17 @@ def _resolution(rows: "pd.DataFrame") -> Page:
     return page(rows)
 
 
+def _bad_presses(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.bad_presses_page import page
+
+    return page(rows)
+
+
 PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
     "good-fraction": _good_fraction,
     "cross-position": _cross_position,
     "resolution": _resolution,
+    "bad-presses": _bad_presses,
 }
 """A study's page from its rows, by the study's name. Modules are imported at use."""
 

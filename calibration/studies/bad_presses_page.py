@@ -1,0 +1,40 @@
+"""The page of the bad-presses study, from its rows."""
+
+from typing import TYPE_CHECKING
+
+from calibration.studies.effects import COMPARED, effects, medians
+from calibration.studies.page import Page
+from calibration.studies.page_parts import by_setup, compared_table, cost_table, only_scored, refusals, table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["page"]
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """The page. rows: of this study."""
+    scored = only_scored(rows)
+    head = (
+        "# What do damaged presses among the nominal ones cost?\n\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}, each bank at its method's stable fraction; damaged presses "
+        f"take the place of nominal ones. Medians over {rows['seed'].nunique()} seeds.\n"
+    )
+    setups = [_setup(title, group) for title, group in by_setup(scored)]
+    sections = [head, *setups, refusals(rows), cost_table(scored, "bad", _percent)]
+    return Page("\n".join(section for section in sections if section))
+
+
+def _setup(title: str, rows: "pd.DataFrame") -> str:
+    shares = sorted(rows["bad"].unique())
+    conditions = [(f"{share:g}", "", _percent(share)) for share in shares]
+    tables = [compared_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED]
+    found = effects(rows, "bad", shares[0], shares[-1], {}, ("", ""), ("aupro_001",))
+    lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]
+    change = f"Change of AU-PRO@0.01 from {_percent(shares[0])} to {_percent(shares[-1])}.\n"
+    heading = ["method", "part", "mean difference", "direction"]
+    return "\n".join([f"## {title}\n", *tables, change, table(heading, lines)])
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"
