@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calibration.studies.cells import Cell
 from calibration.studies.detector_settings import overrides_for
-from calibration.studies.good_fraction import GoodFraction, presses_in
+from calibration.studies.good_fraction_study import GoodFraction, presses_in
 from calibration.studies.material import Material, material
 from calibration.studies.presses import TEST_SEED, hold_out, opened, subset
 from calibration.studies.rows import Rows

@@ -4,12 +4,14 @@ from typing import TYPE_CHECKING
 
 from calibration.studies.cross_position import STUDY
 from calibration.studies.effects import COMPARED, effects, medians
+from calibration.studies.figures import shares_figure, svg
 from calibration.studies.page import Page
 from calibration.studies.page_parts import (
     by_setup,
     compared_table,
     cost_table,
     effects_table,
+    figure_name,
     only_scored,
     paper_note,
     refusals,
@@ -29,9 +31,14 @@ _ALONE = ("aupro_001_source", "aupro_001_target")
 def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of this study."""
     scored = only_scored(rows)
-    sections = [_head(rows), *(_setup(title, group) for title, group in by_setup(scored))]
+    setups = list(by_setup(scored))
+    label = "share of the second position's nominal presses, %"
+    figures = {figure_name(STUDY, g): svg(shares_figure(g, "target_fraction", label)) for _, g in setups}
+    sections = [_head(rows)]
+    for (title, group), name in zip(setups, figures, strict=True):
+        sections += [_setup(title, group), f"![{title}]({name})\n"]
     sections += [split_table(scored), refusals(rows), cost_table(scored, "target_fraction", _percent)]
-    return Page("\n".join(section for section in sections if section))
+    return Page("\n".join(section for section in sections if section), figures)
 
 
 def _head(rows: "pd.DataFrame") -> str:

@@ -16,7 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["fraction_figure", "overview_figure", "shots_figure", "svg"]
+__all__ = [
+    "conditions_figure",
+    "fraction_figure",
+    "overview_figure",
+    "shares_figure",
+    "shots_figure",
+    "svg",
+]
 
 # Okabe and Ito's palette: readers with any kind of colour vision can distinguish it.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -71,6 +78,32 @@ def shots_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
         shots = sorted({x for curve in group for x in curve.x})
         axis.set_xticks(shots, [f"{x:g}" for x in shots])
         _label(axis, part, "nominal presses", measure)
+    return figure
+
+
+def shares_figure(rows: "pd.DataFrame", x: str, label: str, measure: str = "aupro_001") -> "Figure":
+    """A panel per part, a line per method, against a share that may be zero. x: the column of shares."""
+    every = sorted(curves(rows, x, measure), key=lambda c: (c.part, c.method))
+    panels = [(part, list(group)) for part, group in groupby(every, lambda c: c.part)]
+    figure, axes = _panels(len(panels))
+    colours = _coloured(sorted({c.method for c in every}))
+    for axis, (part, group) in zip(axes, panels, strict=True):
+        for curve in group:
+            _line(axis, curve, 100 * curve.x, curve.method, colours[curve.method])
+        _label(axis, part, label, measure)
+    return figure
+
+
+def conditions_figure(
+    rows: "pd.DataFrame", column: str, order: Sequence[str], measure: str, title: str
+) -> "Figure":
+    """A panel per part, a line per method, over named conditions in an order."""
+    placed = rows.assign(place=[order.index(name) for name in rows[column]])
+    figure = shares_figure(placed.assign(place=placed["place"] / 100), "place", "", measure)
+    for axis in figure.axes:
+        if axis.has_data():
+            axis.set_xticks(range(len(order)), list(order))
+            axis.set_ylabel(title, fontsize=8)
     return figure
 
 

@@ -1,5 +1,6 @@
 """Parts of pages that several studies have: tables, ours next to the paper's, what was not scored, what it cost."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ __all__ = [
     "compared_table",
     "cost_table",
     "effects_table",
+    "figure_name",
     "only_scored",
     "paper_note",
     "refusals",
@@ -60,7 +62,7 @@ def compared_table(
     for method, part in pairs:
         own, theirs = ours[method, part, measure], paper.get((method, part, measure), {})
         lines.append([method, part, *(_both(own.get(a), theirs.get(b)) for a, b, _ in conditions)])
-    return table([COMPARED.get(measure, measure), "part", *(title for _, _, title in conditions)], lines)
+    return table([COMPARED[measure.removesuffix("_common")], "part", *(title for _, _, title in conditions)], lines)
 
 
 def _both(ours: float | None, paper: float | None) -> str:
@@ -105,6 +107,12 @@ def split_table(rows: "pd.DataFrame", measure: str = "aupro_001") -> str:
         f"## Split by press and by specimen\n\nMean {COMPARED[measure]} over all conditions and seeds. In a split by "
         f"press, other presses of a tested specimen are in the bank.\n\n{table(heading, lines)}"
     )
+
+
+def figure_name(study: str, rows: "pd.DataFrame") -> str:
+    """The file name of a setup's figure."""
+    words = [study, *(str(rows[name].iloc[0]) for name in _SETUP)]
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(words)) + ".svg"
 
 
 def refusals(rows: "pd.DataFrame") -> str:

@@ -135,7 +135,8 @@ def look(place: ViewPlace, progress: Progress = lambda fraction: None, threads: 
     presses, held, pool = capped_presses(place)
     trunk = tiled(open_trunk(place.backbone, place.taps), VIEWS[place.view])
     taken = FeatureCache(place.cache).features(trunk, place.taps, presses.pictures, progress, threads)
-    return Seen(Material(presses, place.backbone, trunk, taken), held, pool, _common_masks(place, presses))
+    found = Material(presses=presses, backbone=place.backbone, trunk=trunk, taken=taken)
+    return Seen(found, held, pool, _common_masks(place, presses))
 
 
 def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:

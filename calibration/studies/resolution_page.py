@@ -3,12 +3,14 @@
 from typing import TYPE_CHECKING
 
 from calibration.studies.effects import COMPARED, effects, medians
+from calibration.studies.figures import conditions_figure, svg
 from calibration.studies.page import Page
 from calibration.studies.page_parts import (
     by_setup,
     compared_table,
     cost_table,
     effects_table,
+    figure_name,
     only_scored,
     paper_note,
     refusals,
@@ -38,9 +40,19 @@ _CONTROLS = (
 def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of this study."""
     scored = only_scored(rows)
-    sections = [_head(rows), *(_setup(title, group) for title, group in by_setup(scored))]
+    setups = list(by_setup(scored))
+    figures = {figure_name(STUDY, group): _figure(group) for _, group in setups}
+    sections = [_head(rows)]
+    for (title, group), name in zip(setups, figures, strict=True):
+        sections += [_setup(title, group), f"![{title}]({name})\n"]
     sections += [split_table(scored), refusals(rows), cost_table(scored, "view")]
-    return Page("\n".join(section for section in sections if section))
+    return Page("\n".join(section for section in sections if section), figures)
+
+
+def _figure(rows: "pd.DataFrame") -> str:
+    views = [view for view in VIEWS if view in set(rows["view"])]
+    title = "AU-PRO@0.01, common field of view"
+    return svg(conditions_figure(rows, "view", views, "aupro_001_common", title))
 
 
 def _head(rows: "pd.DataFrame") -> str:
