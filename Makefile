@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture test test-train test-plain lint docs heads measure bench test-hardware kernel-lab clean
+.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench test-hardware kernel-lab clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -21,7 +21,11 @@ test: $(VENV)/.test debian lint
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/detectors/test_smoothing.py
+	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_fuzz.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/detectors/test_smoothing.py
+
+# Two thousand damaged files through every reader of `gelgate export`; the tests try sixty.
+test-fuzz: $(VENV)/.train
+	GELGATE_MUTATIONS=400 $(BIN)/pytest tests/export/test_fuzz.py
 
 # Every verb in an environment of its own, made by `pip install .` without extras.
 test-plain: $(VENV)/.test

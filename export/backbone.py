@@ -141,7 +141,6 @@ def _from_graph(
     source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
 ) -> BackboneExport:
     taps = named_taps(options.taps)
-    facts = {**facts, "preprocessing": steps.words}
     made = graph_trunk(
         source.read_bytes(),
         taps,
@@ -152,7 +151,7 @@ def _from_graph(
         facts=facts,
         where=str(source),
     )
-    return BackboneExport(made.trunk, made.taps, facts, _compared(made.stages, source, facts))
+    return BackboneExport(made.trunk, made.taps, made.facts, _compared(made.stages, source, made.facts))
 
 
 def _from_weights(

@@ -7,6 +7,7 @@ import typer
 
 from export.backbone_command import backbone
 from export.importers.command import detect, import_
+from export.parity_command import openvino, parity
 from export.precision_command import precision
 
 __all__ = ["export"]
@@ -23,6 +24,8 @@ export.command()(backbone)
 export.command()(precision)
 export.command("detect")(detect)
 export.command("import")(import_)
+export.command()(parity)
+export.command()(openvino)
 
 
 @export.command()

@@ -17,6 +17,7 @@ from export.onnx_values import (
     PIXELS,
     load_model,
     picture_input,
+    prune,
     read_frames,
     run_each,
 )
@@ -31,13 +32,11 @@ MOST_PREFIXES = 8
 
 @dataclass(frozen=True)
 class GraphTrunk:
-    """A trunk made from a foreign graph, and how to compare the two.
-
-    values: tap to the value in the foreign graph. prefixes: tap to the number of tokens that were dropped.
-    """
+    """A trunk made from a foreign graph, its metadata, and the stages of both."""
 
     trunk: bytes
     taps: tuple[str, ...]
+    facts: dict[str, str]
     stages: tuple[Stage, ...]
 
 
@@ -76,20 +75,20 @@ def graph_trunk(
     frame = (frames.shape[1], frames.shape[2])
     if picture.size is not None and picture.size != (steps.size or frame):
         steps = replace(steps, size=picture.size)
+    facts = {**(facts or {}), "preprocessing": steps.words}
     pixels = applied(steps, frames) * high
     pixels = pixels if picture.layout == "nchw" else pixels.transpose(0, 2, 3, 1)
     pixels = np.rint(pixels).clip(0, 255).astype(np.uint8) if picture.is_bytes else pixels.astype(np.float32)
     expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)
     grids = {tap: _grid(array, tap, prefixes) for tap, array in zip(taps, expected, strict=True)}
-    body = _pruned(model, picture.name, list(taps.values()), where)
-    merged = read_frames(body, picture, steps, frame, high)
+    merged = read_frames(model, picture, steps, frame, high)
     _end(merged, taps, grids, {tap: array.shape for tap, array in zip(taps, expected, strict=True)}, facts)
     trunk = bytes(merged.SerializeToString())
     front = f"front/{PIXELS}"
     found = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
     shown = [_as_maps(array, *grids[tap]) for tap, array in zip(taps, expected, strict=True)]
     stages = [Stage(tap, e, f) for tap, e, f in zip(taps, shown, found[1:], strict=True)]
-    return GraphTrunk(trunk, tuple(taps), (Stage("input", pixels, found[0], "input"), *stages))
+    return GraphTrunk(trunk, tuple(taps), facts, (Stage("input", pixels, found[0], "input"), *stages))
 
 
 def _check_values(model: Any, taps: Mapping[str, str], where: str) -> None:
@@ -127,21 +126,12 @@ def _as_maps(array: NDArray[Any], rows: int, columns: int, dropped: int) -> NDAr
     return array[:, dropped:].transpose(0, 2, 1).reshape(len(array), array.shape[2], rows, columns)
 
 
-def _pruned(model: Any, start: str, values: list[str], where: str) -> Any:
-    from onnx.utils import Extractor
-
-    try:
-        return Extractor(model).extract_model([start], values)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{where} cannot be cut at {', '.join(values)}: {error!s:.200}") from error
-
-
 def _end(
     merged: Any,
     taps: Mapping[str, str],
     grids: Mapping[str, tuple[int, int, int]],
     shapes: Mapping[str, tuple[int, ...]],
-    facts: Mapping[str, str] | None,
+    facts: Mapping[str, str],
 ) -> None:
     """Give every tap its name, as a map; the outputs are the taps alone."""
     import onnx
@@ -154,7 +144,8 @@ def _end(
         merged.graph.node.extend(_to_map(at, tap, rows, columns, dropped, shape, merged.graph.initializer))
         size = [shape[1], shape[2], shape[3]] if rows == 0 else [shape[2], rows, columns]
         merged.graph.output.append(helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, ["n", *size]))
-    helper.set_model_props(merged, dict(facts or {}))
+    prune(merged)
+    helper.set_model_props(merged, dict(facts))
     onnx.checker.check_model(merged)
 
 

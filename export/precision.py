@@ -1,8 +1,8 @@
 """A bundle in another precision: measured on the part's nominal frames, chosen by measurement, written to its card.
 
-float32, float16 storage, and int8. int8 is calibrated on nominal frames, as they are and with a painted square; layers that it harms most stay in float until
-the score maps agree within the limit. `auto` takes int8 only where this machine computes it correctly (a probe for
-VNNI) and faster, float16 storage where the maps stay the same, float32 otherwise.
+float32, float16 storage, and int8. int8 is calibrated on nominal frames, as they are and with a painted square; layers
+that it harms most stay in float until the score maps agree within the limit. `auto` takes int8 only where this machine
+computes it correctly (a probe for VNNI) and faster, float16 storage where the maps stay the same, float32 otherwise.
 """
 
 import time

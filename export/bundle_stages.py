@@ -1,0 +1,133 @@
+"""The stages of a bundle for given frames, and their comparison with a research model's, saved as arrays.
+
+A researcher saves what the model computes: `np.savez("stages.npz", frames=frames, layer1=..., map=..., score=...)`.
+"""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.errors import ConfigError
+from edge.model.bundle import Bundle
+from edge.model.scorer import FRAMES, Scorer
+from export.onnx_values import first_conv_input, run_values
+from export.parity import Kind, ParityReport, Stage, compare, order_stage
+
+__all__ = ["bundle_stages", "compared_with", "read_stages"]
+
+MOST_BYTES = 1 << 30
+KINDS: tuple[Kind, ...] = ("input", "descriptor", "distance", "map", "score")
+
+
+def compared_with(bundle: Bundle, file: Path) -> ParityReport:
+    """Compare the stages in a file with the bundle's, in the order of the computation; with the order of the presses
+    where scores are among them. Errors: ConfigError for a file or a stage that cannot be used."""
+    given = read_stages(file)
+    frames = given.pop("frames", np.empty(0))
+    expected = (*bundle.manifest.frame, 3)
+    if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[1:] != expected or not len(frames):
+        raise ConfigError(
+            f"{file}: 'frames' is {frames.dtype} {frames.shape}, expected uint8 (n, {', '.join(map(str, expected))}) "
+            "of the bundle's region"
+        )
+    if not given:
+        raise ConfigError(f"{file} holds frames and no stage; add at least map and score")
+    found = bundle_stages(bundle, frames, tuple(given))
+    stages = [
+        Stage(name, given[name], array, next((kind for kind in KINDS if kind == name), "tap"))
+        for name, array in found.items()
+    ]
+    if "score" in given and given["score"].shape == (len(frames),) and len(frames) > 1:
+        stages.append(order_stage(given["score"], found["score"]))
+    return compare(
+        stages, frames=frames, title=f"{bundle.where} and {file.name}", facts={"bundle": bundle.digest}
+    )
+
+
+def bundle_stages(
+    bundle: Bundle, frames: NDArray[np.uint8], names: tuple[str, ...]
+) -> dict[str, NDArray[Any]]:
+    """These stages for frames uint8 (n, h, w, 3), in the order of the computation.
+
+    names: `input`, taps, names of values inside the head, `map`, `score`. Errors: ConfigError for an unknown name, or a
+    stage inside the network of a bundle with tiles.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    inner = [name for name in names if name not in ("map", "score")]
+    if inner:
+        found |= _inside(bundle, frames, inner)
+    scored = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
+    last = {
+        "map": np.stack([one.score_map for one in scored]),
+        "score": np.array([one.anomaly_score for one in scored]),
+    }
+    return found | {name: last[name] for name in last if name in names}
+
+
+def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict[str, NDArray[Any]]:
+    network = bundle.graphs.trunk or bundle.graphs.detector or b""
+    head = bundle.graphs.head
+    if bundle.grid is not None and bundle.grid.tiles is not None:
+        raise ConfigError("a bundle with tiles is compared by map and score; leave the other stages out")
+    values = {"input": first_conv_input(network)} if "input" in names else {}
+    in_network = _known(network, names)
+    in_head = [name for name in _known(head, names) if name not in in_network] if head else []
+    unknown = [name for name in names if name not in (*values, *in_network, *in_head)]
+    if unknown:
+        raise ConfigError(
+            f"bundle {bundle.where} has no stage '{unknown[0]}'; known are input, map, score, its taps "
+            f"({', '.join(bundle.grid.taps) if bundle.grid else 'none'}) and the names of values in its graphs"
+        )
+    values |= {name: name for name in in_network}
+    found: dict[str, NDArray[Any]] = {}
+    if values:
+        arrays = run_values(network, list(values.values()), {FRAMES: frames}, "the trunk")
+        found = dict(zip(values, arrays, strict=True))
+    if head and in_head:
+        feeds = {
+            **_taps(bundle, network, frames),
+            **{k: v for k, v in bundle.bank.items() if k in _inputs(head)},
+        }
+        found |= dict(zip(in_head, run_values(head, in_head, feeds, "the head"), strict=True))
+    return found
+
+
+def _taps(bundle: Bundle, network: bytes, frames: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    taps = [name for name in _inputs(bundle.graphs.head or b"") if bundle.grid and name in bundle.grid.taps]
+    return dict(zip(taps, run_values(network, taps, {FRAMES: frames}, "the trunk"), strict=True))
+
+
+def _inputs(graph: bytes) -> list[str]:
+    import onnx
+
+    return [str(one.name) for one in onnx.load_from_string(graph).graph.input]
+
+
+def _known(graph: bytes | None, names: list[str]) -> list[str]:
+    """Of these names, those of values that nodes of the graph give, in the order of the computation."""
+    import onnx
+
+    given = [str(name) for node in onnx.load_from_string(graph or b"").graph.node for name in node.output]
+    return [name for name in given if name in names]
+
+
+def read_stages(file: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an .npz file. Pickled objects are refused. Errors: ConfigError."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MOST_BYTES:
+            raise ConfigError(
+                f"{file} unpacks to {size} bytes, at most {MOST_BYTES} are read; save fewer frames"
+            )
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise ConfigError(
+            f"{file} is not an .npz of plain arrays ({error!s:.150}); save it with np.savez"
+        ) from error

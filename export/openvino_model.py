@@ -1,0 +1,83 @@
+"""A bundle as an OpenVINO model, made by OpenVINO's own converter from the merged graph.
+
+Its scores on the golden frames must be those of the bundle; otherwise nothing is written.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edge.core.errors import ConfigError
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from export.merge import merged_graph
+from export.parity import ParityReport, Stage, compare
+
+__all__ = ["write_openvino"]
+
+
+def write_openvino(bundle: Bundle, output: Path) -> ParityReport:
+    """Write `output` (.xml) and the weights next to it (.bin, float32); both or neither.
+
+    Returns the comparison of map and score on the golden frames. Errors: ConfigError for another name or a graph that
+    OpenVINO refuses, BundleCorrupt where the scores differ, OSError of the disk.
+    """
+    import openvino
+
+    if output.suffix != ".xml":
+        raise ConfigError(f"an OpenVINO model is a file .xml with a file .bin next to it; found {output}")
+    graph = bundle.graphs.detector or merged_graph(bundle)
+    try:
+        model = _converted(openvino, graph, output)
+    except (RuntimeError, ValueError) as error:
+        words = str(error).strip().splitlines() or [type(error).__name__]
+        raise ConfigError(
+            f"OpenVINO {openvino.__version__} refuses bundle {bundle.where}: {words[0]:.300}"
+        ) from error
+    report = _compared(openvino, model, bundle)
+    report.raise_if_different()
+    _save(openvino, model, output)
+    return report
+
+
+def _converted(openvino: Any, graph: bytes, output: Path) -> Any:
+    """The model for one frame at a time. The converter reads a file."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "detector.onnx"
+        file.write_bytes(graph)
+        model = openvino.convert_model(file)
+    model.set_rt_info(output.stem, "gelgate_model")
+    return model
+
+
+def _compared(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
+    frames = np.stack(
+        [golden.rgb for golden in bundle.golden] or [np.full((*bundle.manifest.frame, 3), 128, np.uint8)]
+    )
+    expected = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
+    compiled = openvino.Core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    found = [compiled(frame[None]) for frame in frames]
+    maps = np.concatenate([one["score_map"] for one in found])
+    scores = np.concatenate([one["score"] for one in found])
+    return compare(
+        [
+            Stage("map", np.stack([one.score_map for one in expected]), maps, "map"),
+            Stage("score", np.array([one.anomaly_score for one in expected]), scores, "score"),
+        ],
+        frames=frames,
+        title=f"{bundle.where} and its OpenVINO model",
+    )
+
+
+def _save(openvino: Any, model: Any, output: Path) -> None:
+    import tempfile
+
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=output.parent, prefix=".openvino-") as folder:
+        openvino.save_model(model, Path(folder) / output.name, compress_to_fp16=False)
+        # The weights first: an .xml that is there has its weights.
+        for suffix in (".bin", ".xml"):
+            (Path(folder) / output.with_suffix(suffix).name).replace(output.with_suffix(suffix))
