@@ -1,9 +1,33 @@
 """`gelgate export backbone`: weights or a network from other tools become a trunk."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
+
+from export.backbone_arguments import (
+    Background,
+    Checkpoint,
+    Encoder,
+    Half,
+    Heads,
+    High,
+    Licence,
+    Mean,
+    Output,
+    Overwrite,
+    Prefix,
+    PrefixTokens,
+    Profile,
+    RegionText,
+    Report,
+    Second,
+    Size,
+    Std,
+    Taps,
+    Topology,
+    Version,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,57 +40,29 @@ if TYPE_CHECKING:
 
 __all__ = ["backbone", "three_numbers"]
 
-Licence = Annotated[
-    str | None,
-    typer.Option(help="Licence of the weights, such as MIT; 'own' for your own.", show_default=False),
-]
-
 
 def backbone(
-    checkpoint: Annotated[Path, typer.Argument(help="A .pth, .safetensors or .onnx file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx"),
+    checkpoint: Checkpoint,
+    output: Output = Path("trunk.onnx"),
     licence: Licence = None,
-    topology: Annotated[
-        str, typer.Option(help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2.")
-    ] = "wide_resnet50_2",
-    taps: Annotated[
-        str,
-        typer.Option(
-            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, NAME=VALUE of a graph."
-        ),
-    ] = "",
-    encoder: Annotated[
-        str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3 or sparsh.")
-    ] = "",
-    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1; default: ImageNet's.")] = "",
-    std: Annotated[str, typer.Option(help="Then RGB is divided by this; default: ImageNet's.")] = "",
-    size: Annotated[str, typer.Option(help="Resize frames to HEIGHTxWIDTH before the network.")] = "",
-    background: Annotated[
-        Path | None, typer.Option(help="A picture of the free gel, subtracted from every frame.")
-    ] = None,
-    profile: Annotated[str, typer.Option(help="Sensor profile of the frames.")] = "mini_lr",
-    region: Annotated[str, typer.Option(help="The inspected region, as for `fit`.")] = "centre",
-    version: Annotated[
-        str | None, typer.Option(help="V1 or V2 of torchvision's weights: refused if the file is the other.")
-    ] = None,
-    second: Annotated[
-        Path | None, typer.Option(help="Weights of the blocks that follow, such as T3's trunk.")
-    ] = None,
-    prefix: Annotated[
-        str | None, typer.Option(help="Of the weights' names, where a file holds several networks.")
-    ] = None,
-    heads: Annotated[
-        int | None, typer.Option(min=1, help="Attention heads; default: one per 64 channels.")
-    ] = None,
-    prefix_tokens: Annotated[
-        int | None, typer.Option(min=0, help="Tokens before the patches in a graph's sequences.")
-    ] = None,
-    high: Annotated[float, typer.Option(help="Value of full brightness in a graph's input: 1 or 255.")] = 1.0,
-    half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False,
-    report: Annotated[
-        Path | None, typer.Option(help="Folder for the comparison with the original, parity.html.")
-    ] = None,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+    topology: Topology = "wide_resnet50_2",
+    taps: Taps = "",
+    encoder: Encoder = "",
+    mean: Mean = "",
+    std: Std = "",
+    size: Size = "",
+    background: Background = None,
+    profile: Profile = "mini_lr",
+    region: RegionText = "centre",
+    version: Version = None,
+    second: Second = None,
+    prefix: Prefix = None,
+    heads: Heads = None,
+    prefix_tokens: PrefixTokens = None,
+    high: High = 1.0,
+    half: Half = False,
+    report: Report = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Convert weights or a network to a trunk.
 

@@ -2,8 +2,8 @@
 
 import base64
 import html
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from edge.pictures.heatmap import FULL_SCALE, coloured
 from edge.pictures.png import encode
-
-if TYPE_CHECKING:
-    from export.parity import ParityReport, StageResult
+from export.stages import StageResult
 
 __all__ = ["page"]
 
@@ -28,29 +26,36 @@ td,th{padding:.3em .8em;border-bottom:1px solid #ccc;text-align:left}td.n{text-a
 figcaption{font-size:.85em}"""
 
 
-def page(report: "ParityReport") -> str:
-    """The report as HTML with its pictures inside. Needs no network to be read."""
-    first = report.first_different
+def page(
+    title: str,
+    results: Sequence[StageResult],
+    facts: Mapping[str, str],
+    maps: tuple[NDArray[Any], NDArray[Any]] | None = None,
+    frames: NDArray[np.uint8] | None = None,
+) -> str:
+    """The report as HTML with its pictures inside. Needs no network to be read.
+
+    maps: of the research model and of the bundle, (n, h, w). frames: uint8 (n, h, w, 3), shown next to them.
+    """
+    first = next((result for result in results if not result.is_equal), None)
     verdict = (
         "<p class=good>Every stage agrees.</p>"
         if first is None
         else f"<p class=bad>First difference: {html.escape(first.sentence())}.</p>"
     )
-    facts = "".join(
-        f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in report.facts.items()
-    )
+    rows = "".join(f"<tr><td>{html.escape(k)}</td><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
     return (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(report.title)}</title>"
-        f"<style>{STYLE}</style><h1>{html.escape(report.title)}</h1>{verdict}"
-        + (f"<table>{facts}</table>" if facts else "")
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>"
+        f"<style>{STYLE}</style><h1>{html.escape(title)}</h1>{verdict}"
+        + (f"<table>{rows}</table>" if rows else "")
         + f"<h2>Stages</h2><table><tr><th>stage<th>shape<th>difference<th>allowed<th>result</tr>"
-        f"{''.join(map(_row, report.results))}</table>"
+        f"{''.join(map(_row, results))}</table>"
         + "<p>A difference is the largest one, as a part of the stage's largest expected value. The order of the "
-        "presses is compared by rank correlation.</p>" + "".join(_pictures(report)) + "</html>\n"
+        "presses is compared by rank correlation.</p>" + "".join(_pictures(maps, frames)) + "</html>\n"
     )
 
 
-def _row(result: "StageResult") -> str:
+def _row(result: StageResult) -> str:
     shape = "x".join(map(str, result.shape))
     number = html.escape(result.fault) if result.fault else f"{result.difference:.3g}"
     least = "at least " if result.kind == "order" else ""
@@ -61,16 +66,18 @@ def _row(result: "StageResult") -> str:
     )
 
 
-def _pictures(report: "ParityReport") -> Iterator[str]:
-    if report.maps is None or report.maps[0].ndim != 3:
+def _pictures(
+    maps: tuple[NDArray[Any], NDArray[Any]] | None, frames: NDArray[np.uint8] | None
+) -> Iterator[str]:
+    if maps is None or maps[0].ndim != 3:
         return
-    expected, found = (np.asarray(one, np.float32) for one in report.maps)
+    expected, found = (np.asarray(one, np.float32) for one in maps)
     low = float(np.nan_to_num(expected).min())
     span = max(float(np.nan_to_num(expected).max()) - low, 1e-30)
     yield "<h2>Score maps</h2><p>Both in one scale. The difference is shown a hundred times as strong.</p>"
     for number in range(min(len(expected), MOST_SHOWN)):
-        if report.frames is not None and number < len(report.frames):
-            yield _figure(report.frames[number], f"frame {number}")
+        if frames is not None and number < len(frames):
+            yield _figure(frames[number], f"frame {number}")
         yield _figure(_map((expected[number] - low) / span), "research model")
         yield _figure(_map((found[number] - low) / span), "bundle")
         yield _figure(_map(100 * np.abs(expected[number] - found[number]) / span), "difference x 100")

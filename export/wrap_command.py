@@ -2,7 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -19,6 +19,19 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
+from export.wrap_arguments import (
+    Comparison,
+    Graph,
+    Licence,
+    MapOutput,
+    Mean,
+    Method,
+    Negate,
+    Scale,
+    ScoreOutput,
+    Sources,
+    Std,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,39 +43,20 @@ __all__ = ["wrap"]
 
 
 def wrap(
-    graph: Annotated[
-        Path, typer.Argument(metavar="GRAPH", help="An ONNX file: a picture to a score map and a score.")
-    ],
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE...", help="Nominal presses that the graph was not trained on, as for `fit`."
-        ),
-    ],
+    graph: Graph,
+    sources: Sources,
     output: Output,
     part: Part = None,
     position: Position = None,
-    licence: Annotated[
-        str | None,
-        typer.Option(
-            help="Licence of the graph's weights, such as MIT; 'own' for your own.", show_default=False
-        ),
-    ] = None,
-    method: Annotated[str, typer.Option(help="The method's name in results.")] = "external",
-    scale: Annotated[
-        str,
-        typer.Option(
-            "--input", help="0..1, 0..255 or imagenet: where the graph does not show what its input is."
-        ),
-    ] = "",
-    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1, in place of --input.")] = "",
-    std: Annotated[str, typer.Option(help="Then RGB is divided by this.")] = "",
-    map_output: Annotated[str, typer.Option(help="The output that is the score map.")] = "",
-    score_output: Annotated[str, typer.Option(help="The output that is the score.")] = "",
-    negate: Annotated[bool, typer.Option("--negate", help="Lower scores are more anomalous.")] = False,
-    comparison: Annotated[
-        Path | None, typer.Option("--report", help="Folder for the comparison with the graph, parity.html.")
-    ] = None,
+    licence: Licence = None,
+    method: Method = "external",
+    scale: Scale = "",
+    mean: Mean = "",
+    std: Std = "",
+    map_output: MapOutput = "",
+    score_output: ScoreOutput = "",
+    negate: Negate = False,
+    comparison: Comparison = None,
     profile: Profile = "",
     region: RegionText = "centre",
     alpha: Alpha = 0.05,
@@ -86,7 +80,6 @@ def wrap(
     from edge.core.imaging.region import Region
     from export.external_graph import WrapConfig, wrap_files
     from export.licence import stated_licence
-    from export.single_graph import GraphInput
 
     refuse_existing(output, overwrite)
     content = _read(graph)
@@ -95,26 +88,11 @@ def wrap(
     inspected = Region.parse(region, sensor.size)
     found = found_sources(sources, part, position, sensor)
     presses = nominal_presses(found, sensor, inspected, no_contact, resize)
-    given = GraphInput(
-        scale or None,
-        _colours("--mean", mean),
-        _colours("--std", std),
-        map_output or None,
-        score_output or None,
-        negate,
-    )
+    given = _given(scale, mean, std, map_output, score_output, negate)
     ready, facts = _adapted(graph, content, presses.frames, given, comparison)
-    config = WrapConfig(
-        found.part,
-        found.position,
-        sensor,
-        inspected,
-        method,
-        alpha,
-        threshold,
-        threads,
-        {"licence": stated, "graph": graph.name, **facts},
-    )
+    facts = {"licence": stated, "graph": graph.name, **facts}
+    where = (found.part, found.position, sensor, inspected)
+    config = WrapConfig(*where, method, alpha, threshold, threads, facts)
     typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
     make(partial(wrap_files, ready, presses, config), output, overwrite)
 
@@ -128,6 +106,15 @@ def _read(graph: Path) -> bytes:
         raise ConfigError(
             f"{graph} cannot be read: {error.strerror}; give the detector's ONNX file"
         ) from error
+
+
+def _given(
+    scale: str, mean: str, std: str, map_output: str, score_output: str, is_negated: bool
+) -> "GraphInput":
+    from export.single_graph import GraphInput
+
+    colours = _colours("--mean", mean), _colours("--std", std)
+    return GraphInput(scale or None, *colours, map_output or None, score_output or None, is_negated)
 
 
 def _colours(option: str, text: str) -> tuple[float, float, float] | None:
