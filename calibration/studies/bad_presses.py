@@ -134,8 +134,9 @@ def study_bad_presses(options: Options, fractions: StableFractions) -> Rows:
     places = chosen_places(opened(options.dataset), options.parts, options.position)
     cells = bad_presses_cells(places, options, fractions)
     evaluate = BadPresses(options.dataset.absolute(), options.features, options.taps())
-    for found in prepare((evaluate.place(cell) for cell in cells), options.jobs, options.show):
+    materials = prepare((evaluate.place(cell) for cell in cells), options.jobs, options.show)
+    for found in materials:
         halves(found.presses.defective)
         for split in options.splits:
             hold_out(found.presses, options.held_out, split)
-    return run_cells(cells, evaluate, options)
+    return run_cells(cells, evaluate, options, materials)

@@ -180,11 +180,11 @@ def study_cross_position(options: Options, fractions: StableFractions, target: s
     places = crossed_places(opened(options.dataset), options, target)
     cells = cross_position_cells(places, options, fractions)
     evaluate = CrossPosition(options.dataset.absolute(), options.features, options.taps())
-    prepare((place for cell in cells for place in evaluate.places(cell)), options.jobs, options.show)
+    found = prepare((place for cell in cells for place in evaluate.places(cell)), options.jobs, options.show)
     for cell in {(c.part, c.backbone, c.split): c for c in cells}.values():
         source, other = (material(place) for place in evaluate.places(cell))
         both_held_out(source, other, cell)
-    return run_cells(cells, evaluate, options)
+    return run_cells(cells, evaluate, options, found)
 
 
 def crossed_places(dataset: Dataset, options: Options, target: str | None) -> list[tuple[str, str, str]]:

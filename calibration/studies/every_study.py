@@ -1,32 +1,42 @@
 """`gelgate study all`: the three studies into one file of rows, then their pages, with the time that each took."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
-from calibration.studies.cross_position import study_cross_position
-from calibration.studies.good_fraction_study import study_good_fraction
+from calibration.studies.cross_position import crossed_places, study_cross_position
+from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
+from calibration.studies.presses import opened
 from calibration.studies.report import write_report
-from calibration.studies.resolution import study_resolution
+from calibration.studies.resolution import MOST_PRESSES, fine_places, study_resolution
 from calibration.studies.rows import Rows
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import ROWS_FILE, Options
+from calibration.studies.views import VIEWS
 from edge.core.errors import DatasetError
 
 __all__ = ["study_all"]
 
 
-def study_all(options: Options, most_presses: int) -> Iterator[str]:
+def study_all(
+    options: Options,
+    most_presses: int = MOST_PRESSES,
+    *,
+    fractions: Sequence[float] = FRACTIONS,
+    shots: Sequence[int] = SHOTS,
+    views: Sequence[str] = tuple(VIEWS),
+) -> Iterator[str]:
     """Run the studies in the order in which they need each other's rows; gives a line for each, with its time.
 
     A study for which the dataset has no presses, such as a second position, is left out with its sentence; the first
     one must run. Errors: as the studies.
     """
-    fractions = StableFractions(None, options.output / ROWS_FILE)
+    stable = StableFractions(None, options.output / ROWS_FILE)
     began = time.monotonic()
-    yield _timed("good-fraction", lambda: study_good_fraction(options))
+    yield _timed("good-fraction", lambda: study_good_fraction(options, fractions=fractions, shots=shots))
     for name, study in {
-        "cross-position": lambda: study_cross_position(options, fractions),
-        "resolution": lambda: study_resolution(options, fractions, most_presses=most_presses),
+        "cross-position": lambda: study_cross_position(_fitting(options, _crossed), stable),
+        "resolution": lambda: study_resolution(_fitting(options, fine_places), stable, views, most_presses),
     }.items():
         try:
             yield _timed(name, study)
@@ -35,6 +45,24 @@ def study_all(options: Options, most_presses: int) -> Iterator[str]:
     pages = write_report(options.output / ROWS_FILE, options.output / "report")
     yield from (f"page: {page}" for page in pages)
     yield f"all: {_written(time.monotonic() - began)}"
+
+
+def _crossed(options: Options) -> object:
+    return crossed_places(opened(options.dataset), options, None)
+
+
+def _fitting(options: Options, places: Callable[[Options], object]) -> Options:
+    """The options with those of the given parts that a study can use. Errors: DatasetError where it can use none."""
+    kept, refusal = [], None
+    for part in options.parts:
+        try:
+            places(replace(options, parts=(part,)))
+            kept.append(part)
+        except DatasetError as error:
+            refusal = error
+    if refusal is not None and not kept:
+        raise refusal
+    return replace(options, parts=tuple(kept))
 
 
 def _timed(name: str, study: Callable[[], Rows]) -> str:

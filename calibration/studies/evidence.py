@@ -66,7 +66,7 @@ def ranking(samples: Samples, *, higher_is_better: bool = True) -> Standing:
     order = sorted(means, key=lambda method: -sign * means[method].value)
     first, means = order[0], {method: means[method] for method in order}
     if (seeds := min(mean.seeds for mean in means.values())) < MIN_SEEDS:
-        why = f"{seeds} seed{'' if seeds == 1 else 's'} give no interval, at least {MIN_SEEDS} are needed"
+        why = f"with {seeds} seed{'s' * (seeds > 1)} there is no interval, at least {MIN_SEEDS} are needed"
         return Standing(means, None, tuple(order[1:]), why)
     if len(order) == 1:
         return Standing(

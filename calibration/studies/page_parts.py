@@ -62,7 +62,9 @@ def compared_table(
     for method, part in pairs:
         own, theirs = ours[method, part, measure], paper.get((method, part, measure), {})
         lines.append([method, part, *(_both(own.get(a), theirs.get(b)) for a, b, _ in conditions)])
-    return table([COMPARED[measure.removesuffix("_common")], "part", *(title for _, _, title in conditions)], lines)
+    return table(
+        [COMPARED[measure.removesuffix("_common")], "part", *(title for _, _, title in conditions)], lines
+    )
 
 
 def _both(ours: float | None, paper: float | None) -> str:

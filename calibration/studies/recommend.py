@@ -66,8 +66,8 @@ class Answer:
 def _verdict(found: Standing) -> str:
     if found.best is not None:
         return found.best
-    first = next(iter(found.means))
-    return f"undecided between {' and '.join((first, *found.rivals))}: {found.why}"
+    between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
+    return f"undecided{between}: {found.why}"
 
 
 def by_method(rows: Sequence[Row], measure: str) -> dict[str, dict[tuple[str, int], float]]:

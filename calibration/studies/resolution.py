@@ -25,11 +25,11 @@ from calibration.studies.feature_cache import FeatureCache
 from calibration.studies.material import Material
 from calibration.studies.pictures import PressPictures
 from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_out, opened, presses_of, subset
-from calibration.studies.rows import Rows
+from calibration.studies.rows import Rows, read_rows
 from calibration.studies.runner import Show
 from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
 from calibration.studies.stable import StableFractions
-from calibration.studies.study import Options, chosen_places, run_cells
+from calibration.studies.study import ROWS_FILE, Options, check_same, chosen_places, run_cells
 from calibration.studies.views import COMMON, VIEWS, common_map, tiled
 from edge import registry
 from edge.core.detector import Progress
@@ -253,17 +253,28 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
 
 
 def _extract_all(places: Sequence[ViewPlace], options: Options) -> None:
-    """Features of every place in the cache, before any cell runs. Errors: as `look`; StoreError for a small disk."""
-    threads = min(options.jobs, os.cpu_count() or 1)
+    """Features of every place in the cache, before any cell runs.
+
+    Errors: as `look`; StoreError for a small disk; ConfigError for rows from other pictures or another trunk.
+    """
+    rows = read_rows(options.output / ROWS_FILE)
     for place in places:
         _check_room(place)
-        _extract(place, threads, options.show)
+        seen = _extract(place, min(options.jobs, os.cpu_count() or 1), options.show)
+        check_same((row for row in rows if _is_of(row, place)), [seen.material], options.output / ROWS_FILE)
 
 
-def _extract(place: ViewPlace, threads: int, show: Show) -> None:
+def _is_of(row: Mapping[str, Any], place: ViewPlace) -> bool:
+    """Whether a row was made from the pictures of a place."""
+    own: dict[str, object] = {"study": STUDY, "view": place.view, "split": place.split}
+    own |= {"held_out": place.held_out, "most_presses": place.most}
+    return all(row.get(name) == value for name, value in own.items())
+
+
+def _extract(place: ViewPlace, threads: int, show: Show) -> Seen:
     what = f"features of {place.part}/{place.position}, {place.view}, on {place.backbone}"
     with show(what, 100) as advance:
-        look(place, lambda share: advance(int(100 * share)), threads)
+        return look(place, lambda share: advance(int(100 * share)), threads)
 
 
 def _check_room(place: ViewPlace) -> None:

@@ -21,7 +21,16 @@ from edge.core.errors import ConfigError, DatasetError
 from edge.core.suggest import suggestion
 from edge.extras import needs
 
-__all__ = ["ROWS_FILE", "Options", "as_modes", "as_splits", "chosen_places", "prepare", "run_cells"]
+__all__ = [
+    "ROWS_FILE",
+    "Options",
+    "as_modes",
+    "as_splits",
+    "check_same",
+    "chosen_places",
+    "prepare",
+    "run_cells",
+]
 
 ROWS_FILE = "rows.jsonl"
 
@@ -129,11 +138,12 @@ def run_cells(
 ) -> Rows:
     """Run the cells that have no row in the output folder yet.
 
-    materials: what the cells are made from; rows of the same places must be from the same. Errors: ConfigError where
-    they are not; else as `calibration.studies.runner.run`.
+    materials: what the cells are made from; rows of this study and the same places must be from the same. Errors:
+    ConfigError where they are not; else as `calibration.studies.runner.run`.
     """
     rows = Rows(options.output / ROWS_FILE, say or _say)
-    check_same(rows.read(), materials, rows.path)
+    studies = {cell.study for cell in cells}
+    check_same((row for row in rows.read() if row["study"] in studies), materials, rows.path)
     run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
     return rows
 

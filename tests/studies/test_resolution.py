@@ -14,7 +14,7 @@ from calibration.studies.resolution import ViewPlace, capped_presses, study_reso
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from calibration.studies.views import COMMON, VIEWS, common_map
-from edge.core.errors import DatasetError
+from edge.core.errors import ConfigError, DatasetError
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +104,14 @@ def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
     refused = gelgate("study", "resolution", dataset, "-o", tmp_path, "--view", "hr_tild").sentence()
 
     assert refused == "no view is named 'hr_tild'; did you mean 'hr_tiled'?"
+
+
+def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
+    """A folder with rows of one dataset does not take rows of another, in any view."""
+    asked = options(study_dataset(tmp_path / "one", positions=("pos1",)), tmp_path / "rows")
+    study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
+    file = sorted((tmp_path / "one").glob("PZ3/pos1/rgb_320x240/*.png"))
+    for name in file:
+        name.write_bytes(file[0].read_bytes())
+    with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
+        study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
