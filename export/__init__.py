@@ -13,6 +13,16 @@ if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
     from export.bundle_stages import bundle_stages, compared_with
     from export.external_graph import WrapConfig, wrap_files
+    from export.importers.api import (
+        ImportedBundle,
+        ImportOptions,
+        import_detector,
+        import_fapm,
+        import_inreach,
+        import_padim,
+        import_patchcore,
+        import_spade,
+    )
     from export.merge import merge_bundle, merged_graph
     from export.openvino_model import write_openvino
     from export.parity import ParityReport, Stage, compare, order_stage
@@ -23,6 +33,16 @@ _HOMES = {
     "backbone": ("BackboneExport", "BackboneOptions", "export_backbone"),
     "bundle_stages": ("bundle_stages", "compared_with"),
     "external_graph": ("WrapConfig", "wrap_files"),
+    "importers.api": (
+        "ImportOptions",
+        "ImportedBundle",
+        "import_detector",
+        "import_fapm",
+        "import_inreach",
+        "import_padim",
+        "import_patchcore",
+        "import_spade",
+    ),
     "merge": ("merge_bundle", "merged_graph"),
     "openvino_model": ("write_openvino",),
     "parity": ("ParityReport", "Stage", "compare", "order_stage"),
@@ -35,6 +55,8 @@ __all__ = [
     "BackboneExport",
     "BackboneOptions",
     "GraphInput",
+    "ImportOptions",
+    "ImportedBundle",
     "ParityReport",
     "Stage",
     "WrapConfig",
@@ -44,6 +66,12 @@ __all__ = [
     "compare",
     "compared_with",
     "export_backbone",
+    "import_detector",
+    "import_fapm",
+    "import_inreach",
+    "import_padim",
+    "import_patchcore",
+    "import_spade",
     "in_precision",
     "measured",
     "merge_bundle",
