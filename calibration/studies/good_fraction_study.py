@@ -67,6 +67,7 @@ class GoodFraction:
         rows = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
         overrides = overrides_for(cell.method, cell.mode, cell.backbone)
         taps = detector.taps(detector.parameters(cell.mode, **overrides))
+        specimens = found.presses.specimens
         measured = fit_and_score(
             detector,
             cell.mode,
@@ -79,7 +80,7 @@ class GoodFraction:
         return {
             **measured,
             "pool": len(held.pool),
-            "specimens": len({found.presses.specimens[row] for row in rows}),
+            "specimens": len({specimens[row] for row in rows}),
             **found.facts,
         }
 
