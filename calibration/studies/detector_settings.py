@@ -1,6 +1,6 @@
 """Which taps a method reads from a backbone, and what is changed where the backbone lacks those of the mode."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -10,7 +10,7 @@ from edge.core.detector import Detector, Mode
 from edge.core.errors import ConfigError, FitError
 from edge.model.onnx_validation import output_names
 
-__all__ = ["overrides_for", "taps_of"]
+__all__ = ["overrides_for", "taps_of", "written"]
 
 
 @lru_cache(maxsize=64)
@@ -31,6 +31,14 @@ def overrides_for(method: str, mode: Mode, backbone: str) -> dict[str, Any]:
             f"{', '.join(given)}; export a trunk with these taps, or leave the method or the mode out"
         )
     return {"taps": tuple(given), "grid_tap": given[len(given) // 2]}
+
+
+def written(overrides: Mapping[str, Any]) -> str:
+    """Changed parameters as text for a row."""
+    return "; ".join(
+        f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
+        for name, value in overrides.items()
+    )
 
 
 def _given(backbone: str, wanted: tuple[str, ...]) -> list[str]:

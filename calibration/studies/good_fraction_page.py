@@ -49,8 +49,18 @@ def _head(rows: "pd.DataFrame") -> str:
 
 
 def _setup(title: str, rows: "pd.DataFrame") -> str:
-    parts = [f"## {title}\n", _plateaus(rows), _levels(rows), _shots(rows), _repeated(rows)]
+    parts = [f"## {title}\n", _changed(rows), _plateaus(rows), _levels(rows), _shots(rows), _repeated(rows)]
     return "\n".join(part for part in parts if part)
+
+
+def _changed(rows: "pd.DataFrame") -> str:
+    if "changed" not in rows:
+        return ""
+    pairs = rows.dropna(subset=["changed"])[["method", "changed"]].drop_duplicates()
+    return "".join(
+        f"{method} runs with {changed}, because the backbone lacks the taps that it reads in this mode.\n"
+        for method, changed in pairs.itertuples(index=False)
+    )
 
 
 def _plateaus(rows: "pd.DataFrame") -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.studies.cells import Cell, Split
-from calibration.studies.detector_settings import overrides_for
+from calibration.studies.detector_settings import overrides_for, written
 from calibration.studies.material import Place, material
 from calibration.studies.presses import hold_out, opened, subset
 from calibration.studies.rows import Rows
@@ -82,6 +82,7 @@ class GoodFraction:
             "pool": len(held.pool),
             "specimens": len({specimens[row] for row in rows}),
             **found.facts,
+            **({"changed": written(overrides)} if overrides else {}),
         }
 
 
