@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench test-hardware kernel-lab clean
+.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench test-hardware kernel-lab detectability clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -48,6 +48,10 @@ heads: $(VENV)/.test
 # The shape of the source: rooms, circles, lengths. tests/project/test_shape.py holds the limits.
 measure: $(VENV)/.test
 	$(BIN)/python tests/project/measure.py
+
+# Predicted against measured a90 on simulated parts, and a90 on real presses; the table of docs/detectability.md.
+detectability: $(VENV)/.test
+	$(BIN)/pytest tests/bench/test_detectability.py -m bench -s
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s

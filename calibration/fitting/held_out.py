@@ -44,12 +44,15 @@ class Learner:
         taps = {tap: maps for tap, maps in features.items() if tap in wanted}
         return np.array([_head_score(head, {**_chosen(taps, [k]), **stored}) for k in rows])
 
-    def scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Scores of the presses held out, by a bank of the others with the same share of room as the final bank."""
+    def bank_without(self, nominal: Nominal, held: NDArray[np.int64]) -> Bank:
+        """A bank of the other presses, with the same share of room as the final bank. Errors: FitError."""
         kept = np.setdiff1d(np.arange(nominal.presses), held)
         room = nominal.room * len(kept) / nominal.presses
-        rest = replace(nominal, features=_chosen(nominal.features, kept), room=room)
-        return self.scores(self.bank(rest), nominal.features, held.tolist())
+        return self.bank(replace(nominal, features=_chosen(nominal.features, kept), room=room))
+
+    def scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Scores of the presses held out, by a bank of the others."""
+        return self.scores(self.bank_without(nominal, held), nominal.features, held.tolist())
 
 
 def held_out_scores(

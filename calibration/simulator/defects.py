@@ -12,7 +12,10 @@ from calibration.simulator.field_of_view import F32, Field, grids
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.shapes import f32, ramp, rotate
 
-__all__ = ["DEFECTS", "Damaged", "Defect", "place_defect"]
+__all__ = ["DEFECTS", "DENT_DEPTH_MM", "SCRATCH_DEPTH_MM", "Damaged", "Defect", "place_defect"]
+
+# Depths at severity 1.
+DENT_DEPTH_MM, SCRATCH_DEPTH_MM = 0.4, 0.16
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,9 @@ def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     d = piece.defect
     r = np.sqrt(along * along + across * across) / np.float32(0.8 * d.width)
     rim = reproducible_math.exp(-(((r - 1.05) / 0.22) ** 2))
-    return f32(height - np.float32(0.4 * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim)
+    return f32(
+        height - np.float32(DENT_DEPTH_MM * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim
+    )
 
 
 def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -109,7 +114,10 @@ def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     lips = reproducible_math.exp(-(((u - 1.5) / 0.45) ** 2))
     furrow = np.maximum(1 - u, 0)
     return f32(
-        height + along_it * np.float32(d.severity) * (np.float32(0.025) * lips - np.float32(0.16) * furrow)
+        height
+        + along_it
+        * np.float32(d.severity)
+        * (np.float32(0.025) * lips - np.float32(SCRATCH_DEPTH_MM) * furrow)
     )
 
 

@@ -105,6 +105,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
 
 
 def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
+    from edge.model.detectability import detectability_lines
     from edge.model.licence import licence_sentence
 
     rows = []
@@ -134,6 +135,8 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
         )
     if manifest.accuracy:
         rows.append(("accuracy", ", ".join(f"{k} {v:.4f}" for k, v in manifest.accuracy.items())))
+    if manifest.detectability:
+        rows += [("detectability", line) for line in detectability_lines(manifest.detectability)]
     origin = manifest.provenance
     rows.append(
         (

@@ -15,6 +15,7 @@ from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import Tiles
 from edge.core.verdict import Verdict, decide
+from edge.model.detectability import CheckedFacts, DetectabilityCard
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -326,7 +327,7 @@ class Facts(_Entry):
     mode: Mode | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     repairs: tuple[str, ...] = ()
-    facts: dict[str, Any] = Field(default_factory=dict)
+    facts: CheckedFacts = Field(default_factory=dict)
     profile: ProfileEntry
     region: RegionEntry
     grid: GridEntry | None = None
@@ -337,6 +338,11 @@ class Facts(_Entry):
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
     provenance: Provenance
+
+    @property
+    def detectability(self) -> DetectabilityCard | None:
+        """The smallest damage that the bundle finds, where it was measured."""
+        return DetectabilityCard.of(self.facts)
 
 
 class Manifest(Facts):

@@ -1,0 +1,61 @@
+"""Damage of known size as a change of a part's height: the simulator's dents and scratches, and bumps."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.simulator.defects import DENT_DEPTH_MM, SCRATCH_DEPTH_MM, Damaged, Defect
+from calibration.simulator.field_of_view import F32
+
+__all__ = ["KINDS", "Damage", "Kind", "Spot"]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of damage. shape: the simulator's defect, whose severity 1 is `largest_mm` deep. sign: -1 raises it."""
+
+    shape: str
+    largest_mm: float
+    sign: int = 1
+
+
+KINDS: Mapping[str, Kind] = {
+    "dent": Kind("dent", DENT_DEPTH_MM),
+    "bump": Kind("dent", DENT_DEPTH_MM, -1),
+    "scratch": Kind("scratch", SCRATCH_DEPTH_MM),
+}
+"""A dent is round, with a low rim; a bump is a dent upside down; a scratch is a furrow with raised lips. Width grows
+with the root of the depth: a dent of 0.1 mm is 1.2 mm wide, one of 0.4 mm 1.6 mm."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where damage lies: its centre in mm, x right and y down from the middle of the region, and its direction."""
+
+    x_mm: float
+    y_mm: float
+    turn_rad: float
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Damage of one kind and size at one spot. size_mm: its depth, or a bump's height."""
+
+    kind: str
+    size_mm: float
+    spot: Spot
+
+    def defect(self) -> Defect:
+        """The same for the simulator. Errors: ValueError for a size beyond the kind's largest."""
+        kind, spot = KINDS[self.kind], self.spot
+        return Defect(kind.shape, self.size_mm / kind.largest_mm, (spot.x_mm, spot.y_mm), spot.turn_rad)
+
+    def relief(self, x_mm: F32, y_mm: F32) -> F32:
+        """The change of the part's height in mm at points of the region, float32 like them."""
+        changed = Damaged(_flat, self.defect())(x_mm, y_mm)
+        return np.asarray(KINDS[self.kind].sign * changed, np.float32)
+
+
+def _flat(x_mm: F32, y_mm: F32) -> F32:
+    return np.zeros_like(x_mm)

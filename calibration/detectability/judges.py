@@ -1,0 +1,172 @@
+"""Who judges a press: the bundle itself where it has not learnt the press, else a bank fitted without it.
+
+A bank that knows the press that is edited compares damage with its own sound picture and finds more than it will on the
+line.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.detectability.search import Judge
+from calibration.fitting.features import extract
+from calibration.fitting.folds import held_out_folds
+from calibration.fitting.held_out import Learner
+from calibration.fitting.nominal_presses import NominalPresses
+from edge import registry
+from edge.core.detector import Nominal
+from edge.core.errors import DatasetError
+from edge.model.bundle import Bundle, Graphs, bundle_files
+from edge.model.detectability import JudgedBy
+from edge.model.scorer import Scorer
+from edge.model.session import TrunkSessions, open_session
+
+__all__ = ["MIN_PRESSES", "Panel", "panel"]
+
+MIN_PRESSES = 4
+"""Of presses to edit: with fewer no bound is known at a place."""
+
+_FOLDS = 5
+
+Advance = Callable[[float], None]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Presses that may be edited, by their index in a random order, each with its judge. by: which judges they are."""
+
+    judges: dict[int, Judge]
+    by: JudgedBy
+
+
+def panel(bundle: Bundle, presses: NominalPresses, seed: int, threads: int, progress: Advance) -> Panel:
+    """Judges of the presses apart from the fit where there are enough, else of learnt ones.
+
+    Errors: DatasetError for too few presses, or learnt ones that are not complete.
+    """
+    learnt = [k for k, name in enumerate(presses.names) if name in bundle.manifest.provenance.presses]
+    apart = _apart(bundle, presses)
+    if bundle.manifest.detector is not None:
+        return _by_bundle(bundle, _shuffled([*learnt, *apart], seed), threads, "third party's graph")
+    if len(apart) >= MIN_PRESSES:
+        return _by_bundle(bundle, _shuffled(apart, seed), threads, "presses apart")
+    _require_complete(bundle, len(learnt), len(apart))
+    return _by_folds(bundle, _only(presses, learnt), learnt, seed, threads, progress)
+
+
+def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
+    """The presses that the fit neither learnt nor left out. Errors: DatasetError where one was under another name."""
+    origin = bundle.manifest.provenance
+    known = {*origin.presses, *origin.left_out}
+    apart = [k for k, name in enumerate(presses.names) if name not in known]
+    golden = {frame.rgb.tobytes() for frame in bundle.golden}
+    for k in apart:
+        if presses.frames[k].tobytes() in golden:
+            raise DatasetError(
+                f"press {presses.names[k]} is one that bundle {bundle.where} has learnt, under another name; give the "
+                "sources of the fit as they were, or presses that it has not learnt"
+            )
+    return apart
+
+
+def _require_complete(bundle: Bundle, found: int, apart: int) -> None:
+    """Errors: DatasetError where no bank without a press can be fitted as the bundle was."""
+    expected = len(bundle.manifest.provenance.presses)
+    if found == expected >= MIN_PRESSES:
+        return
+    raise DatasetError(
+        f"{apart} presses that bundle {bundle.where} has not learnt were given, and {found} of the {expected} that it "
+        f"has; give at least {MIN_PRESSES} that it has not learnt, or all {expected} others: then banks are fitted "
+        "without each"
+    )
+
+
+def _shuffled(indices: Sequence[int], seed: int) -> list[int]:
+    """In an order drawn by the seed. Errors: DatasetError for too few."""
+    if len(indices) < MIN_PRESSES:
+        raise DatasetError(
+            f"{len(indices)} press{'' if len(indices) == 1 else 'es'} to edit, at least {MIN_PRESSES} are needed for a "
+            "probability of detection; give more presses"
+        )
+    return [indices[k] for k in np.random.default_rng(seed).permutation(len(indices)).tolist()]
+
+
+def _by_bundle(bundle: Bundle, chosen: Sequence[int], threads: int, by: JudgedBy) -> Panel:
+    judge = Judge(Scorer(bundle, threads), bundle.manifest)
+    return Panel(dict.fromkeys(chosen, judge), by)
+
+
+def _by_folds(
+    bundle: Bundle,
+    learnt: NominalPresses,
+    indices: Sequence[int],
+    seed: int,
+    threads: int,
+    progress: Advance,
+) -> Panel:
+    """Banks without a fold each, as the fit made them for the threshold. indices: of the learnt presses."""
+    folds = _Folds(bundle, learnt, threads)
+    specimens = learnt.specimens or (None,) * len(learnt)
+    rng = np.random.default_rng(bundle.manifest.provenance.seed or 0)
+    judges: dict[int, Judge] = {}
+    found, _ = held_out_folds(specimens, _FOLDS, rng)
+    for number, held in enumerate(found):
+        judges |= dict.fromkeys((indices[k] for k in held.tolist()), folds.judge(held))
+        progress((number + 1) / len(found))
+    return Panel({k: judges[k] for k in _shuffled(indices, seed)}, "folds")
+
+
+class _Folds:
+    """The bundle's own fit, repeated without some of its presses."""
+
+    def __init__(self, bundle: Bundle, learnt: NominalPresses, threads: int) -> None:
+        manifest, grid = bundle.manifest, bundle.grid
+        assert grid is not None  # a bundle without a single graph has trunk, head and grid
+        self.bundle, self.threads, self.trunks = bundle, threads, TrunkSessions(threads)
+        detector = registry.detector(manifest.method)
+        settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
+        parameters = detector.parameters(manifest.mode or "corrected", **settings)
+        self.learner = Learner(detector, grid, parameters, manifest.provenance.seed or 0, threads)
+        session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
+        features = extract(session, learnt.frames, grid, lambda fraction: None)
+        free = learnt.no_contact
+        no_contact = None if free is None else extract(session, free, grid, lambda fraction: None)
+        self.nominal = Nominal(features, learnt.touched, no_contact)
+
+    def judge(self, held: NDArray[np.int64]) -> Judge:
+        """The judge of the presses held out. Errors: FitError."""
+        whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
+        graphs = Graphs(trunk=whole.graphs.trunk, head=self.learner.head(bank))
+        assert whole.manifest.backbone is not None
+        manifest, files = bundle_files(
+            whole.manifest,
+            graphs,
+            bank,
+            backbone=whole.manifest.backbone.id,
+            free_gel=whole.free_gel,
+            free_view=whole.free_view,
+        )
+        fold = Bundle.in_memory(
+            manifest, files, f"{whole.where} without {len(held)} presses", loaded=self.trunks
+        )
+        return Judge(Scorer(fold, self.threads, self.trunks), whole.manifest)
+
+
+def _only(presses: NominalPresses, rows: Sequence[int]) -> NominalPresses:
+    """Those presses alone."""
+    return replace(
+        presses,
+        frames=presses.frames[list(rows)],
+        names=_chosen(presses.names, rows),
+        specimens=_chosen(presses.specimens, rows),
+        touches=_chosen(presses.touches, rows),
+        reliefs=_chosen(presses.reliefs, rows),
+    )
+
+
+def _chosen(values: tuple[T, ...], rows: Sequence[int]) -> tuple[T, ...]:
+    return tuple(values[k] for k in rows) if values else ()

@@ -1,0 +1,78 @@
+"""A real press with damage that was not there: the change of the picture is rendered, everything else stays real."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.detectability.compression import compressed, is_compressed, uncompressed
+from calibration.detectability.damage import Damage
+from calibration.detectability.imprint import Station
+from calibration.simulator import gel
+from calibration.simulator.field_of_view import F32, grids
+from calibration.simulator.renderer import MASK_DEPTH_MM
+
+__all__ = ["EditedPress"]
+
+U8 = NDArray[np.uint8]
+
+# A point is in contact where it is pushed by more than this share of the imprint's height: on simulated parts nine in
+# ten such points touch, and four in five of those that touch are such points.
+_PUSHED_SHARE = 0.25
+_HIGHEST_PERCENT = 98.0
+
+
+@dataclass(frozen=True, eq=False)
+class EditedPress:
+    """One press into which damage is rendered. rgb: uint8 (h, w, 3) of the station's region."""
+
+    station: Station
+    rgb: U8
+
+    @cached_property
+    def surface(self) -> F32:
+        """The gel's surface, mm, float32 (h, w)."""
+        return self.station.surface(self.rgb)
+
+    @cached_property
+    def contact(self) -> NDArray[np.bool_]:
+        """Where the part touches the gel, bool (h, w): damage elsewhere does not show. None for noise alone."""
+        height = float(np.percentile(self.surface, _HIGHEST_PERCENT))
+        if height < MASK_DEPTH_MM:
+            return np.zeros(self.surface.shape, np.bool_)
+        return np.asarray(self.station.pressure(self.surface) > _PUSHED_SHARE * height)
+
+    def damaged(self, damage: Damage) -> U8:
+        """The press with the damage, uint8 (h, w, 3).
+
+        The part's height is known where it touches; there the damage is added, and the gel is pressed on it again. The
+        picture changes by the difference between the light on the two surfaces, so noise, grain, dust and marks stay.
+        Where the picture was compressed, it is compressed again.
+        """
+        changed = self.station.light(self.surface + self._pressed(damage) - self._sound) - self._lit
+        rgb = np.clip(np.rint(self._seen + changed), 0, 255).astype(np.uint8)
+        return rgb if self._seen is self.rgb else compressed(rgb, self.station.region)
+
+    @cached_property
+    def _seen(self) -> U8 | F32:
+        """The press before its compression, as far as that can be known; itself where it was not compressed."""
+        region = self.station.region
+        return uncompressed(self.rgb, region) if is_compressed(self.rgb, region) else self.rgb
+
+    def _pressed(self, damage: Damage) -> F32:
+        field = self.station.field
+        part = self._part + np.where(self.contact, damage.relief(*grids(field)), np.float32(0))
+        return gel.deformation(np.asarray(np.maximum(part, 0), np.float32), field)
+
+    @cached_property
+    def _part(self) -> F32:
+        return np.where(self.contact, self.surface, np.float32(0))
+
+    @cached_property
+    def _sound(self) -> F32:
+        return gel.deformation(self._part, self.station.field)
+
+    @cached_property
+    def _lit(self) -> F32:
+        return self.station.light(self.surface)

@@ -1,0 +1,81 @@
+"""One trial: the smallest size of damage, at one spot of one press, that the bundle's verdict finds."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.detectability.damage import KINDS, Damage, Spot
+from calibration.detectability.rendering import EditedPress
+from calibration.simulator.field_of_view import Field, grids
+from edge.core.verdict import Kind as Result
+from edge.model.manifest import Manifest
+from edge.model.scorer import Scored, Scorer
+
+__all__ = ["Judge", "sizes_mm", "smallest_found"]
+
+# A score map's peak may lie this far outside the damage: a cell of the deepest tap is 16 pixels, 1.0 mm at 320x240.
+_OUTSIDE_MM = 1.0
+# Damage is where it is deeper than this share of its size: a rim has no end.
+_EDGE_SHARE = 0.05
+# The smallest size tried, as a share of the largest, and the number of sizes: each is 1.13 times the one before.
+_SMALLEST_SHARE, _SIZES = 1 / 50, 33
+
+
+def sizes_mm(kind: str) -> tuple[float, ...]:
+    """The sizes that are tried, rising by equal factors."""
+    largest = KINDS[kind].largest_mm
+    return tuple(round(float(a), 5) for a in np.geomspace(_SMALLEST_SHARE * largest, largest, _SIZES))
+
+
+def smallest_found(is_found: Callable[[float], bool], sizes: Sequence[float]) -> tuple[float, float]:
+    """The smallest size that is found, as (largest missed, smallest found], by halving.
+
+    (0, a] where the first is found already, (a, inf) where the last is missed. Larger damage is taken to be found if
+    smaller damage is: sizes between are not tried.
+    """
+    if not is_found(sizes[-1]):
+        return sizes[-1], math.inf
+    missed, found = -1, len(sizes) - 1
+    while found - missed > 1:
+        middle = (missed + found) // 2
+        missed, found = (missed, middle) if is_found(sizes[middle]) else (middle, found)
+    return (0.0 if missed < 0 else sizes[missed]), sizes[found]
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """The verdict on one press by a bank that has not learnt it. manifest: with the limit and its tolerance."""
+
+    scorer: Scorer
+    manifest: Manifest
+
+    def passes(self, rgb: NDArray[np.uint8]) -> bool:
+        """Whether the press passes as it is. Errors: NotScorable."""
+        return self._result(self.scorer.score(rgb)) is Result.PASS
+
+    def finds(self, press: EditedPress, damage: Damage) -> bool:
+        """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable."""
+        scored = self.scorer.score(press.damaged(damage))
+        if self._result(scored) is not Result.FAIL:
+            return False
+        row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)
+        return bool(_surroundings(damage, press.station.field)[row, column])
+
+    def bracket(self, press: EditedPress, kind: str, spot: Spot) -> tuple[float, float]:
+        """The smallest size found at that spot, (missed, found] in mm. Errors: NotScorable."""
+        return smallest_found(lambda size: self.finds(press, Damage(kind, size, spot)), sizes_mm(kind))
+
+    def _result(self, scored: Scored) -> Result:
+        return self.manifest.decide(scored.anomaly_score).kind
+
+
+def _surroundings(damage: Damage, field: Field) -> NDArray[np.bool_]:
+    """The damage and what lies within a cell of it, bool (h, w)."""
+    damaged = np.abs(damage.relief(*grids(field))) > _EDGE_SHARE * damage.size_mm
+    across, down = (2 * round(_OUTSIDE_MM / m) + 1 for m in field.mm_per_px)
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, down))
+    return np.asarray(cv2.dilate(damaged.astype(np.uint8), reach), np.bool_)

@@ -1,0 +1,73 @@
+"""A simulated station that presses one domed part, sound or with damage of known size."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.detectability.damage import KINDS, Damage
+from calibration.simulator.defects import Damaged
+from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.renderer import Exposure, Renderer
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+
+__all__ = ["DEPTH_MM", "PROFILE", "REGION", "Bench", "write"]
+
+PROFILE = profile("cropped_lr")
+REGION = Region(112, 72, 96, 96)
+DEPTH_MM = 0.3
+
+
+def pillow(x_mm: F32, y_mm: F32) -> F32:
+    """A dome 4.4 mm across with two flat grooves, its top at 0."""
+    r2 = x_mm * x_mm + y_mm * y_mm
+    grooves = 0.12 * (np.abs(np.abs(x_mm) - 1.1) < 0.15)
+    return np.asarray(np.maximum(-0.06 * r2, -1.0) - grooves, np.float32)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The simulated station. Presses differ by jitter and noise."""
+
+    gel: Renderer
+
+    def placed(self, number: int) -> Pose:
+        return self.gel.place(Pose(), ("press", number))
+
+    def height(self, number: int) -> F32:
+        """The sound part over the field, mm, float32 (240, 320)."""
+        return sample(pillow, self.placed(number), LR)
+
+    def press(self, number: int, damage: Damage | None = None) -> NDArray[np.uint8]:
+        """One press, uint8 (240, 320, 3), with real damage rendered from the part's geometry on."""
+        placed, part = self.placed(number), pillow
+        if damage is not None:
+            part = _with(damage, placed)
+        imprint = self.gel.imprint(sample(part, placed, LR), DEPTH_MM * placed.depth_factor)
+        return self.gel.expose(self.gel.light(self.gel.surface(imprint)), ("press", number), Exposure())
+
+    def free(self) -> NDArray[np.uint8]:
+        return self.gel.free_gel()
+
+
+def _with(damage: Damage, placed: Pose) -> HeightField:
+    """The part with damage whose spot is in the picture's millimetres."""
+    x, y = damage.spot.x_mm - placed.shift_mm[0], damage.spot.y_mm - placed.shift_mm[1]
+    cos, sin = math.cos(placed.turn_rad), math.sin(placed.turn_rad)
+    defect = damage.defect()
+    moved = replace(
+        defect, at_mm=(cos * x + sin * y, cos * y - sin * x), turn_rad=defect.turn_rad - placed.turn_rad
+    )
+    changed = Damaged(lambda u, v: np.zeros_like(u), moved)
+    return lambda u, v: np.asarray(pillow(u, v) + KINDS[damage.kind].sign * changed(u, v), np.float32)
+
+
+def write(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """A picture, RGB, with the folders above it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), rgb[..., ::-1])
