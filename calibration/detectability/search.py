@@ -3,19 +3,20 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.detectability.damage import KINDS, Damage, Spot
-from calibration.detectability.rendering import EditedPress
+from calibration.detectability.imprint import Station
 from calibration.simulator.field_of_view import Field, grids
 from edge.core.verdict import Kind as Result
 from edge.model.manifest import Manifest
 from edge.model.scorer import Scored, Scorer
 
-__all__ = ["Judge", "sizes_mm", "smallest_found"]
+__all__ = ["Judge", "Press", "sizes_mm", "smallest_found"]
 
 # A score map's peak may lie this far outside the damage: a cell of the deepest tap is 16 pixels, 1.0 mm at 320x240.
 _OUTSIDE_MM = 1.0
@@ -46,6 +47,15 @@ def smallest_found(is_found: Callable[[float], bool], sizes: Sequence[float]) ->
     return (0.0 if missed < 0 else sizes[missed]), sizes[found]
 
 
+class Press(Protocol):
+    """One press that can be shown with damage, uint8 (h, w, 3) of the station's region."""
+
+    @property
+    def station(self) -> Station: ...
+
+    def damaged(self, damage: Damage) -> NDArray[np.uint8]: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Judge:
     """The verdict on one press by a bank that has not learnt it. manifest: with the limit and its tolerance."""
@@ -57,7 +67,7 @@ class Judge:
         """Whether the press passes as it is. Errors: NotScorable."""
         return self._result(self.scorer.score(rgb)) is Result.PASS
 
-    def finds(self, press: EditedPress, damage: Damage) -> bool:
+    def finds(self, press: Press, damage: Damage) -> bool:
         """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable."""
         scored = self.scorer.score(press.damaged(damage))
         if self._result(scored) is not Result.FAIL:
@@ -65,7 +75,7 @@ class Judge:
         row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)
         return bool(_surroundings(damage, press.station.field)[row, column])
 
-    def bracket(self, press: EditedPress, kind: str, spot: Spot) -> tuple[float, float]:
+    def bracket(self, press: Press, kind: str, spot: Spot) -> tuple[float, float]:
         """The smallest size found at that spot, (missed, found] in mm. Errors: NotScorable."""
         return smallest_found(lambda size: self.finds(press, Damage(kind, size, spot)), sizes_mm(kind))
 

@@ -88,7 +88,6 @@ def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path:
     """The bundle keeps every file and field; only its facts gain the card, which `inspect` prints and `load` checks."""
     copy = Path(shutil.copytree(fitted, tmp_path / "bundle"))
     before = json.loads((copy / "manifest.json").read_text())
-    pytest.importorskip("cryptography")
     assert gelgate("keys", "new", tmp_path / "plant").code == 0
     assert gelgate("sign", copy, "--key", tmp_path / "plant.key").code == 0
     outcome = run(copy, [pictures / "apart"], tmp_path / "out", "--no-contact", pictures / "free", "--write")

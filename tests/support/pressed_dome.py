@@ -1,17 +1,16 @@
 """A simulated station that presses one domed part, sound or with damage of known size."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from damaged_part_presses import with_damage
 from numpy.typing import NDArray
 
-from calibration.detectability.damage import KINDS, Damage
-from calibration.simulator.defects import Damaged
+from calibration.detectability.damage import Damage
 from calibration.simulator.field_of_view import F32, LR
-from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
@@ -47,24 +46,12 @@ class Bench:
         """One press, uint8 (240, 320, 3), with real damage rendered from the part's geometry on."""
         placed, part = self.placed(number), pillow
         if damage is not None:
-            part = _with(damage, placed)
+            part = with_damage(pillow, damage, placed)
         imprint = self.gel.imprint(sample(part, placed, LR), DEPTH_MM * placed.depth_factor)
         return self.gel.expose(self.gel.light(self.gel.surface(imprint)), ("press", number), Exposure())
 
     def free(self) -> NDArray[np.uint8]:
         return self.gel.free_gel()
-
-
-def _with(damage: Damage, placed: Pose) -> HeightField:
-    """The part with damage whose spot is in the picture's millimetres."""
-    x, y = damage.spot.x_mm - placed.shift_mm[0], damage.spot.y_mm - placed.shift_mm[1]
-    cos, sin = math.cos(placed.turn_rad), math.sin(placed.turn_rad)
-    defect = damage.defect()
-    moved = replace(
-        defect, at_mm=(cos * x + sin * y, cos * y - sin * x), turn_rad=defect.turn_rad - placed.turn_rad
-    )
-    changed = Damaged(lambda u, v: np.zeros_like(u), moved)
-    return lambda u, v: np.asarray(pillow(u, v) + KINDS[damage.kind].sign * changed(u, v), np.float32)
 
 
 def write(path: Path, rgb: NDArray[np.uint8]) -> None:
