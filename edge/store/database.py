@@ -12,87 +12,18 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
+from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 __all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database"]
 
 # "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
-SCHEMA_VERSION: Final = 1
 
 # How long a writer waits for another transaction; ours take milliseconds, that of a backup tool perhaps a second.
 BUSY_TIMEOUT_S: Final = 5.0
 
 # The write-ahead log is cut back to this after a checkpoint, so that a burst of large heatmaps frees the disk again.
 JOURNAL_LIMIT_BYTES: Final = 16 << 20
-
-_SCHEMA: Final = """
-CREATE TABLE gels (
-    serial        TEXT NOT NULL,
-    gel_id        TEXT NOT NULL,
-    presses       INTEGER NOT NULL DEFAULT 0,
-    limit_presses INTEGER NOT NULL,
-    installed_ns  INTEGER NOT NULL,
-    removed_ns    INTEGER,
-    first_use_ns  INTEGER,
-    last_use_ns   INTEGER,
-    wear_index    REAL,
-    note          TEXT NOT NULL,
-    PRIMARY KEY (serial, gel_id)
-) STRICT;
-CREATE UNIQUE INDEX one_mounted_gel ON gels (serial) WHERE removed_ns IS NULL;
-
-CREATE TABLE presses (
-    number    INTEGER PRIMARY KEY AUTOINCREMENT,
-    press_id  TEXT NOT NULL UNIQUE,
-    time_ns   INTEGER NOT NULL,
-    serial    TEXT NOT NULL,
-    gel_id    TEXT NOT NULL,
-    part      TEXT NOT NULL,
-    position  TEXT,
-    verdict   TEXT NOT NULL,
-    score     REAL,
-    threshold REAL
-) STRICT;
-
--- The payload is the last column: reading the other columns then reads no page of a heatmap.
-CREATE TABLE outbox (
-    row_id       INTEGER PRIMARY KEY AUTOINCREMENT,
-    worth        INTEGER NOT NULL,
-    created_ns   INTEGER NOT NULL,
-    bytes        INTEGER NOT NULL,
-    topic        TEXT NOT NULL,
-    qos          INTEGER NOT NULL,
-    retain       INTEGER NOT NULL,
-    content_type TEXT NOT NULL,
-    expiry_s     INTEGER,
-    payload      BLOB NOT NULL
-) STRICT;
-CREATE INDEX outbox_by_worth ON outbox (worth, row_id);
-CREATE INDEX outbox_by_age ON outbox (created_ns);
-CREATE INDEX outbox_retained ON outbox (topic) WHERE retain = 1;
-
--- One line per row and sink that acknowledged it (`refusal` is NULL) or refused it.
-CREATE TABLE settled (
-    row_id  INTEGER NOT NULL,
-    sink    TEXT NOT NULL,
-    refusal TEXT,
-    PRIMARY KEY (row_id, sink)
-) STRICT, WITHOUT ROWID;
-CREATE TABLE sinks (name TEXT PRIMARY KEY) STRICT, WITHOUT ROWID;
-CREATE TABLE dropped (worth INTEGER PRIMARY KEY, rows INTEGER NOT NULL, bytes INTEGER NOT NULL) STRICT;
-
-CREATE TABLE outbox_size (
-    one INTEGER PRIMARY KEY CHECK (one = 1), rows INTEGER NOT NULL, bytes INTEGER NOT NULL
-) STRICT;
-INSERT INTO outbox_size VALUES (1, 0, 0);
-CREATE TRIGGER outbox_grows AFTER INSERT ON outbox BEGIN
-    UPDATE outbox_size SET rows = rows + 1, bytes = bytes + NEW.bytes;
-END;
-CREATE TRIGGER outbox_shrinks AFTER DELETE ON outbox BEGIN
-    UPDATE outbox_size SET rows = rows - 1, bytes = bytes - OLD.bytes;
-    DELETE FROM settled WHERE row_id = OLD.row_id;
-END;
-"""
 
 # Primary result code to what the operator can do about it. Ref: https://www.sqlite.org/rescode.html
 _ADVICE: Final = {
@@ -177,11 +108,11 @@ def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool) -> No
     if _pragma(connection, "user_version") == SCHEMA_VERSION:
         return
     connection.execute("BEGIN IMMEDIATE")
-    if _pragma(connection, "user_version") != SCHEMA_VERSION:  # no other process was first
-        for statement in _statements(_SCHEMA):
+    for script in MIGRATIONS[_pragma(connection, "user_version") :]:  # none if another process was first
+        for statement in _statements(script):
             connection.execute(statement)
-        connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 
 
@@ -190,6 +121,11 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
     is_empty = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0] == 0
     if not is_empty and _pragma(connection, "application_id") != APPLICATION_ID:
         raise StoreError(f"database {path} belongs to another program; name another file")
+    if version < 0 or (version == 0 and not is_empty):
+        raise StoreError(
+            f"database {path} has schema version {version}, which no gelgate wrote; move it away to keep it for "
+            "repair; a new one is made"
+        )
     if version > SCHEMA_VERSION:
         raise StoreError(
             f"database {path} has schema version {version}, this program knows up to {SCHEMA_VERSION}; "

@@ -8,7 +8,7 @@ next, everything else last, oldest first, each counted.
 
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 from typing import Final, Self
@@ -30,9 +30,6 @@ __all__ = [
 # What a row costs besides its payload: columns, three indexes, page slack. Measured on 4 KiB pages: 150 to 250 bytes.
 ROW_OVERHEAD_BYTES: Final = 256
 
-# 2020-01-01. A gateway without a clock battery starts in 1970; the age of rows from then is unknown.
-EARLIEST_PLAUSIBLE_NS: Final = 1_577_836_800 * 10**9
-
 
 class DropPriority(IntEnum):
     """What is dropped first when there is no room; column `worth` of the tables.
@@ -48,7 +45,7 @@ class DropPriority(IntEnum):
 
 @dataclass(frozen=True)
 class Bounds:
-    """How much may wait. max_bytes: payloads and their rows. max_age_s: since the press, by the wall clock."""
+    """How much may wait. max_bytes: payloads and their rows. max_age_s: of running time (edge.store.running_time)."""
 
     max_bytes: int = 512 << 20
     max_age_s: float = 30 * 86400.0
@@ -72,12 +69,13 @@ class OutboxRow:
 @dataclass(frozen=True)
 class OutboxStatus:
     """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: the number of
-    `heatmap`, `pass` and `fail` rows dropped since the database was made."""
+    `heatmap`, `pass` and `fail` rows dropped since the database was made; aged: those of them dropped for their age."""
 
     rows: int
     bytes: int
     refused: int
     dropped: Mapping[str, int]
+    aged: Mapping[str, int] = field(default_factory=dict)
 
 
 def drop_priority_of(message: Message, verdict: str) -> DropPriority:
@@ -89,14 +87,16 @@ def drop_priority_of(message: Message, verdict: str) -> DropPriority:
     return DropPriority.PASS if verdict == "pass" else DropPriority.FAIL
 
 
-def put(connection: sqlite3.Connection, messages: Iterable[Message], verdict: str, time_ns: int) -> None:
-    """Add messages, in order, inside the caller's transaction."""
+def put(
+    connection: sqlite3.Connection, messages: Iterable[Message], verdict: str, time_ns: int, running_ns: int
+) -> None:
+    """Add messages, in order, inside the caller's transaction. time_ns: wall clock, for people alone."""
     for message in messages:
         if message.retain:
             connection.execute("DELETE FROM outbox WHERE topic = ? AND retain = 1", (message.topic,))
         connection.execute(
-            "INSERT INTO outbox (worth, created_ns, bytes, topic, qos, retain, content_type, expiry_s, payload) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO outbox (worth, created_ns, bytes, topic, qos, retain, content_type, expiry_s, payload, "
+            "running_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 drop_priority_of(message, verdict),
                 time_ns,
@@ -107,18 +107,20 @@ def put(connection: sqlite3.Connection, messages: Iterable[Message], verdict: st
                 message.content_type,
                 message.expiry_s,
                 message.payload,
+                running_ns,
             ),
         )
 
 
-def enforce(connection: sqlite3.Connection, bounds: Bounds, now_ns: int) -> None:
-    """Drop what is too old, then what does not fit, inside the caller's transaction."""
-    oldest_allowed = now_ns - int(bounds.max_age_s * 1e9)
+def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> None:
+    """Drop what is too old, then what does not fit, inside the caller's transaction. running_ns: now."""
+    oldest_allowed = running_ns - int(bounds.max_age_s * 1e9)
     aged = connection.execute(
-        "SELECT row_id, worth, bytes FROM outbox WHERE created_ns BETWEEN ? AND ? AND worth < ?",
-        (EARLIEST_PLAUSIBLE_NS, oldest_allowed, DropPriority.RETAINED),
+        "SELECT row_id, worth, bytes FROM outbox WHERE running_ns < ? AND worth < ?",
+        (oldest_allowed, DropPriority.RETAINED),
     ).fetchall()
     _drop(connection, aged)
+    _count_drops(connection, "dropped_by_age", aged)
     while (excess := _bytes(connection) - bounds.max_bytes) > 0:
         victims = connection.execute(
             "SELECT row_id, worth, bytes FROM outbox WHERE worth < ? ORDER BY worth, row_id LIMIT 64",
@@ -139,14 +141,19 @@ def _enough(victims: Sequence[tuple[int, int, int]], excess: int) -> list[tuple[
     return chosen
 
 
-def _drop(connection: sqlite3.Connection, victims: Iterable[tuple[int, int, int]]) -> None:
-    for row_id, priority, size in victims:
-        connection.execute("DELETE FROM outbox WHERE row_id = ?", (row_id,))
-        connection.execute(
-            "INSERT INTO dropped VALUES (?, 1, ?) "
-            "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
-            (priority, size),
-        )
+def _drop(connection: sqlite3.Connection, victims: Sequence[tuple[int, int, int]]) -> None:
+    connection.executemany("DELETE FROM outbox WHERE row_id = ?", [(row_id,) for row_id, _, _ in victims])
+    _count_drops(connection, "dropped", victims)
+
+
+def _count_drops(
+    connection: sqlite3.Connection, table: str, victims: Iterable[tuple[int, int, int]]
+) -> None:
+    connection.executemany(
+        f"INSERT INTO {table} VALUES (?, 1, ?) "
+        "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
+        [(priority, size) for _, priority, size in victims],
+    )
 
 
 def _bytes(connection: sqlite3.Connection) -> int:
@@ -162,19 +169,21 @@ class Outbox:
     def __init__(self, path: Path) -> None:
         self._database = Database(path, is_durable=False)
 
-    def register(self, sinks: Iterable[str]) -> None:
-        """From now on a row leaves when all of these sinks acknowledged it."""
+    def register(self, sinks: Iterable[str], before: Mapping[str, str] | None = None) -> None:
+        """From now on a row leaves when all of these sinks acknowledged it.
+
+        sinks: names that belong to a receiver, whatever its place in the configuration. before: names of version 0.2
+        and earlier to present ones. What an absent sink has acknowledged is remembered: it may come back.
+        """
         names = sorted(set(sinks))
         with self._database.writing("registering sinks") as connection:
+            _rename(connection, before or {})
             connection.execute("DELETE FROM sinks")
             connection.executemany("INSERT INTO sinks VALUES (?)", [(name,) for name in names])
             if names:
-                marks = ", ".join("?" * len(names))
-                connection.execute(f"DELETE FROM settled WHERE sink NOT IN ({marks})", names)
                 connection.execute(
-                    "DELETE FROM outbox WHERE (SELECT count(*) FROM settled WHERE settled.row_id = outbox.row_id "
-                    "AND refusal IS NULL) = ?",
-                    (len(names),),
+                    "DELETE FROM outbox WHERE NOT EXISTS (SELECT 1 FROM sinks WHERE name NOT IN "
+                    "(SELECT sink FROM settled WHERE settled.row_id = outbox.row_id AND refusal IS NULL))"
                 )
 
     def pending(self, sink: str, limit: int = 16, after: int = 0) -> list[OutboxRow]:
@@ -206,12 +215,21 @@ class Outbox:
         with self._database.writing("noting a refusal") as connection:
             self._settle(connection, row_id, sink, why)
 
-    def offer_refused(self, sink: str) -> int:
-        """Queue the rows that this sink refused again; returns their number."""
+    def offer_refused(self, sink: str, limit: int | None = None, after: int = 0) -> list[int]:
+        """Queue rows that this sink refused again; returns their ids, oldest first.
+
+        limit: at most this number; None for all. after: only rows after this one.
+        """
         with self._database.writing("offering refused rows again") as connection:
-            return connection.execute(
-                "DELETE FROM settled WHERE sink = ? AND refusal IS NOT NULL", (sink,)
-            ).rowcount
+            rows = connection.execute(
+                "SELECT row_id FROM settled WHERE sink = ? AND refusal IS NOT NULL AND row_id > ? "
+                "ORDER BY row_id LIMIT ?",
+                (sink, after, -1 if limit is None else limit),
+            ).fetchall()
+            connection.executemany(
+                "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for (row_id,) in rows]
+            )
+        return [row_id for (row_id,) in rows]
 
     def newest(self) -> int:
         """The id of the newest row that was ever added, 0 before the first."""
@@ -226,10 +244,8 @@ class Outbox:
                 "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"
             ).fetchone()[0]
             dropped = dict(connection.execute("SELECT worth, rows FROM dropped").fetchall())
-        names = {
-            one.name.lower(): dropped.get(one, 0) for one in DropPriority if one is not DropPriority.RETAINED
-        }
-        return OutboxStatus(rows, size, refused, names)
+            aged = dict(connection.execute("SELECT worth, rows FROM dropped_by_age").fetchall())
+        return OutboxStatus(rows, size, refused, _by_name(dropped), _by_name(aged))
 
     def close(self) -> None:
         self._database.close()
@@ -246,3 +262,13 @@ class Outbox:
             "INSERT OR REPLACE INTO settled SELECT row_id, ?, ? FROM outbox WHERE row_id = ?",
             (sink, refusal, row_id),
         )
+
+
+def _by_name(counts: Mapping[int, int]) -> dict[str, int]:
+    return {one.name.lower(): counts.get(one, 0) for one in DropPriority if one is not DropPriority.RETAINED}
+
+
+def _rename(connection: sqlite3.Connection, before: Mapping[str, str]) -> None:
+    """Sinks were once named by their place in the configuration."""
+    for old, new in before.items():
+        connection.execute("UPDATE OR IGNORE settled SET sink = ? WHERE sink = ?", (new, old))

@@ -5,6 +5,7 @@ reads and acknowledges through an `Outbox` on the same file.
 """
 
 import sqlite3
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from edge.store import outbox
 from edge.store.database import Database
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import Bounds
+from edge.store.running_time import RunningTime
 from edge.store.ulid import is_ulid
 
 __all__ = ["GelRecord", "MakeMessages", "PressRecord", "Recorded", "Store"]
@@ -84,7 +86,9 @@ class Store:
         bounds: Bounds | None = None,
         limit_presses: int = DEFAULT_LIMIT_PRESSES,
         warn_fraction: float = DEFAULT_WARN_FRACTION,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
+        self._running = RunningTime(monotonic_ns)
         self._bounds = bounds or Bounds()
         self._limit_presses = limit_presses
         self._warn_fraction = warn_fraction
@@ -115,15 +119,17 @@ class Store:
                 ledger.set_wear(connection, press.serial, press.wear_index)
             ledger.count_press(connection, press.serial, press.time_ns)
             gel = self._mounted(connection, press.serial)
-            recorded = Recorded(gel, _insert(connection, press, gel.gel_id))
-            outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns)
-            outbox.enforce(connection, self._bounds, press.time_ns)
+            running_ns = self._running.store(connection)
+            recorded = Recorded(gel, _insert(connection, press, gel.gel_id, running_ns))
+            outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
+            outbox.enforce(connection, self._bounds, running_ns)
         return recorded
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; an unknown sensor gets its first gel."""
         with self._database.writing(f"reading the gel of sensor {serial}") as connection:
             self._mount_first(connection, serial, time_ns)
+            self._running.store_sometimes(connection)
             return self._mounted(connection, serial)
 
     def gels(self, serial: str | None = None) -> list[GelRecord]:
@@ -148,7 +154,7 @@ class Store:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
             gel = self._mounted(connection, serial)
             if make_messages is not None:
-                outbox.put(connection, make_messages(gel), "", time_ns)
+                outbox.put(connection, make_messages(gel), "", time_ns, self._running.store(connection))
         return gel
 
     def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
@@ -194,11 +200,11 @@ class Store:
         return gel
 
 
-def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str) -> int:
+def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
     """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
     number = connection.execute(
-        "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold) "
-        "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold, "
+        "running_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (
             press.press_id,
             press.time_ns,
@@ -209,6 +215,7 @@ def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str) -> 
             press.verdict,
             press.score,
             press.threshold,
+            running_ns,
         ),
     ).lastrowid
     connection.execute(
