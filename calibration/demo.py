@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from edge.gateway.acquisition import AcquisitionStatus
     from edge.gateway.summary import Summary
     from edge.messaging.local_broker import LocalBroker
-    from edge.messaging.mqtt_connection import Level
+    from edge.messaging.mqtt_broker import Level
 
 __all__ = ["demo"]
 
@@ -242,7 +242,8 @@ def _known_truth(recording: Path) -> _Tally:
 @contextmanager
 def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]]:
     """A subscriber: press id to verdict, in the order of arrival; pictures are saved with the verdict in their name."""
-    from edge.messaging.mqtt_connection import Broker, Connection, Received
+    from edge.messaging.mqtt_broker import Broker, Received
+    from edge.messaging.mqtt_connection import Connection
 
     results: dict[str, str] = {}
 

@@ -35,7 +35,7 @@ def watch(
     import sys
 
     from edge.core.errors import ConfigError
-    from edge.messaging.mqtt_connection import Broker, Tls
+    from edge.messaging.mqtt_broker import Broker, Tls
     from edge.messaging.subscriber import describe, station_filter
     from edge.messaging.subscriber import watch as listen
 

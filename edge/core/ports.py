@@ -1,5 +1,6 @@
 """The ports that plugins open. Each has one or two verbs; optional abilities are separate protocols."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -13,6 +14,7 @@ __all__ = [
     "DiscoveredDevice",
     "Message",
     "OnDemand",
+    "ReportsFaults",
     "Sink",
 ]
 
@@ -106,7 +108,7 @@ class Message:
 
 @runtime_checkable
 class Sink(Protocol):
-    """A receiver of messages, such as an MQTT broker."""
+    """A receiver of messages, such as an MQTT broker. Optional: `ReportsFaults`."""
 
     def send(self, message: Message) -> None:
         """Deliver, and return only when acknowledged. Errors: SinkUnavailable, SinkRejected."""
@@ -114,4 +116,14 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """Disconnect properly. May be called again."""
+        ...
+
+
+@runtime_checkable
+class ReportsFaults(Protocol):
+    """A sink that works, but with faults that a person should correct; they become the alarm `receiver`."""
+
+    @property
+    def faults(self) -> Sequence[str]:
+        """One sentence for each; empty when there is none. Any thread may read it."""
         ...

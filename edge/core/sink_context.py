@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from edge.core.ports import Message
 
-__all__ = ["TOPIC_VERSION", "OnCommand", "Place", "Station", "topic_level", "topic_root"]
+__all__ = ["TOPIC_VERSION", "OnCommand", "OnRefused", "Place", "Station", "topic_level", "topic_root"]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
 TOPIC_VERSION = "v1"
@@ -17,6 +17,9 @@ _LEVEL = re.compile(r"[^\s+#/$\x00]{1,64}")
 
 OnCommand = Callable[[str, bytes], bytes]
 """(verb, request payload) -> response payload. It reports every fault in the response and never raises."""
+
+OnRefused = Callable[[str, bytes, str], bytes]
+"""(verb, request payload, why the sink refuses it unread) -> response payload. Quick, from any thread; never raises."""
 
 
 def _no_messages() -> Sequence[Message]:
@@ -59,7 +62,8 @@ class Station:
 
     root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
     will: left with the broker, which publishes it when this gateway disappears. birth: the first messages of every
-    connection, requested each time. on_command: answers requests, None where commands are not served.
+    connection, requested each time. on_command: answers requests, None where commands are not served. on_refused:
+    makes the answer to a request that the sink refuses, None for no answer.
     """
 
     root: str
@@ -67,6 +71,7 @@ class Station:
     will: Message | None = None
     birth: Callable[[], Sequence[Message]] = _no_messages
     on_command: OnCommand | None = None
+    on_refused: OnRefused | None = None
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

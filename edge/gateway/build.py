@@ -21,7 +21,8 @@ from edge.gateway.preflight import Preflight
 from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.payloads import StatePayload, state_message
-from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.publisher import Publisher
+from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store

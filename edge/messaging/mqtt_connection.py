@@ -1,4 +1,4 @@
-"""One connection to an MQTT broker, at its protocol level: 5, or 3.1.1 where 5 is refused.
+"""One connection to an MQTT broker, at its protocol level: 5, or 3.1.1 where the broker does not speak 5.
 
 Used by the MQTT sink and by subscribers. A `Connection` never reconnects. When it is lost it is discarded with
 everything that the library had queued, so a message that was given up is not sent later.
@@ -8,13 +8,14 @@ Ref: MQTT 5.0 (OASIS, 2019), MQTT 3.1.1 (OASIS, 2014), paho-mqtt 2.x. Seen with 
 """
 
 import contextlib
+import logging
 import socket
 import ssl
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Final, Literal, Self
+from dataclasses import replace
+from functools import partial
+from typing import Final, Self
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
@@ -23,11 +24,20 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
+from edge.messaging.mqtt_broker import (
+    Broker,
+    Level,
+    LevelRefused,
+    LoginRefused,
+    NoAnswer,
+    Outgoing,
+    Received,
+)
 
-__all__ = ["Broker", "Connection", "Level", "LevelRefused", "Outgoing", "Received", "Tls"]
+__all__ = ["Connection", "OnReceived"]
 
-Level = Literal["5", "3.1.1"]
+log = logging.getLogger(__name__)
 
 # PUBACK codes that refuse a message for ever: not authorized, topic name invalid, payload format invalid. The other
 # failures (quota, unspecified, implementation specific) are about the broker's present state and may end.
@@ -40,74 +50,14 @@ _PACKET_OVERHEAD_BYTES: Final = 128
 # as one of 3.1.1, and waits for bytes that never come.
 _LEVEL_TRIAL_S: Final = 2.0
 
+# Another client with the same client id has connected. Ref: MQTT 5.0, 3.14.2.1.
+_TAKEN_OVER: Final = 0x8E
+
+# The library's reason after 1.5 times `keepalive_s` without a packet.
+_SILENT: Final = 0x8D
+
 _RETAIN_SEND_ON_SUBSCRIBE: Final = 0
 _RETAIN_DO_NOT_SEND: Final = 2
-
-
-@dataclass(frozen=True)
-class Tls:
-    """ca: the authorities to trust, None for the system's. cert and key: this client's own, for mutual TLS."""
-
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
-
-    def context(self) -> ssl.SSLContext:
-        """The verified context. Errors: ConfigError for a file that is missing or not a certificate."""
-        try:
-            context = ssl.create_default_context(cafile=self.ca)
-            if self.cert is not None:
-                context.load_cert_chain(self.cert, self.key)
-        except (OSError, ssl.SSLError) as error:
-            files = ", ".join(str(path) for path in (self.ca, self.cert, self.key) if path is not None)
-            raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
-        return context
-
-
-@dataclass(frozen=True)
-class Broker:
-    """The broker's address and protocol. level None tries 5, then 3.1.1."""
-
-    host: str
-    port: int
-    client_id: str
-    username: str | None = None
-    password: str | None = None
-    tls: ssl.SSLContext | None = None
-    keepalive_s: int = 15
-    timeout_s: float = 10.0
-    level: Level | None = None
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
-
-    def __repr__(self) -> str:
-        return f"Broker({self}, client_id={self.client_id!r})"  # never the password
-
-
-@dataclass(frozen=True)
-class Outgoing:
-    """What `publish` sends; also the form of a last will. `topic` is the full one."""
-
-    topic: str
-    payload: bytes
-    qos: int = 1
-    retain: bool = False
-    content_type: str | None = None
-    expiry_s: int | None = None
-    correlation: bytes | None = None
-
-
-@dataclass(frozen=True)
-class Received:
-    """A message from the broker. response_topic and correlation exist only at level 5."""
-
-    topic: str
-    payload: bytes
-    qos: int
-    retain: bool
-    response_topic: str | None = None
-    correlation: bytes | None = None
 
 
 OnReceived = Callable[[Received], None]
@@ -131,15 +81,37 @@ class Connection:
 
         Errors: SinkUnavailable, which says whether the broker is absent, silent, or refuses the connection.
         """
+        make = partial(cls, will=will, on_received=on_received, on_lost=on_lost)
         if broker.level is not None:
-            return cls(broker, broker.level, will, on_received, on_lost)
+            return make(broker, broker.level)
         trial = replace(broker, timeout_s=min(broker.timeout_s, _LEVEL_TRIAL_S))
         try:
-            connection = cls(trial, "5", will, on_received, on_lost)
-            connection.broker = broker
-            return connection
+            return make(trial, "5")._with(broker)
         except LevelRefused:
-            return cls(broker, "3.1.1", will, on_received, on_lost)
+            return make(broker, "3.1.1")
+        except NoAnswer as silence:
+            try:
+                cls(broker, "3.1.1", None, None, lambda: None).close()
+            except NoAnswer:
+                raise silence from None
+            # It answers at 3.1.1, so it is awake now. Before, it may have hung; a second silence is about level 5.
+            try:
+                return make(trial, "5")._with(broker)
+            except (LevelRefused, NoAnswer):
+                log.warning("%s; MQTT 3.1.1 is used, which it answers", silence)
+                return make(broker, "3.1.1")
+
+    @classmethod
+    def speaks_5(cls, broker: Broker) -> bool:
+        """Whether the broker answers at level 5, tried with another client id; a refused login is an answer too."""
+        trial = replace(broker, client_id=f"{broker.client_id}-level", timeout_s=_LEVEL_TRIAL_S)
+        try:
+            cls(trial, "5", None, None, lambda: None).close()
+        except LoginRefused:
+            return True
+        except SinkUnavailable:
+            return False
+        return True
 
     def __init__(
         self,
@@ -152,6 +124,8 @@ class Connection:
         self.broker = broker
         self.level: Level = level
         self.why_lost = ""
+        self.was_given_up = False  # lost because the broker was silent, not because it closed the connection
+        self.was_taken_over = False  # lost because another client has the same client id
         self._on_received = on_received
         self._on_lost = on_lost
         self._changed = threading.Condition()
@@ -163,6 +137,11 @@ class Connection:
         self._client = self._make_client(will)
         self._establish()
 
+    def _with(self, broker: Broker) -> Self:
+        """The same connection, with the time limits of this broker."""
+        self.broker = broker
+        return self
+
     @property
     def is_up(self) -> bool:
         return self._is_established and not self._is_lost
@@ -173,7 +152,7 @@ class Connection:
         Errors: SinkRejected for this message; SinkUnavailable when the connection is lost meanwhile, or when the
         broker does not answer, and then the connection is given up.
         """
-        size = len(message.payload) + len(message.topic.encode()) + _PACKET_OVERHEAD_BYTES
+        size = len(message.payload) + len(message.topic.encode(errors="replace")) + _PACKET_OVERHEAD_BYTES
         if self._largest_packet is not None and size > self._largest_packet:
             raise SinkRejected(
                 f"broker {self.broker} takes packets up to {self._largest_packet} bytes, "
@@ -188,6 +167,12 @@ class Connection:
         except ValueError as error:
             raise SinkRejected(f"a message on {message.topic!r} cannot be sent: {error}") from error
         self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
+
+    def publish_soon(self, message: Outgoing) -> None:
+        """Send at QoS 0 without waiting; lost when the connection is. Only this may be used in `on_received`."""
+        if self.is_up:
+            properties = self._properties(message)
+            self._client.publish(message.topic, message.payload, 0, message.retain, properties)
 
     def subscribe(self, topic_filter: str, *, wants_retained: bool = True) -> None:
         """Subscribe and wait for the acknowledgement. Errors: SinkRejected, SinkUnavailable."""
@@ -247,7 +232,9 @@ class Connection:
 
     def _establish(self) -> None:
         try:
-            self._client.connect(self.broker.host, self.broker.port, self.broker.keepalive_s)
+            self._client.connect(
+                self.broker.host, self.broker.port, self.broker.keepalive_s, properties=self._limits()
+            )
         except ssl.SSLError as error:
             raise SinkUnavailable(
                 f"broker {self.broker}: TLS failed ({error}); check the ca and the host name"
@@ -269,17 +256,22 @@ class Connection:
             raise SinkUnavailable(self._lost_sentence())
 
     def _refusal(self, consent: ReasonCode | None, why: str) -> SinkError:
-        if consent is None and self._is_lost and not why:
-            why = "it closed the connection without an answer"
-        if self.level == "5" and (consent is None or consent.value in (0x01, 0x84)):
-            return LevelRefused(
-                f"broker {self.broker} does not speak MQTT 5 ({consent or why or 'no answer'})"
-            )
         if consent is None:
-            return SinkUnavailable(f"broker {self.broker} does not accept us ({why or 'no answer in time'})")
-        return SinkUnavailable(
+            what = why or ("it closed the connection" if self._is_lost else "it is silent")
+            hint = "; with TLS, it may want this gateway's certificate (tls.cert)" if self.broker.tls else ""
+            return NoAnswer(f"broker {self.broker} does not answer at MQTT {self.level} ({what}){hint}")
+        if self.level == "5" and consent.value in (0x01, 0x84):
+            return LevelRefused(f"broker {self.broker} does not speak MQTT 5 ({consent})")
+        return LoginRefused(
             f"broker {self.broker} refuses the connection: {consent}; check user name, password file and client id"
         )
+
+    def _limits(self) -> Properties | None:
+        if self.level != "5" or self.broker.largest_packet is None:
+            return None
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = self.broker.largest_packet
+        return properties
 
     def _properties(self, message: Outgoing, packet: int = PacketTypes.PUBLISH) -> Properties | None:
         if self.level != "5":
@@ -302,6 +294,7 @@ class Connection:
         if self._is_lost:
             raise SinkUnavailable(self._lost_sentence())
         why = f"it did not acknowledge {what} within {self.broker.timeout_s:g} s"
+        self.was_given_up = True
         self.abandon(why)
         raise SinkUnavailable(f"broker {self.broker}: {why}; the connection is given up")
 
@@ -355,7 +348,16 @@ class Connection:
         reason: ReasonCode,
         properties: Properties | None,
     ) -> None:
-        self._lose("" if reason.value == 0 else str(reason))
+        if reason.value == _SILENT:
+            self.was_given_up = True
+            self._lose("it was silent for longer than keepalive_s")
+        elif not flags.is_disconnect_packet_from_server:
+            self._lose("")  # the library's reason is "Unspecified error"
+        elif reason.value == _TAKEN_OVER:
+            self.was_taken_over = True
+            self._lose(f"another client connected with the client id '{self.broker.client_id}'; give each its own")
+        else:
+            self._lose(str(reason))
 
     def _published(
         self, client: paho.Client, userdata: object, mid: int, reason: ReasonCode, properties: Properties
@@ -391,7 +393,3 @@ class Connection:
                 getattr(properties, "CorrelationData", None),
             )
         )
-
-
-class LevelRefused(SinkUnavailable):
-    """The broker is there but does not speak this level; the next one is tried."""

@@ -12,7 +12,8 @@ from typing import Any, Final
 
 from edge.core.errors import SinkUnavailable
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.mqtt_connection import Broker, Connection, Received
+from edge.messaging.mqtt_broker import Broker, Received
+from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
 __all__ = ["Seen", "describe", "station_filter", "watch"]

@@ -215,16 +215,19 @@ class Outbox:
         with self._database.writing("noting a refusal") as connection:
             self._settle(connection, row_id, sink, why)
 
-    def offer_refused(self, sink: str, limit: int | None = None, after: int = 0) -> list[int]:
+    def offer_refused(
+        self, sink: str, limit: int | None = None, after: int = 0, kind: str | None = None
+    ) -> list[int]:
         """Queue rows that this sink refused again; returns their ids, oldest first.
 
-        limit: at most this number; None for all. after: only rows after this one.
+        limit: at most this number; None for all. after: only rows after this one. kind: only topics with this first
+        level; None for all.
         """
         with self._database.writing("offering refused rows again") as connection:
             rows = connection.execute(
-                "SELECT row_id FROM settled WHERE sink = ? AND refusal IS NOT NULL AND row_id > ? "
-                "ORDER BY row_id LIMIT ?",
-                (sink, after, -1 if limit is None else limit),
+                "SELECT row_id FROM settled JOIN outbox USING (row_id) WHERE sink = ? AND refusal IS NOT NULL "
+                "AND row_id > ? AND (? IS NULL OR topic = ? OR topic LIKE ? || '/%') ORDER BY row_id LIMIT ?",
+                (sink, after, kind, kind, kind, -1 if limit is None else limit),
             ).fetchall()
             connection.executemany(
                 "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for (row_id,) in rows]

@@ -1,112 +1,46 @@
-"""Publishes to an MQTT broker, at level 5 or, if the broker does not support it, 3.1.1.
+"""Publishes to an MQTT broker, at level 5 or, if the broker proves that it does not support it, 3.1.1.
 
 A separate thread keeps the connection, so a broker that is absent is normal: `send` raises SinkUnavailable until the
 broker is back. On every connection the sink first subscribes to the commands and publishes the birth messages of the
 station; only then do other messages pass. The last will says that the station is lost.
 
 What it does not do: it stores nothing (the outbox does), never uses QoS 2 (results carry an id), and has no websockets.
-At level 3.1.1 a broker acknowledges messages that its access rules then discard; only level 5 reports this.
+At level 3.1.1 a broker acknowledges messages that its access rules then discard; only level 5 reports this. So silence
+never leads from 5 to 3.1.1, and a sink at 3.1.1 keeps trying 5.
 
 Ref: MQTT 5.0 and 3.1.1 (OASIS). Seen with mosquitto 2.0.11 and amqtt 0.12.1.
 """
 
-import contextlib
 import logging
-import queue
 import random
 import threading
+import time
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Final, Literal, Self
-
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing import Final, Self
 
 from edge.core.backoff import Backoff
-from edge.core.errors import ConfigError, SinkError, SinkRejected, SinkUnavailable
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.mqtt_connection import Broker, Connection, Level, LevelRefused, Outgoing, Received, Tls
+from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Outgoing, Received
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt_options import MqttOptions
+from plugins.sinks.mqtt_requests import Requests
+from plugins.sinks.mqtt_strikes import Strikes
 
-__all__ = ["Mqtt", "MqttOptions", "MqttSink", "TlsOptions", "plugin"]
+__all__ = ["Mqtt", "MqttSink", "plugin"]
 
 log = logging.getLogger(__name__)
 
-# A level 3.1.1 broker cannot report "too large": it closes the connection. Three closings in a row, each while the same
-# message waited for its acknowledgement on an established connection, are taken as that report.
-STRIKES: Final = 3
+# A sink that speaks 3.1.1 tries level 5 after this time, then after twice as long, up to the second.
+LEVEL_AGAIN_FIRST_S: Final = 10.0
+LEVEL_AGAIN_LAST_S: Final = 600.0
 
-# Requests that may wait while one is answered; a person or a line controller sends fewer at once.
-WAITING_COMMANDS: Final = 16
-
-
-class TlsOptions(BaseModel):
-    """The files of an encrypted connection; an empty table trusts the system's certificate authorities."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    ca: Path | None = Field(
-        default=None,
-        description="PEM of the certificate authorities to trust; those of the system by default",
-    )
-    cert: Path | None = Field(default=None, description="PEM of this gateway's certificate, for mutual TLS")
-    key: Path | None = Field(default=None, description="PEM of the key, if it is not in `cert`")
-
-    @model_validator(mode="after")
-    def _key_with_cert(self) -> Self:
-        if self.key is not None and self.cert is None:
-            raise ValueError("key needs cert; name both files")
-        return self
-
-
-class MqttOptions(BaseModel):
-    """Where the broker is. The password is in a separate file, so that the configuration can be shown."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    host: str = Field(default="localhost", min_length=1, description="the broker's name or address")
-    port: int | None = Field(default=None, ge=1, le=65535, description="by default 1883, or 8883 with TLS")
-    protocol: Literal["auto", "5", "3.1.1"] = Field(
-        default="auto", description="MQTT level; auto: 5, or 3.1.1 if the broker does not support it"
-    )
-    client_id: str | None = Field(
-        default=None,
-        min_length=1,
-        description="unique in the plant; made from the station's names by default",
-    )
-    username: str | None = Field(default=None, description="user name for the broker")
-    password_file: Path | None = Field(default=None, description="file that holds only the password")
-    tls: TlsOptions | None = Field(default=None, description="encrypt the connection; a separate table")
-    keepalive_s: int = Field(
-        default=15, ge=1, le=3600, description="a broker that is silent for 1.5 times this is lost"
-    )
-    acknowledge_s: float = Field(default=10.0, gt=0, description="longest wait for the PUBACK of a message")
-    retry_s: float = Field(default=30.0, ge=1, description="the longest pause between attempts to connect")
-
-    @model_validator(mode="after")
-    def _password_with_name(self) -> Self:
-        if self.password_file is not None and self.username is None:
-            raise ValueError("password_file needs username; give both")
-        return self
-
-    def address(self) -> tuple[str, int]:
-        """Where the broker listens. Errors: ConfigError for a password or TLS file that cannot be used."""
-        broker = self.broker("check")
-        return broker.host, broker.port
-
-    def broker(self, client_id: str) -> Broker:
-        """The broker to connect to. Errors: ConfigError for a password or TLS file that cannot be used."""
-        return Broker(
-            host=self.host,
-            port=self.port or (1883 if self.tls is None else 8883),
-            client_id=self.client_id or client_id,
-            username=self.username,
-            password=None if self.password_file is None else _password(self.password_file),
-            tls=None if self.tls is None else Tls(self.tls.ca, self.tls.cert, self.tls.key).context(),
-            keepalive_s=self.keepalive_s,
-            timeout_s=self.acknowledge_s,
-            level=None if self.protocol == "auto" else self.protocol,
-        )
+# A connection that the broker closes sooner is a short one; that many in a row are no chance.
+SHORT_S: Final = 5.0
+SHORT_ONES: Final = 3
 
 
 class MqttSink:
@@ -120,11 +54,16 @@ class MqttSink:
         self._tried = threading.Event()  # the first attempt to connect has ended
         self._connection: Connection | None = None
         self._worked: Level | None = None  # the level of the last connection
+        self._had_5 = False
         self._why_down = f"not yet connected to broker {broker}"
-        self._struck: tuple[Message | None, int] = (None, 0)
+        self._strikes = Strikes()
+        self._faults: dict[str, str] = {}
+        self._connected_at = 0.0
+        self._short_ones = 0
+        self._level_again_s = LEVEL_AGAIN_FIRST_S
         # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
-        self._requests: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
+        self._requests = Requests(station)
         self._lost = threading.Event()  # of the connection in use, or of the last attempt
         self._threads = [
             threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
@@ -143,6 +82,11 @@ class MqttSink:
         connection = self._connection
         return None if connection is None else connection.level
 
+    @property
+    def faults(self) -> Sequence[str]:
+        """What a person should correct although messages pass, one sentence each."""
+        return [*dict(self._faults).values(), *self._strikes.faults]
+
     def send(self, message: Message) -> None:
         """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected.
 
@@ -157,10 +101,10 @@ class MqttSink:
         try:
             connection.publish(self._outgoing(message))
         except SinkUnavailable as error:
-            self._strike(message, connection, error)
+            if not (connection.is_up or self._closing.is_set()):
+                self._strikes.lost(message, connection, error)
             raise
-        if self._struck[0] == message:
-            self._struck = (None, 0)
+        self._strikes.delivered(message)
 
     def close(self) -> None:
         """Disconnect from the broker, so that it does not publish the will; harmless when repeated."""
@@ -168,10 +112,7 @@ class MqttSink:
         connection = self._connection
         if connection is not None:
             connection.close()
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._requests.get_nowait()
-        self._requests.put(None)
+        self._requests.close()
         for thread in filter(threading.Thread.is_alive, self._threads):
             thread.join(self._broker.timeout_s)
 
@@ -199,25 +140,60 @@ class MqttSink:
             return self._backoff.failed()
         self._backoff.succeeded()
         self._connection = connection
+        self._connected_at = time.monotonic()
         log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
         self._tried.set()
         if self._closing.is_set():
             connection.close()
         return None
 
+    def find_level(self) -> None:
+        """At 3.1.1 by choice of the broker: ask again for level 5, and connect anew if it answers."""
+        connection = self._connection
+        self._level_again_s = min(2 * self._level_again_s, LEVEL_AGAIN_LAST_S)
+        if connection is None or connection.level == "5" or self._broker.level is not None:
+            return
+        if Connection.speaks_5(self._broker):
+            log.info("broker %s speaks MQTT 5 now; connecting again", self._broker)
+            self._worked = None
+            self._level_again_s = LEVEL_AGAIN_FIRST_S
+            connection.close()
+
+    def answer(self, request: Received) -> None:
+        """One turn of the answering thread: do what is asked and publish the response."""
+        if not self._closing.is_set():
+            self._requests.answer(request, self._connection)
+
     def _keep_connected(self) -> None:
         while not self._closing.is_set():
             pause_s = self.step()
-            if pause_s is None:
-                self._lost.wait()
+            if pause_s is not None:
+                self._closing.wait(pause_s)
+            elif self._lost.wait(self._level_again_s):
                 self._note_loss()
             else:
-                self._closing.wait(pause_s)
+                self._faults.pop("client id", None)
+                self.find_level()
+
+    def _serve(self) -> None:
+        while (request := self._requests.next()) is not None:
+            self.answer(request)
 
     def _note_loss(self) -> None:
         connection, self._connection = self._connection, None
         why = connection.why_lost if connection is not None else None
+        if connection is not None and not self._closing.is_set():
+            self._suspect_client_id(connection)
         self._down(f"the connection to broker {self._broker} is lost ({why or 'it was closed'})")
+
+    def _suspect_client_id(self, connection: Connection) -> None:
+        is_short = time.monotonic() - self._connected_at < SHORT_S and not connection.was_given_up
+        self._short_ones = self._short_ones + 1 if is_short else 0
+        if connection.was_taken_over or (self._short_ones >= SHORT_ONES and not self._strikes.is_suspecting):
+            self._faults["client id"] = (
+                f"broker {self._broker} closes this station's connections soon after it accepts them; another client "
+                f"uses the client id '{self._broker.client_id}', it seems: give each its own (client_id)"
+            )
 
     def _connect(self, lost: threading.Event) -> Connection:
         will = self._station.will
@@ -227,36 +203,56 @@ class MqttSink:
             on_received=self._received,
             on_lost=lost.set,
         )
-        self._worked = connection.level
+        self._note_level(connection.level)
         try:
-            if self._station.on_command is not None:
-                connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
-            birth = self._station.birth()
-            for message in birth:
-                connection.publish(self._outgoing(message))
-            self._born = {message.topic: message for message in birth}
+            self._born = self._bear(connection)
         except Exception:
             connection.abandon("its birth failed")
             raise
         return connection
 
+    def _note_level(self, level: Level) -> None:
+        self._worked = level
+        self._had_5 |= level == "5"
+        self._faults.pop("level", None)
+        if level != "5" and self._had_5:
+            self._faults["level"] = (
+                f"broker {self._broker} spoke MQTT 5 and now speaks only 3.1.1, at which it may discard forbidden "
+                'messages without a word; set protocol = "5", and update the broker'
+            )
+
+    def _bear(self, connection: Connection) -> dict[str, Message]:
+        """The first messages of a connection; those published. What the broker refuses stops nothing else."""
+        if self._station.on_command is not None:
+            self._subscribe(connection)
+        birth = self._station.birth()
+        born: dict[str, Message] = {}
+        refusals: list[SinkRejected] = []
+        for message in birth:
+            try:
+                connection.publish(self._outgoing(message))
+                born[message.topic] = message
+            except SinkRejected as error:
+                refusals.append(error)
+        self._strikes.has_proof = bool(born)
+        self._faults.pop("birth", None)
+        if refusals:
+            self._faults["birth"] = f"{len(refusals)} of the station's own messages are refused: {refusals[0]}"
+            log.warning("%s", self._faults["birth"])
+        return born
+
+    def _subscribe(self, connection: Connection) -> None:
+        self._faults.pop("commands", None)
+        try:
+            connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
+        except SinkRejected as error:
+            self._faults["commands"] = f"no request can arrive: {error}"
+            log.warning("%s", self._faults["commands"])
+
     def _down(self, why: str) -> None:
         if why != self._why_down and not self._closing.is_set():
             log.warning("%s", why)
         self._why_down = why
-
-    def _strike(self, message: Message, connection: Connection, error: SinkUnavailable) -> None:
-        if connection.is_up or self._closing.is_set():
-            return
-        struck, strikes = self._struck
-        strikes = strikes + 1 if struck == message else 1
-        self._struck = (message, strikes)
-        if strikes >= STRIKES:
-            self._struck = (None, 0)
-            raise SinkRejected(
-                f"broker {self._broker} closed the connection {strikes} times on the same message on "
-                f"{message.topic}, {len(message.payload)} bytes; it may be larger than the broker allows"
-            ) from error
 
     def _outgoing(self, message: Message) -> Outgoing:
         return Outgoing(
@@ -269,36 +265,7 @@ class MqttSink:
         )
 
     def _received(self, request: Received) -> None:
-        if request.retain:
-            log.warning(
-                "a retained request on %s is ignored: it would run at every connection", request.topic
-            )
-            return
-        try:
-            self._requests.put_nowait(request)
-        except queue.Full:
-            log.warning("a request on %s is dropped: %d are waiting", request.topic, WAITING_COMMANDS)
-
-    def _serve(self) -> None:
-        while (request := self._requests.get()) is not None:
-            self.answer(request)
-
-    def answer(self, request: Received) -> None:
-        """One turn of the answering thread: do what is asked and publish the response."""
-        connection, command = self._connection, self._station.on_command
-        if command is None or self._closing.is_set():
-            return
-        response = Outgoing(
-            request.response_topic or f"{request.topic}/response",
-            command(request.topic.rpartition("/")[2], request.payload),
-            content_type="application/json",
-            correlation=request.correlation,
-        )
-        try:
-            if connection is not None:
-                connection.publish(response)
-        except SinkError as error:
-            log.warning("a response is not delivered: %s", error)
+        self._requests.receive(request, self._connection)  # none while its birth is published
 
 
 class Mqtt(SinkPlugin[MqttOptions]):
@@ -313,10 +280,3 @@ class Mqtt(SinkPlugin[MqttOptions]):
 
 
 plugin = Mqtt()
-
-
-def _password(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"password file {path} cannot be read: {error}") from error

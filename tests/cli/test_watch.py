@@ -12,7 +12,8 @@ import typer
 from edge.cli.watch import watch as watch_command
 from edge.core.errors import SinkUnavailable
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_connection import Broker, Connection, Outgoing
+from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import describe, station_filter, watch
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"

@@ -12,7 +12,7 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
 from edge.gateway.gateway import Gateway
-from edge.messaging.publisher import PublisherLock
+from edge.messaging.publisher_lock import PublisherLock
 
 
 @pytest.fixture

@@ -9,8 +9,10 @@ from recorded_presses import make_press, messages_of, path, store
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_connection import Broker, Connection, Received
-from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
+from edge.messaging.mqtt_broker import Broker, Received
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt_options import MqttOptions
 
 __all__ = ["make_press", "messages_of", "path", "store"]  # fixtures
 
@@ -66,7 +68,7 @@ class Listener:
             assert self._changed.wait_for(lambda: is_heard(self), timeout_s), f"heard only {self.heard}"
 
     def ask(self, verb: str, payload: bytes) -> None:
-        from edge.messaging.mqtt_connection import Outgoing
+        from edge.messaging.mqtt_broker import Outgoing
 
         self._connection.publish(Outgoing(f"{ROOT}/cmd/{verb}", payload))
 

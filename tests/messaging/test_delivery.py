@@ -13,7 +13,8 @@ from edge.core.verdict import Kind
 from edge.gateway.commands import Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
-from edge.messaging.publisher import IDLE_S, Publisher, SinkWorker
+from edge.messaging.publisher import Publisher
+from edge.messaging.sink_worker import IDLE_S, SinkWorker
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Recorded, Store

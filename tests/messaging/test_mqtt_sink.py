@@ -20,8 +20,10 @@ from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message, Sink
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_connection import Broker, Connection, Outgoing
-from plugins.sinks.mqtt import MqttOptions, MqttSink, plugin
+from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt_options import MqttOptions
 
 from .conftest import ROOT, Listener, require
 
@@ -107,7 +109,8 @@ def test_the_will_is_published_when_the_process_dies(
 import time
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from plugins.sinks.mqtt import MqttOptions, plugin
+from plugins.sinks.mqtt import plugin
+from plugins.sinks.mqtt_options import MqttOptions
 will, birth = Message("state", b"lost", retain=True), Message("state", b"ready", retain=True)
 options = MqttOptions(host="127.0.0.1", port={broker.port}, protocol={protocol!r})
 sink = plugin.open(options, Station({ROOT!r}, "dying", will=will, birth=lambda: [birth]))
@@ -372,11 +375,11 @@ class FalseBroker:
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (None, "does not accept us"),
-        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not accept us"),
-        (b"\x20\x02\x00\x01", "refuses the connection|does not accept us"),
+        (None, "does not answer at MQTT 5"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not answer at MQTT 5"),
+        (b"\x20\x02\x00\x01", "refuses the connection|does not answer"),
         (b"\x20\x02\x00\x05", "refuses the connection"),
-        (b"\xff\xff\xff\xff\xff\xff", "does not accept us"),
+        (b"\xff\xff\xff\xff\xff\xff", "does not answer at MQTT 5"),
     ],
     ids=["silence", "a web server", "unsupported level", "not authorized", "garbage"],
 )

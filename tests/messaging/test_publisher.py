@@ -13,8 +13,10 @@ from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Message
 from edge.messaging.payloads import ALARMS, StatePayload, state_message
-from edge.messaging.publisher import IDLE_S, OFFER_REFUSED_S, Publisher, PublisherLock, SinkWorker
+from edge.messaging.publisher import Publisher
+from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
+from edge.messaging.sink_worker import IDLE_S, OFFER_REFUSED_S, SinkWorker
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
 
@@ -227,7 +229,7 @@ def test_a_lost_acknowledgement_means_the_same_press_twice(
 
 
 def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, make_press: MakePress) -> None:
-    """It is counted and kept; an hour later it is offered again."""
+    """It is counted and kept; within a minute it is offered again."""
     sink, clock = ScriptedSink(), HandClock()
     outbox.register(["mqtt"])
     one = worker(outbox, sink, clock=clock)

@@ -6,7 +6,8 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
-from plugins.sinks.mqtt import MqttOptions, plugin
+from plugins.sinks.mqtt import plugin
+from plugins.sinks.mqtt_options import MqttOptions
 
 from .conftest import ROOT
 

@@ -18,7 +18,8 @@ from small_recordings import FakeClock
 from edge.core.ports import Device, DeviceIdentity, Message, Sink
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_connection import Broker, Connection, Received
+from edge.messaging.mqtt_broker import Broker, Received
+from edge.messaging.mqtt_connection import Connection
 from edge.recording.format import RecordingHeader, RecordingWriter
 from plugins.conformance.device import PERIOD_S, SIZE
 from plugins.devices import recorded, usb_mock

@@ -1,0 +1,95 @@
+"""The values and errors of a connection to an MQTT broker."""
+
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from edge.core.errors import ConfigError, SinkUnavailable
+
+__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Outgoing", "Received", "Tls"]
+
+Level = Literal["5", "3.1.1"]
+
+
+@dataclass(frozen=True)
+class Tls:
+    """ca: the authorities to trust, None for the system's. cert and key: this client's own, for mutual TLS."""
+
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    def context(self) -> ssl.SSLContext:
+        """The verified context. Errors: ConfigError for a file that is missing or not a certificate."""
+        try:
+            context = ssl.create_default_context(cafile=self.ca)
+            if self.cert is not None:
+                context.load_cert_chain(self.cert, self.key)
+        except (OSError, ssl.SSLError) as error:
+            files = ", ".join(str(path) for path in (self.ca, self.cert, self.key) if path is not None)
+            raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
+        return context
+
+
+@dataclass(frozen=True)
+class Broker:
+    """The broker's address and protocol.
+
+    level None: 5, or 3.1.1 where the broker proves that it does not speak 5. largest_packet: at level 5 the broker is
+    asked to send nothing larger, in bytes; None for no limit.
+    """
+
+    host: str
+    port: int
+    client_id: str
+    username: str | None = None
+    password: str | None = None
+    tls: ssl.SSLContext | None = None
+    keepalive_s: int = 15
+    timeout_s: float = 10.0
+    level: Level | None = None
+    largest_packet: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    def __repr__(self) -> str:
+        return f"Broker({self}, client_id={self.client_id!r})"  # never the password
+
+
+@dataclass(frozen=True)
+class Outgoing:
+    """What `publish` sends; also the form of a last will. `topic` is the full one."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = False
+    content_type: str | None = None
+    expiry_s: int | None = None
+    correlation: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message from the broker. response_topic and correlation exist only at level 5."""
+
+    topic: str
+    payload: bytes
+    qos: int
+    retain: bool
+    response_topic: str | None = None
+    correlation: bytes | None = None
+
+
+class LevelRefused(SinkUnavailable):
+    """The broker says that it does not speak this level; the next one is tried."""
+
+
+class LoginRefused(SinkUnavailable):
+    """The broker refuses this client at a level that it speaks."""
+
+
+class NoAnswer(SinkUnavailable):
+    """Something listens, and it did not answer the request to connect. It may hang: this says nothing of its level."""

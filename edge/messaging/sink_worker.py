@@ -1,0 +1,231 @@
+"""The work of one sink, one step at a time and without a thread: state, rows in order, refusals, pauses."""
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from edge.core.backoff import Backoff
+from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
+from edge.core.ports import Clock, Message, ReportsFaults, Sink
+from edge.messaging.payloads import as_replayed
+from edge.messaging.retained_state import RetainedState
+from edge.store.outbox import Outbox, OutboxRow
+
+__all__ = ["IDLE_S", "OFFER_REFUSED_S", "OnChange", "SinkCounters", "SinkWorker"]
+
+log = logging.getLogger(__name__)
+
+# Rows in memory at a time: enough to keep a broker busy, and sixteen heatmaps fit in any gateway.
+BATCH_ROWS: Final = 16
+
+# An idle worker checks the outbox this often: other processes (`gelgate gel replace`) cannot wake it.
+IDLE_S: Final = 5.0
+
+# Refused rows are offered again this often, this number of them at a time, each in its turn: permissions may be
+# corrected, size limits raised. When one is accepted, all rows of its kind are offered at once.
+OFFER_REFUSED_S: Final = 45.0
+OFFERED_ROWS: Final = 16
+
+# A row that causes an unexpected error this often in a row is set aside: it may be damaged, and others wait behind it.
+BROKEN_ATTEMPTS: Final = 3
+
+OnChange = Callable[[str, bool, str], None]
+"""(sink name, whether it accepts messages now, one sentence). Called on changes only, from the worker's thread."""
+
+
+@dataclass(frozen=True)
+class SinkCounters:
+    """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
+    refused: refusals so far. is_up: the last attempt succeeded. last_error: its sentence, or empty. last_refusal: that
+    of the last refused message, or empty. faults: what the sink itself reports."""
+
+    sent: int = 0
+    replayed: int = 0
+    failed: int = 0
+    refused: int = 0
+    is_up: bool = False
+    last_error: str = ""
+    last_refusal: str = ""
+    faults: tuple[str, ...] = ()
+
+
+class SinkWorker:
+    """Sends the outbox to one sink. `step` does one batch and returns how long to wait before the next."""
+
+    def __init__(
+        self,
+        name: str,
+        sink: Sink,
+        outbox: Outbox,
+        retained_state: RetainedState,
+        clock: Clock,
+        backoff: Backoff,
+        on_change: OnChange,
+    ) -> None:
+        self.name = name
+        self.counters = SinkCounters()
+        self._sink = sink
+        self._outbox = outbox
+        self._retained_state = retained_state
+        self._clock = clock
+        self._backoff = backoff
+        self._on_change = on_change
+        self._has_changed = False  # whether `on_change` was ever called
+        self._sent_version = 0  # version of the retained state that this sink has
+        self._passed = 0  # every row up to this one is settled with this sink
+        self._accepted: int | None = (
+            None  # the last row that the sink accepted; the store may not know it yet
+        )
+        self._is_store_failing = False
+        # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
+        self._late_up_to = outbox.newest()
+        self._offered_ns: int | None = None
+        self._offered_up_to = 0  # the last row of the last offer; the next offer begins after it
+        self._offered: set[int] = set()  # rows that were refused once and are in the queue again
+        self._accepts_again: set[str] = set()  # kinds of message of which a refused one was accepted
+        self._refuses: set[str] = set()  # kinds that are refused now; each is logged once
+        self._broken = (0, 0)  # the row of the last unexpected error, and the number of its errors
+        self._was_broken: set[int] = set()  # rows that were set aside for such errors
+
+    def step(self) -> float:
+        """Send changed state and at most one batch of rows; returns seconds until the next step, 0 for at once.
+
+        Never raises a SinkError or a StoreError: both are counted and retried. A SinkError is reported by `on_change`.
+        While the store refuses, a row that the sink has accepted is not sent again, only acknowledged again.
+        """
+        has_failed = self._backoff.failures > 0
+        try:
+            self._say()  # first: the current state needs no store
+            if has_failed:
+                self._late_up_to = self._outbox.newest()
+            self._offer_refused()
+            rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
+            for row in rows:
+                self._send(row)
+                self._passed = row.row_id
+        except SinkError as error:
+            return self._failed(error)
+        except StoreError as error:
+            return self._unrecorded(error)
+        return 0.0 if len(rows) == BATCH_ROWS or self._accepts_again else IDLE_S
+
+    def broken(self) -> float:
+        """Count an unexpected exception of `step`; returns the seconds to wait, as for any failure."""
+        return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
+
+    def _offer_refused(self) -> None:
+        now_ns = self._clock.monotonic_ns()
+        for kind in self._accepts_again:
+            self._offer(self._outbox.offer_refused(self.name, kind=kind))
+        self._accepts_again.clear()
+        if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
+            rows = self._outbox.offer_refused(self.name, OFFERED_ROWS, after=self._offered_up_to)
+            self._offered_up_to = rows[-1] if len(rows) == OFFERED_ROWS else 0
+            self._offer(rows)
+            self._offered_ns = now_ns
+
+    def _offer(self, rows: Sequence[int]) -> None:
+        if rows:
+            self._offered.update(rows)
+            self._passed = min(self._passed, rows[0] - 1)
+
+    def _say(self) -> None:
+        for version, message in self._retained_state.since(self._sent_version):
+            try:
+                self._deliver(message)
+            except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
+                self._note_refused(message, str(error))
+            self._sent_version = version
+
+    def _send(self, row: OutboxRow) -> None:
+        is_late = row.row_id <= self._late_up_to
+        # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
+        if row.row_id != self._accepted:
+            try:
+                self._deliver(as_replayed(row.message) if is_late else row.message)
+            except SinkRejected as error:
+                self._set_aside(row, str(error))
+                return
+            except (SinkError, StoreError):
+                raise
+            except Exception as error:  # damage in the row, or a fault in the plugin
+                self._broke(row, error)
+                return
+            self._accepted = row.row_id
+        if row.message.retain:
+            self._retained_state.remember(row.message, row.row_id)
+        self._outbox.acknowledge(row.row_id, self.name)
+        self._note_accepted(row)
+        self._recorded()
+        self.counters = replace(
+            self.counters,
+            sent=self.counters.sent + 1,
+            replayed=self.counters.replayed + int(is_late),
+        )
+
+    def _note_accepted(self, row: OutboxRow) -> None:
+        self._refuses.discard(_kind(row.message))
+        if row.row_id in self._offered:
+            self._offered.discard(row.row_id)
+            self._accepts_again.add(_kind(row.message))
+
+    def _broke(self, row: OutboxRow, error: Exception) -> None:
+        """Count an unexpected error on this row. It is raised again, until the row is set aside."""
+        number = self._broken[1] + 1 if self._broken[0] == row.row_id else 1
+        self._broken = (row.row_id, number)
+        if number < BROKEN_ATTEMPTS and row.row_id not in self._was_broken:
+            raise error
+        self._was_broken.add(row.row_id)
+        self._set_aside(row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged")
+
+    def _set_aside(self, row: OutboxRow, why: str) -> None:
+        self._outbox.refuse(row.row_id, self.name, why)
+        self._offered.discard(row.row_id)
+        self._note_refused(row.message, why)
+
+    def _deliver(self, message: Message) -> None:
+        self._sink.send(message)
+        self._backoff.succeeded()
+        if not self.counters.is_up:
+            self.counters = replace(self.counters, is_up=True, last_error="")
+            self._change(True, f"sink {self.name} accepts messages")
+
+    def _recorded(self) -> None:
+        self._backoff.succeeded()
+        if self._is_store_failing:
+            self._is_store_failing = False
+            log.info("the acknowledgements of sink %s are stored again", self.name)
+
+    def _unrecorded(self, error: StoreError) -> float:
+        """The database refused, not the sink, so the current state is still sent. Logged once."""
+        self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
+        if not self._is_store_failing:
+            self._is_store_failing = True
+            log.error("the acknowledgements of sink %s cannot be stored: %s", self.name, error)
+        return self._backoff.failed()
+
+    def _failed(self, error: SinkError) -> float:
+        is_news = self.counters.is_up or not self._has_changed
+        self.counters = replace(
+            self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)
+        )
+        if is_news:
+            self._change(False, str(error))
+        return self._backoff.failed()
+
+    def _note_refused(self, message: Message, why: str) -> None:
+        self.counters = replace(self.counters, refused=self.counters.refused + 1, last_refusal=why)
+        if _kind(message) not in self._refuses:
+            log.warning("sink %s refused a message on %s: %s", self.name, message.topic, why)
+        self._refuses.add(_kind(message))
+
+    def _change(self, is_up: bool, sentence: str) -> None:
+        self._has_changed = True
+        log.log(logging.INFO if is_up else logging.WARNING, "%s", sentence)
+        self._on_change(self.name, is_up, sentence)
+
+
+def _kind(message: Message) -> str:
+    """The first level of its topic: messages of one kind are allowed or forbidden together."""
+    return message.topic.partition("/")[0]

@@ -1,0 +1,107 @@
+"""The options of the MQTT sink."""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+from edge.core.errors import ConfigError
+from edge.messaging.mqtt_broker import Broker, Tls
+
+__all__ = ["LARGEST_REQUEST_BYTES", "MqttOptions", "TlsOptions"]
+
+# The largest payload of a request; those of the shipped verbs have some hundred bytes. The packet around it has room
+# for one that is a little larger, so that it gets an answer and not silence.
+LARGEST_REQUEST_BYTES: Final = 16 << 10
+LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
+
+# A control character is refused by brokers, and shows as nothing in a log.
+PlainText = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
+class TlsOptions(BaseModel):
+    """The files of an encrypted connection; an empty table trusts the system's certificate authorities."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    ca: Path | None = Field(
+        default=None,
+        description="PEM of the certificate authorities to trust; those of the system by default",
+    )
+    cert: Path | None = Field(default=None, description="PEM of this gateway's certificate, for mutual TLS")
+    key: Path | None = Field(default=None, description="PEM of the key, if it is not in `cert`")
+
+    @model_validator(mode="after")
+    def _key_with_cert(self) -> Self:
+        if self.key is not None and self.cert is None:
+            raise ValueError("key needs cert; name both files")
+        return self
+
+
+class MqttOptions(BaseModel):
+    """Where the broker is. The password is in a separate file, so that the configuration can be shown."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    host: PlainText = Field(default="localhost", description="the broker's name or address")
+    port: int | None = Field(default=None, ge=1, le=65535, description="by default 1883, or 8883 with TLS")
+    protocol: Literal["auto", "5", "3.1.1"] = Field(
+        default="auto",
+        description="MQTT level; auto: 5, or 3.1.1 if the broker proves that it does not support 5. A plant sets `5`",
+    )
+    client_id: PlainText | None = Field(
+        default=None,
+        description="unique in the plant; made from the station's names by default",
+    )
+    username: PlainText | None = Field(default=None, description="user name for the broker")
+    password_file: Path | None = Field(default=None, description="file that holds only the password")
+    tls: TlsOptions | None = Field(default=None, description="encrypt the connection; a separate table")
+    keepalive_s: int = Field(
+        default=15, ge=1, le=3600, description="a broker that is silent for 1.5 times this is lost"
+    )
+    acknowledge_s: float = Field(
+        default=10.0, ge=0.01, le=600, description="longest wait for the PUBACK of a message"
+    )
+    retry_s: float = Field(
+        default=30.0, ge=1, le=3600, description="the longest pause between attempts to connect"
+    )
+
+    @model_validator(mode="after")
+    def _password_with_name(self) -> Self:
+        if self.password_file is not None and self.username is None:
+            raise ValueError("password_file needs username; give both")
+        return self
+
+    def identity(self) -> str:
+        """The receiver: the outbox keeps what it has acknowledged under this name."""
+        return "{}:{}".format(*self._address())
+
+    def address(self) -> tuple[str, int]:
+        """Where the broker listens. Errors: ConfigError for a password or TLS file that cannot be used."""
+        broker = self.broker("check")
+        return broker.host, broker.port
+
+    def broker(self, client_id: str) -> Broker:
+        """The broker to connect to. Errors: ConfigError for a password or TLS file that cannot be used."""
+        return Broker(
+            host=self._address()[0],
+            port=self._address()[1],
+            client_id=self.client_id or client_id,
+            username=self.username,
+            password=None if self.password_file is None else _password(self.password_file),
+            tls=None if self.tls is None else Tls(self.tls.ca, self.tls.cert, self.tls.key).context(),
+            keepalive_s=self.keepalive_s,
+            timeout_s=self.acknowledge_s,
+            level=None if self.protocol == "auto" else self.protocol,
+            largest_packet=LARGEST_PACKET_BYTES,
+        )
+
+    def _address(self) -> tuple[str, int]:
+        return self.host, self.port or (1883 if self.tls is None else 8883)
+
+
+def _password(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"password file {path} cannot be read: {error}") from error

@@ -1,0 +1,106 @@
+"""Requests that arrive over MQTT, bounded in size and number, and the topic of each answer.
+
+Every request is answered, those that are refused here too. An answer leaves on a topic below that of its request: with
+the station's rights anything else could be overwritten, its own state included.
+"""
+
+import logging
+import queue
+from typing import Final
+
+from edge.core.errors import SinkError
+from edge.core.sink_context import Station
+from edge.messaging.mqtt_broker import Outgoing, Received
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt_options import LARGEST_REQUEST_BYTES
+
+__all__ = ["Requests"]
+
+log = logging.getLogger(__name__)
+
+# Requests that may wait while one is answered; a person or a line controller sends fewer at once.
+WAITING_COMMANDS: Final = 16
+
+
+class Requests:
+    """The requests of one station. `receive` is called by the connection's thread, `next` by the answering one."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._waiting: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
+        self._is_refusing = False
+
+    def receive(self, request: Received, connection: Connection | None) -> None:
+        """Keep the request for `next`, or refuse it at once. Never waits."""
+        if request.retain:
+            log.warning(
+                "a retained request on %s is ignored: it would run at every connection", request.topic
+            )
+            return
+        why = self._refusal(request)
+        if why is None:
+            try:
+                self._waiting.put_nowait(request)
+            except queue.Full:
+                why = f"{WAITING_COMMANDS} requests are waiting; ask again later"
+        if why is not None:
+            self._refuse(request, why, connection)
+        self._note(request, why)
+
+    def next(self) -> Received | None:
+        """The oldest request; waits for one. None after `close`."""
+        return self._waiting.get()
+
+    def close(self) -> None:
+        """Forget what waits, and let `next` return None."""
+        while not self._waiting.empty():
+            self._waiting.get_nowait()
+        self._waiting.put(None)
+
+    def answer(self, request: Received, connection: Connection | None) -> None:
+        """Do what is asked, and publish the response. Never raises a SinkError."""
+        if self._station.on_command is None:
+            return
+        response = _response(request, self._station.on_command(_verb(request), request.payload))
+        try:
+            if connection is not None:
+                connection.publish(response)
+        except SinkError as error:
+            log.warning("a response is not delivered: %s", error)
+
+    def _refusal(self, request: Received) -> str | None:
+        if len(request.payload) > LARGEST_REQUEST_BYTES:
+            return f"it has {len(request.payload)} bytes, a request has at most {LARGEST_REQUEST_BYTES}"
+        if not _may_answer_on(request):
+            return f"its response topic is not {request.topic}/response or a topic below; nothing was done"
+        return None
+
+    def _refuse(self, request: Received, why: str, connection: Connection | None) -> None:
+        if self._station.on_refused is not None and connection is not None:
+            payload = self._station.on_refused(_verb(request), request.payload[:LARGEST_REQUEST_BYTES], why)
+            connection.publish_soon(_response(request, payload))
+
+    def _note(self, request: Received, why: str | None) -> None:
+        """One line for a flood, not one for each request."""
+        if why is not None and not self._is_refusing:
+            log.warning("a request on %s is refused: %s", request.topic, why)
+        self._is_refusing = why is not None
+
+
+def _verb(request: Received) -> str:
+    return request.topic.rpartition("/")[2]
+
+
+def _may_answer_on(request: Received) -> bool:
+    own, wanted = f"{request.topic}/response", request.response_topic
+    return wanted is None or wanted == own or wanted.startswith(f"{own}/")
+
+
+def _response(request: Received, payload: bytes) -> Outgoing:
+    topic = request.response_topic if _may_answer_on(request) else None
+    return Outgoing(
+        topic or f"{request.topic}/response",
+        payload,
+        content_type="application/json",
+        correlation=request.correlation,
+    )
