@@ -1,0 +1,148 @@
+"""Requests over MQTT: bounded in size and number, each answered, and no answer outside the station's own topics."""
+
+import json
+import random
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+from scripted_broker import ScriptedBroker
+
+from edge.core.backoff import Backoff
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt import MqttSink
+from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES, LARGEST_REQUEST_BYTES, MqttOptions
+from plugins.sinks.mqtt_requests import WAITING_COMMANDS
+
+from .conftest import ROOT
+
+TRIGGER = f"{ROOT}/cmd/trigger"
+
+
+class Asked:
+    """The station's side: counts what is done and what is refused."""
+
+    def __init__(self) -> None:
+        self.done: list[bytes] = []
+        self.refused: list[str] = []
+
+    def command(self, verb: str, payload: bytes) -> bytes:
+        self.done.append(payload)
+        return b"done"
+
+    def refusal(self, verb: str, payload: bytes, why: str) -> bytes:
+        self.refused.append(why)
+        return b"refused: " + why.encode()
+
+
+@pytest.fixture
+def broker() -> Iterator[ScriptedBroker]:
+    with ScriptedBroker() as scripted:
+        yield scripted
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def sink(broker: ScriptedBroker, asked: Asked) -> Iterator[MqttSink]:
+    options = MqttOptions(host="127.0.0.1", port=broker.port, protocol="5")
+    station = Station(ROOT, "asked", on_command=asked.command, on_refused=asked.refusal)
+    stepped = MqttSink(options.broker("asked"), station, Backoff(random.Random(0), 0.2, 1.0))
+    assert stepped.step() is None
+    yield stepped
+    stepped.close()
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    waiting = threading.Event()
+    for _ in range(2000):
+        if is_so():
+            return
+        waiting.wait(0.01)
+    raise AssertionError("it did not come to that")
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "gelgate/site/line/OTHER/gel/v1/result",
+        "gelgate/site/line/OTHER/gel/v1/cmd/replace_gel",
+        f"{ROOT}/state",
+        f"{ROOT}/cmd/trigger",
+        f"{ROOT}/cmd/relearn/response",
+        f"{TRIGGER}/responses",
+    ],
+)
+def test_an_answer_never_leaves_the_station_s_own_topics(
+    broker: ScriptedBroker, sink: MqttSink, asked: Asked, topic: str
+) -> None:
+    """The request is refused, not done, and the refusal comes on the usual topic."""
+    sink._received(Received(TRIGGER, b"{}", 1, False, response_topic=topic))
+
+    until(lambda: len(broker.published) == 1)
+    ((where, answer),) = broker.published
+    assert where == f"{TRIGGER}/response"
+    assert b"its response topic is not" in answer
+    assert asked.done == []
+
+
+def test_an_answer_may_go_below_the_request_s_own_topic(broker: ScriptedBroker, sink: MqttSink) -> None:
+    """So that each asker can have its own."""
+    sink.answer(Received(TRIGGER, b"{}", 1, False, response_topic=f"{TRIGGER}/response/line-7"))
+
+    assert broker.published == [(f"{TRIGGER}/response/line-7", b"done")]
+
+
+def test_a_request_that_is_too_large_is_refused_unread(
+    broker: ScriptedBroker, sink: MqttSink, asked: Asked
+) -> None:
+    """It is not kept either: 16 large ones would be the memory of the gateway."""
+    broker.send(TRIGGER, b"x" * (LARGEST_REQUEST_BYTES + 1))
+
+    until(lambda: len(broker.published) == 1)
+    assert b"a request has at most" in broker.published[0][1]
+    assert asked.done == []
+
+
+def test_at_level_5_the_broker_is_told_the_largest_packet(sink: MqttSink, broker: ScriptedBroker) -> None:
+    """So that it does not send a larger one at all. Ref: MQTT 5.0, 3.1.2.11.4, property 0x27."""
+    assert b"\x27" + LARGEST_PACKET_BYTES.to_bytes(4, "big") in broker.properties[0]
+
+
+def test_requests_that_find_no_room_are_answered(broker: ScriptedBroker, sink: MqttSink, asked: Asked) -> None:
+    """A flood while nothing is served: what fits waits, and each of the others has its answer, with one log line."""
+    for number in range(WAITING_COMMANDS + 300):
+        broker.send(TRIGGER, b"%d" % number)
+
+    until(lambda: len(broker.published) == 300)
+    assert len(asked.refused) == 300
+    assert set(asked.refused) == {f"{WAITING_COMMANDS} requests are waiting; ask again later"}
+
+
+def test_a_real_broker_does_not_deliver_a_huge_request(
+    mosquitto: LocalBroker, sink_to: Callable[..., MqttSink]
+) -> None:
+    """One megabyte to a station that accepts 32 KiB: the broker keeps it, and the next request is served."""
+    asked: list[int] = []
+    is_served = threading.Event()
+
+    def command(verb: str, payload: bytes) -> bytes:
+        asked.append(len(payload))
+        is_served.set()
+        return b"{}"
+
+    sink = sink_to(mosquitto, command, protocol="5")
+    sink._tried.wait(20)
+    asker = Connection.open(Broker(mosquitto.host, mosquitto.port, "asker"))
+    asker.publish(Outgoing(TRIGGER, bytes(1_000_000)))
+    asker.publish(Outgoing(TRIGGER, json.dumps({"transaction": "1"}).encode()))
+    assert is_served.wait(20)
+    asker.close()
+
+    assert asked == [len(b'{"transaction": "1"}')]
