@@ -4,28 +4,39 @@ Paths are relative to the file. Plugin options are validated by the plugin's own
 """
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
 from edge import registry
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
+from edge.core.plugins import HasIdentity
 from edge.core.sink_context import topic_level
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["Config", "PluginTable", "StationTable", "load_config"]
+__all__ = ["Config", "PluginTable", "SinkTable", "StationTable", "load_config", "sink_names"]
 
 M = TypeVar("M", bound=BaseModel)
+T = TypeVar("T", bound="PluginTable")
 
 TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PluginTable(_Table):
@@ -33,6 +44,18 @@ class PluginTable(_Table):
 
     plugin: str = Field(description="its name")
     options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
+
+
+PlainText = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
+class SinkTable(PluginTable):
+    """One receiver of results."""
+
+    name: PlainText | None = Field(
+        default=None,
+        description="under which the outbox remembers what the receiver has; by default plugin and address",
+    )
 
 
 class StationTable(_Table):
@@ -129,16 +152,31 @@ class GelTable(_Table):
     )
 
 
+def _database_file(path: Path) -> Path:
+    """Errors: ValueError for a name that SQLite reads as a database in memory, one for each connection."""
+    if path.name.startswith(":") or path.name == "" or str(path).startswith("file:"):
+        raise ValueError("a database is a file on a disk; name one, such as gelgate.db")
+    return path
+
+
 class StoreTable(_Table):
     """The database of presses, gels and unsent messages, and the room for unsent messages."""
 
-    path: Path = Field(default=Path("gelgate.db"), description="the SQLite file; its folder must exist")
+    path: Annotated[Path, AfterValidator(_database_file)] = Field(
+        default=Path("gelgate.db"), description="the SQLite file; its folder must exist"
+    )
     outbox_mb: float = Field(
         default=512,
-        gt=0,
+        ge=1,
+        le=1_000_000,
         description="room for unsent messages; beyond it heatmaps are dropped first, passes next, fails last",
     )
-    outbox_days: float = Field(default=30, gt=0, description="unsent messages older than this are dropped")
+    outbox_days: float = Field(
+        default=30,
+        ge=0.01,
+        le=3650,
+        description="unsent messages are dropped after this many days of running; no step of the clock counts",
+    )
 
 
 class Config(_Table):
@@ -151,7 +189,7 @@ class Config(_Table):
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
-    sinks: list[PluginTable] = Field(min_length=1, description="where results go; one table each")
+    sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
 
 
 def load_config(path: Path) -> Config:
@@ -169,9 +207,29 @@ def load_config(path: Path) -> Config:
     faults: list[str] = []
     config = _validated(Config, table, "", faults)
     faults += _plugin_faults(table)
+    faults += _equal_sinks(config) if config is not None and not faults else []
     if faults or config is None:
         raise ConfigError(numbered(f"configuration {path}", faults))
     return _with_paths_from(path.parent, config)
+
+
+def sink_names(sinks: Sequence[SinkTable]) -> list[str]:
+    """The name of each sink in the outbox: the configured one, or plugin and address, in any order of the file."""
+    return [sink.name or _receiver(sink) for sink in sinks]
+
+
+def _receiver(sink: SinkTable) -> str:
+    options = registry.options("sinks", sink.plugin).model_validate(sink.options)
+    return f"{sink.plugin}:{options.identity()}" if isinstance(options, HasIdentity) else sink.plugin
+
+
+def _equal_sinks(config: Config) -> list[str]:
+    counts = Counter(sink_names(config.sinks))
+    return [
+        f"'sinks': {n} of them are '{name}', and the outbox could not tell them apart; give each a 'name'"
+        for name, n in counts.items()
+        if n > 1
+    ]
 
 
 def _validated(model: type[M], table: object, where: str, faults: list[str]) -> M | None:
@@ -222,7 +280,7 @@ def _with_paths_from(folder: Path, config: Config) -> Config:
     )
 
 
-def _with_options_from(folder: Path, kind: registry.PluginGroup, table: PluginTable) -> PluginTable:
+def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:
     model = registry.options(kind, table.plugin)
     return table.model_copy(update={"options": _rooted(folder, model, table.options)})
 

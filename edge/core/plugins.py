@@ -21,7 +21,17 @@ from edge.core.sink_context import Station
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["Backbone", "DevicePlugin", "HasAddress", "HasFacts", "PlaysRecording", "Resettable", "SinkPlugin"]
+__all__ = [
+    "Backbone",
+    "DevicePlugin",
+    "HasAddress",
+    "HasFacts",
+    "HasIdentity",
+    "HasWarnings",
+    "PlaysRecording",
+    "Resettable",
+    "SinkPlugin",
+]
 
 OptionsT = TypeVar("OptionsT", bound="BaseModel")
 AnyOptions = TypeVar("AnyOptions", bound="BaseModel", contravariant=True)
@@ -68,7 +78,7 @@ class PlaysRecording(Protocol[AnyOptions]):
 
 @runtime_checkable
 class SinkPlugin(Protocol[OptionsT]):
-    """Opens receivers of messages. Optional, for `Options`: `HasAddress`."""
+    """Opens receivers of messages. Optional, for `Options`: `HasAddress`, `HasIdentity`, `HasWarnings`."""
 
     @property
     def Options(self) -> type[OptionsT]: ...
@@ -87,6 +97,24 @@ class HasAddress(Protocol):
 
     def address(self) -> tuple[str, int]:
         """(host, port). Errors: ConfigError for options that can never work."""
+        ...
+
+
+@runtime_checkable
+class HasIdentity(Protocol):
+    """Options of a sink that say which receiver it is, so that the outbox knows it at any place in the file."""
+
+    def identity(self) -> str:
+        """Such as `host:port`; the same for the same receiver."""
+        ...
+
+
+@runtime_checkable
+class HasWarnings(Protocol):
+    """Options of a sink that can work, and that a person should think about; `gelgate check` prints them."""
+
+    def warnings(self) -> Sequence[str]:
+        """One sentence for each."""
         ...
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
 from edge import registry
-from edge.config import Config, PluginTable
+from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Sink
 from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition
@@ -28,7 +28,7 @@ from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
-__all__ = ["build", "sink_names"]
+__all__ = ["build"]
 
 
 def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight | None = None) -> Parts:
@@ -38,13 +38,21 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     """
     scorer = (checked.scorer if checked else None) or open_scorer(config)[0]
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), RetainedState()
-    store = closing.enter_context(_open_store(config))
+    store = closing.enter_context(_open_store(config, clock))
     # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
     context = _sink_context(config, clock, retained_state, Commands(station_handlers(calls), clock))
     sinks = _open_sinks(config, context, closing)
-    publisher = Publisher(config.store.path, sinks, retained_state, clock, random.Random(), lock=lock)
+    publisher = Publisher(
+        config.store.path,
+        sinks,
+        retained_state,
+        clock,
+        random.Random(),
+        lock=lock,
+        before=_names_before(config),
+    )
     status = StationStatus(publisher.announce, clock)
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
@@ -67,19 +75,19 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     )
 
 
-def sink_names(tables: list[PluginTable]) -> list[str]:
-    """The plugin's name, numbered where it is used twice; the outbox keeps acknowledgements under these names."""
-    seen: Counter[str] = Counter()
-    names = []
-    for table in tables:
-        seen[table.plugin] += 1
-        names.append(table.plugin if seen[table.plugin] == 1 else f"{table.plugin}-{seen[table.plugin]}")
-    return names
+def _names_before(config: Config) -> dict[str, str]:
+    """The names that sinks had in databases of version 0.2.0 and before, where these are clear: those of a plugin used
+    once. Where it was used several times, what they have is sent again."""
+    names = dict(zip((sink.plugin for sink in config.sinks), sink_names(config.sinks), strict=True))
+    counts = Counter(sink.plugin for sink in config.sinks)
+    return {plugin: name for plugin, name in names.items() if counts[plugin] == 1 and name != plugin}
 
 
-def _open_store(config: Config) -> Store:
+def _open_store(config: Config, clock: Clock) -> Store:
     bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
-    return Store(config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction)
+    return Store(
+        config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction, clock.monotonic_ns
+    )
 
 
 def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:

@@ -13,7 +13,7 @@ from typing import Self
 from edge import registry
 from edge.config import Config, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
-from edge.core.plugins import HasAddress
+from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.opening import device_opener, open_scorer
 from edge.model.bundle import Bundle
@@ -136,6 +136,11 @@ def _database(config: Config) -> str:
 def _reachable(table: PluginTable, key: str) -> str:
     """Errors: ConfigError for an address that does not exist, or files that cannot be used."""
     options = registry.options("sinks", table.plugin).model_validate(table.options)
+    warnings = options.warnings() if isinstance(options, HasWarnings) else ()
+    return "; warning: ".join([_answers(options, key), *warnings])
+
+
+def _answers(options: object, key: str) -> str:
     if not isinstance(options, HasAddress):
         return "needs no connection"
     host, port = options.address()

@@ -355,7 +355,9 @@ class Connection:
             self._lose("")  # the library's reason is "Unspecified error"
         elif reason.value == _TAKEN_OVER:
             self.was_taken_over = True
-            self._lose(f"another client connected with the client id '{self.broker.client_id}'; give each its own")
+            self._lose(
+                f"another client connected with the client id '{self.broker.client_id}'; give each its own"
+            )
         else:
             self._lose(str(reason))
 

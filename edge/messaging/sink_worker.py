@@ -7,7 +7,7 @@ from typing import Final
 
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
-from edge.core.ports import Clock, Message, ReportsFaults, Sink
+from edge.core.ports import Clock, Message, Sink
 from edge.messaging.payloads import as_replayed
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox, OutboxRow
@@ -149,7 +149,7 @@ class SinkWorker:
                 return
             except (SinkError, StoreError):
                 raise
-            except Exception as error:  # damage in the row, or a fault in the plugin
+            except Exception as error:  # noqa: BLE001 - damage in the row, or a fault in the plugin
                 self._broke(row, error)
                 return
             self._accepted = row.row_id

@@ -54,6 +54,8 @@ class Database:
                 path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
             )
         try:
+            # Text that a damaged page has made unreadable must not keep the rows around it from being read.
+            self._connection.text_factory = lambda data: data.decode(errors="replace")
             with self._faults("opening"):
                 _prepare(self._connection, path, is_durable)
         except BaseException:

@@ -146,9 +146,7 @@ def _drop(connection: sqlite3.Connection, victims: Sequence[tuple[int, int, int]
     _count_drops(connection, "dropped", victims)
 
 
-def _count_drops(
-    connection: sqlite3.Connection, table: str, victims: Iterable[tuple[int, int, int]]
-) -> None:
+def _count_drops(connection: sqlite3.Connection, table: str, victims: Iterable[tuple[int, int, int]]) -> None:
     connection.executemany(
         f"INSERT INTO {table} VALUES (?, 1, ?) "
         "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
@@ -272,6 +270,11 @@ def _by_name(counts: Mapping[int, int]) -> dict[str, int]:
 
 
 def _rename(connection: sqlite3.Connection, before: Mapping[str, str]) -> None:
-    """Sinks were once named by their place in the configuration."""
+    """Sinks were once named by their place in the configuration, such as `mqtt` and `mqtt-2`.
+
+    Where a plugin had several it is not known which was which: then nothing is renamed, and rows are sent again.
+    """
     for old, new in before.items():
-        connection.execute("UPDATE OR IGNORE settled SET sink = ? WHERE sink = ?", (new, old))
+        several = connection.execute("SELECT 1 FROM sinks WHERE name = ?", (f"{old}-2",)).fetchone()
+        if several is None:
+            connection.execute("UPDATE OR IGNORE settled SET sink = ? WHERE sink = ?", (new, old))

@@ -30,6 +30,10 @@ class JsonlOptions(BaseModel):
 
     folder: Path = Field(description="the folder of `messages.jsonl` and the pictures, made at first use")
 
+    def identity(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
 
 class JsonlSink:
     """A folder of messages. Topics are relative to the station's root, which each line names."""

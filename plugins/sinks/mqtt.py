@@ -237,7 +237,9 @@ class MqttSink:
         self._strikes.has_proof = bool(born)
         self._faults.pop("birth", None)
         if refusals:
-            self._faults["birth"] = f"{len(refusals)} of the station's own messages are refused: {refusals[0]}"
+            self._faults["birth"] = (
+                f"{len(refusals)} of the station's own messages are refused: {refusals[0]}"
+            )
             log.warning("%s", self._faults["birth"])
         return born
 

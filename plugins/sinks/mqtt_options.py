@@ -15,6 +15,8 @@ __all__ = ["LARGEST_REQUEST_BYTES", "MqttOptions", "TlsOptions"]
 LARGEST_REQUEST_BYTES: Final = 16 << 10
 LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
 
+_OWN_MACHINE: Final = ("localhost", "127.0.0.1", "::1")
+
 # A control character is refused by brokers, and shows as nothing in a log.
 PlainText = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
@@ -75,6 +77,27 @@ class MqttOptions(BaseModel):
     def identity(self) -> str:
         """The receiver: the outbox keeps what it has acknowledged under this name."""
         return "{}:{}".format(*self._address())
+
+    def warnings(self) -> list[str]:
+        """What is open to others on the plant's network."""
+        found = []
+        if self.tls is None and self.host not in _OWN_MACHINE:
+            found.append("the connection is not encrypted; set tls")
+        if (
+            self.username is None
+            and (self.tls is None or self.tls.cert is None)
+            and self.host not in _OWN_MACHINE
+        ):
+            found.append(
+                "no user name is given, so others may publish as this station; set username or tls.cert"
+            )
+        if (
+            self.password_file is not None
+            and self.password_file.exists()
+            and self.password_file.stat().st_mode & 0o007
+        ):
+            found.append(f"password file {self.password_file} is open to every user; set its rights to 0640")
+        return found
 
     def address(self) -> tuple[str, int]:
         """Where the broker listens. Errors: ConfigError for a password or TLS file that cannot be used."""

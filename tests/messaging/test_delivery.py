@@ -14,8 +14,8 @@ from edge.gateway.commands import Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
 from edge.messaging.publisher import Publisher
-from edge.messaging.sink_worker import IDLE_S, SinkWorker
 from edge.messaging.retained_state import RetainedState
+from edge.messaging.sink_worker import IDLE_S, SinkWorker
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid

@@ -1,4 +1,4 @@
-"""Which protocol level the sink speaks: silence never leads to 3.1.1, at which denied messages vanish without a word."""
+"""Which protocol level the sink speaks: silence never leads to 3.1.1, where denied messages vanish without a word."""
 
 import random
 from collections.abc import Iterator

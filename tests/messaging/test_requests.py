@@ -115,7 +115,9 @@ def test_at_level_5_the_broker_is_told_the_largest_packet(sink: MqttSink, broker
     assert b"\x27" + LARGEST_PACKET_BYTES.to_bytes(4, "big") in broker.properties[0]
 
 
-def test_requests_that_find_no_room_are_answered(broker: ScriptedBroker, sink: MqttSink, asked: Asked) -> None:
+def test_requests_that_find_no_room_are_answered(
+    broker: ScriptedBroker, sink: MqttSink, asked: Asked
+) -> None:
     """A flood while nothing is served: what fits waits, and each of the others has its answer, with one log line."""
     for number in range(WAITING_COMMANDS + 300):
         broker.send(TRIGGER, b"%d" % number)

@@ -1,0 +1,88 @@
+"""The names of receivers, and values that no station can work with."""
+
+from pathlib import Path
+
+import pytest
+
+from edge.config import load_config, sink_names
+from edge.gateway.build import _names_before
+
+from .test_config import SOUND, refusal, written
+
+BROKER = '[[sinks]]\nplugin = "mqtt"\noptions = {{ host = "{}" }}\n'
+
+
+def test_a_receiver_is_known_by_its_address_or_name_at_any_place(tmp_path: Path) -> None:
+    """The same names in another order; a name in the file comes before the address."""
+    a, b = BROKER.format("a"), BROKER.format("b") + 'name = "cloud"\n'
+    there = sink_names(load_config(written(tmp_path, SOUND + a + b)).sinks)
+    back = sink_names(load_config(written(tmp_path, SOUND + b + a)).sinks)
+
+    assert there == [f"jsonl:{tmp_path / 'out'}", "mqtt:a:1883", "cloud"]
+    assert set(back) == set(there)
+
+
+def test_two_receivers_that_cannot_be_told_apart_are_refused(tmp_path: Path) -> None:
+    """One would lose what the other has."""
+    text = refusal(tmp_path, SOUND + BROKER.format("a") + BROKER.format("a"))
+
+    assert "2 of them are 'mqtt:a:1883'" in text
+    assert "give each a 'name'" in text
+
+
+def test_names_of_older_databases_are_taken_over_for_plugins_used_once(tmp_path: Path) -> None:
+    """Of two brokers nobody knows which one was the first."""
+    once = load_config(written(tmp_path, SOUND + BROKER.format("a")))
+    twice = load_config(written(tmp_path, SOUND + BROKER.format("a") + BROKER.format("b")))
+
+    assert _names_before(once)["mqtt"] == "mqtt:a:1883"
+    assert "mqtt" not in _names_before(twice)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "outbox_days = 200000",
+        "outbox_days = inf",
+        "outbox_days = nan",
+        "outbox_days = 1e300",
+        "outbox_mb = inf",
+        "outbox_mb = 1e-9",
+        'path = ":memory:"',
+        'path = ""',
+        'path = "file:x?mode=memory"',
+    ],
+)
+def test_a_store_that_no_station_can_work_with_is_refused(tmp_path: Path, line: str) -> None:
+    """At the start, not at the first press."""
+    assert f"'store.{line.split(' ')[0]}'" in refusal(tmp_path, SOUND + f"[store]\n{line}\n")
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "acknowledge_s = inf",
+        "acknowledge_s = 1e12",
+        "acknowledge_s = 1e-9",
+        "retry_s = inf",
+        'client_id = "a\\u0000b"',
+        'username = "a\\u0007"',
+        'host = "a\\u001b[2J"',
+    ],
+)
+def test_broker_options_that_no_station_can_work_with_are_refused(tmp_path: Path, option: str) -> None:
+    """Each would be an attempt that fails for ever."""
+    text = SOUND + f'[[sinks]]\nplugin = "mqtt"\noptions = {{ {option} }}\n'
+
+    assert f"'sinks.1.options.{option.split(' ')[0]}'" in refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("plugin", ["recorded", "usb_mock"])
+@pytest.mark.parametrize("pace", ["inf", "nan"])
+def test_a_recording_is_played_at_a_pace_that_exists(tmp_path: Path, plugin: str, pace: str) -> None:
+    """`inf` would play nothing, for ever."""
+    text = SOUND.replace('plugin = "recorded"', f'plugin = "{plugin}"')
+
+    assert "'device.options.pace'" in refusal(
+        tmp_path, text.replace('"presses" }', f'"presses", pace = {pace} }}')
+    )

@@ -1,0 +1,133 @@
+"""Rows that a receiver refuses or that cannot be sent: set aside, offered in turn, never in the way of others."""
+
+import json
+import logging
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from edge.core.ports import Message
+from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
+from edge.store.outbox import Outbox
+from edge.store.press_store import PressRecord, Store
+
+from .test_publisher import HandClock, ScriptedSink, drain, worker
+
+MakePress = Callable[..., PressRecord]
+
+
+def put(path: Path, make_press: MakePress, *messages: Message) -> None:
+    with Store(path) as store:
+        store.record_press(make_press(1), lambda recorded: messages)
+
+
+def damage(path: Path, column: str, value: bytes, row: int) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        as_text = "CAST(? AS TEXT)" if column == "topic" else "?"
+        connection.execute(f"UPDATE outbox SET {column} = {as_text} WHERE row_id = ?", (value, row))
+
+
+def test_within_a_minute_refused_rows_are_offered_again() -> None:
+    """An access rule is corrected by a person who then looks whether it helped."""
+    assert OFFER_REFUSED_S < 60
+
+
+def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accepted(
+    path: Path, make_press: MakePress
+) -> None:
+    """A thousand refusals a minute would be work for nothing; a corrected rule needs one row to be seen."""
+    sink, clock = ScriptedSink(), HandClock()
+    sink.refuses = {"result"}
+    put(path, make_press, *(Message("result", b"%d" % n) for n in range(3 * OFFERED_ROWS)))
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink, clock=clock)
+        drain(one)
+        first = one.counters.refused
+        clock.sleep(OFFER_REFUSED_S)
+        drain(one)
+        assert (first, one.counters.refused - first) == (3 * OFFERED_ROWS, OFFERED_ROWS)
+
+        sink.refuses = set()
+        clock.sleep(OFFER_REFUSED_S)
+        drain(one)
+        assert outbox.status().rows == 0
+
+    assert sorted(int(m.payload) for m in sink.taken if m.topic == "result") == list(range(3 * OFFERED_ROWS))
+
+
+def test_the_refusals_of_one_kind_are_one_log_line(
+    path: Path, make_press: MakePress, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Until one of that kind is accepted; the sentence stays in the counters."""
+    sink = ScriptedSink()
+    sink.refuses = {"result"}
+    put(path, make_press, *(Message("result", b"{}") for _ in range(20)))
+    with Outbox(path) as outbox, caplog.at_level(logging.WARNING):
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink)
+        drain(one)
+
+    assert caplog.text.count("refused a message on result") == 1
+    assert one.counters.last_refusal == "result is not for you"
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("payload", b"\xff{"), ("payload", b"\x80"), ("topic", b"result/\xff")],
+    ids=["no JSON", "no text", "no topic"],
+)
+def test_a_damaged_row_is_set_aside_and_what_is_behind_it_is_sent(
+    path: Path, make_press: MakePress, column: str, value: bytes
+) -> None:
+    """After some attempts, because a fault of the plugin looks the same; it is kept, and counted as refused."""
+
+    class Strict(ScriptedSink):
+        def send(self, message: Message) -> None:
+            if message.content_type == "application/json" and message.payload:
+                json.loads(message.payload)
+            assert "\ufffd" not in message.topic
+            super().send(message)
+
+    sink = Strict()
+    put(path, make_press, Message("result", b"{}"), Message("result", b'{"n":2}'))
+    damage(path, column, value, 1)
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink)
+        for _ in range(BROKEN_ATTEMPTS - 1):
+            with pytest.raises((ValueError, AssertionError)):
+                drain(one)
+        drain(one)
+        status = outbox.status()
+
+    assert [m.payload for m in sink.taken if m.topic == "result"] == [b'{"n":2}']
+    assert (status.rows, status.refused) == (1, 1)
+    assert "it may be damaged" in one.counters.last_refusal
+
+
+def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_press: MakePress) -> None:
+    """The second time its first error sets it aside."""
+
+    class Broken(ScriptedSink):
+        def send(self, message: Message) -> None:
+            if message.payload == b'{"n":1}':
+                raise KeyError("unexpected")
+            super().send(message)
+
+    sink, clock = Broken(), HandClock()
+    put(path, make_press, Message("result", b'{"n":1}'))
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink, clock=clock)
+        for _ in range(BROKEN_ATTEMPTS - 1):
+            with pytest.raises(KeyError):
+                drain(one)
+        drain(one)
+        clock.sleep(OFFER_REFUSED_S)
+        drain(one)
+
+        assert outbox.status().refused == 1
