@@ -16,7 +16,7 @@ GelgateError
 │   └── RecordingEnded     none · the run ends
 ├── SinkError          broker · the row stays in the outbox and is sent again
 │   ├── SinkUnavailable    broker · sent again when it is back
-│   └── SinkRejected       broker · set aside, published as an alarm, offered again every hour
+│   └── SinkRejected       broker · set aside, published as an alarm, offered again within a minute
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
 ├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again

@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 
 # The station waits for this before it inspects.
 FREE_GEL: Final = "the free gel, to learn its picture"
+# Presses that wait while the database refuses writes, each with a picture of some 60 kB; more are only counted.
+MOST_WAITING: Final = 256
 # The alarm while the picture of the free gel may be wrong.
 DOUBTED: Final = (
     "the picture of the free gel was most likely learnt while something pressed; nothing is scored until the free gel "
@@ -63,6 +65,7 @@ class InspectionSession:
         self._recorder = recorder
         self._status = status
         self._unrecorded: deque[JudgedPress] = deque()
+        self._uncounted = 0  # presses for which there was no room to wait
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
@@ -98,6 +101,15 @@ class InspectionSession:
             self._status.gel_wear(report.gel)
             yield report
 
+        if self._uncounted:
+            self.see_gel(self._recorder.count(self._uncounted))
+            self._uncounted = 0
+
+    @property
+    def unrecorded(self) -> int:
+        """Presses that the database does not have yet."""
+        return len(self._unrecorded) + self._uncounted
+
     def trigger(self) -> str | None:
         """Request a verdict now; returns why there will be none, or None."""
         return self._pipeline.trigger()
@@ -117,7 +129,11 @@ class InspectionSession:
             self.relearn()
 
     def _add(self, inspections: list[Inspection]) -> None:
-        self._unrecorded += [self._recorder.prepare(inspection) for inspection in inspections]
+        for inspection in inspections:
+            if len(self._unrecorded) < MOST_WAITING:
+                self._unrecorded.append(self._recorder.prepare(inspection))
+            else:
+                self._uncounted += 1
 
     def _see(self, event: Event) -> None:
         log.debug("%s", event)

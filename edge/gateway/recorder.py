@@ -78,6 +78,10 @@ class Recorder:
         result = made[-1] if made else _result(judged, recorded)
         return PressReport(result, recorded.gel, judged.heatmap_png)
 
+    def count(self, presses: int) -> GelRecord:
+        """Count presses that have no result. Errors: StoreError."""
+        return self._store.count_presses(self._serial, presses, self._clock.time_ns())
+
     def _press(self, inspection: Inspection) -> PressRecord:
         time_ns = self._clock.time_ns()
         manifest, verdict = self._bundle.manifest, inspection.verdict

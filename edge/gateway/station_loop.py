@@ -25,6 +25,7 @@ from edge.gateway.status import StationStatus
 from edge.gateway.summary import Summary
 from edge.messaging.publisher import Publisher
 from edge.messaging.retained_state import RetainedState
+from edge.messaging.sink_worker import SinkCounters
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
@@ -63,12 +64,14 @@ class Parts:
 class StationLoop:
     """The work of a station between reading and publishing. One thread uses it; others use `Parts.calls`.
 
-    is_halted: the store refused a press or a gel in the last step; no frame is processed until it accepts it.
+    is_halted: the store refuses a press or a gel. Frames are still processed: presses wait in memory, and what does not
+    fit is counted.
     """
 
     def __init__(self, parts: Parts, on_press: OnPress = lambda report: None) -> None:
         self.summary = Summary()
         self.is_halted = False
+        self._refused_ns = 0
         self._parts = parts
         self._on_press = on_press
         self._session: InspectionSession | None = None
@@ -98,28 +101,35 @@ class StationLoop:
         """
         try:
             while not stop.is_set() and (presses is None or self.summary.presses < presses):
-                if self.is_halted:
-                    stop.wait(STORE_RETRY_S)
-                self.step(None if self.is_halted else self._parts.acquisition.next(WAIT_S))
+                self.step(self._parts.acquisition.next(WAIT_S))
         except RecordingEnded as end:
             self.summary.has_ended = True
             log.info("%s", end)
+            while self.is_halted and not stop.wait(STORE_RETRY_S):
+                self.step(None)
         finally:
             self._parts.calls.close(self)
         self._record()
         self.publish_stats()
 
     def step(self, frame: CameraFrame | None) -> None:
-        """One turn, with the next frame if there is one. A halted loop gets no frame."""
-        self.is_halted = False
+        """One turn, with the next frame if there is one. Without a frame a store that refused is tried again at once,
+        with one after STORE_RETRY_S."""
+        now_ns = self._parts.clock.monotonic_ns()
         self._parts.calls.serve(self)
+        is_trying = frame is None or not self.is_halted or now_ns - self._refused_ns > STORE_RETRY_S * 1e9
         try:
-            if frame is not None:
+            if frame is not None and (self._session is not None or is_trying):
                 self._look_at(frame)
-            self._record()
+            if is_trying:
+                self._record()
+                self.is_halted = False
         except StoreError as error:
             self.is_halted = True
+            self._refused_ns = now_ns
             self._set_store_fault(error)
+        if self.is_halted and self._session is not None:
+            self._parts.store.note_uncounted(self._session.gel.serial, self._session.unrecorded)
         if self._parts.clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
             self.publish_stats()
 
@@ -143,9 +153,16 @@ class StationLoop:
             return
         if not self.is_halted:
             parts.status.clear_fault("store")
-        parts.status.stats(self.summary, parts.acquisition.status, outbox)
-        errors = [c.last_error for c in parts.publisher.counters().values() if c.refused]
-        parts.status.refused(outbox.refused, errors)
+        counters = parts.publisher.counters()
+        parts.status.stats(
+            self.summary,
+            parts.acquisition.status,
+            outbox,
+            {name: _word(one) for name, one in counters.items()},
+        )
+        parts.status.refused(outbox.refused, [c.last_refusal for c in counters.values() if c.last_refusal])
+        parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])
+        parts.status.counts(parts.store.findings)
 
     def _look_at(self, frame: CameraFrame) -> None:
         session = self._session or self._start_session()
@@ -160,6 +177,7 @@ class StationLoop:
             raise DeviceNotFound("a frame arrived from a sensor without an identity")
         self._check_mode(identity)
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
+        parts.status.counts(parts.store.findings)
         parts.status.clear_fault("store")
         recorder = Recorder(parts.store, parts.inspector, identity.serial, parts.place, parts.clock)
         parts.status.info(parts.inspector.bundle, identity)
@@ -205,3 +223,9 @@ class StationLoop:
             self._overload.skip(self.summary.frames)
             self._was_held_up = False
         self._parts.status.overload(self._overload.step(self.summary.frames))
+
+
+def _word(counters: SinkCounters) -> str:
+    """A receiver's state in `stats`."""
+    level = f", MQTT {counters.level}" if counters.level else ""
+    return ("up" if counters.is_up else counters.last_error or "not yet tried") + level

@@ -2,7 +2,7 @@
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from statistics import median
 from typing import Literal
@@ -47,7 +47,7 @@ class StationStatus:
         self._waiting_for: str | None = None
         self._is_stopped = False
         self._said: tuple[str, str | None] | None = None
-        self._drops_before: Mapping[str, int] | None = None
+        self._drops_before: OutboxStatus | None = None
 
     def set_waiting_for(self, what: str | None) -> None:
         """The thing that the station waits for before it can inspect, None when it inspects."""
@@ -155,9 +155,15 @@ class StationStatus:
         )
         self._announce(info_message(payload))
 
-    def stats(self, summary: Summary, sensor: AcquisitionStatus, outbox: OutboxStatus) -> None:
+    def stats(
+        self,
+        summary: Summary,
+        sensor: AcquisitionStatus,
+        outbox: OutboxStatus,
+        receivers: Mapping[str, str] | None = None,
+    ) -> None:
         """Counters since the start."""
-        self._dropped(outbox.dropped)
+        self._dropped(outbox)
         latencies = summary.latencies_ms
         payload = StatsPayload(
             time_ns=self._clock.time_ns(),
@@ -176,7 +182,9 @@ class StationStatus:
             latency_ms_max=max(latencies, default=None),
             outbox_rows=outbox.rows,
             outbox_bytes=outbox.bytes,
+            outbox_refused=outbox.refused,
             dropped=dict(outbox.dropped),
+            receivers=dict(receivers or {}),
         )
         self._announce(stats_message(payload))
 
@@ -194,11 +202,32 @@ class StationStatus:
         else:
             self.clear("refused")
 
-    def _dropped(self, dropped: Mapping[str, int]) -> None:
+    def receivers(self, faults: Sequence[str]) -> None:
+        """An alarm while receivers report faults that a person should correct."""
+        if faults:
+            self.alarm("receiver", "; ".join(faults), "warning")
+        else:
+            self.clear("receiver")
+
+    def counts(self, findings: Sequence[str]) -> None:
+        """An alarm for counts that had to be corrected; it stays until the end of this process."""
+        if findings:
+            self.alarm("counts", "; ".join(findings))
+
+    def _dropped(self, outbox: OutboxStatus) -> None:
         """Drops since this process started are an alarm; older ones were published before."""
         if self._drops_before is None:
-            self._drops_before = dict(dropped)
-        new = {kind: n - self._drops_before.get(kind, 0) for kind, n in dropped.items()}
-        if any(new.values()):
-            words = ", ".join(f"{n} of kind {kind}" for kind, n in new.items() if n)
-            self.alarm("outbox_full", f"unsent messages were dropped because the outbox is full: {words}")
+            self._drops_before = outbox
+        aged = _since(self._drops_before.aged, outbox.aged)
+        crowded = _since(aged, _since(self._drops_before.dropped, outbox.dropped))
+        words = [*_words(aged, "too old"), *_words(crowded, "no room")]
+        if words:
+            self.alarm("outbox_full", f"unsent messages were dropped: {', '.join(words)}")
+
+
+def _since(before: Mapping[str, int], now: Mapping[str, int]) -> dict[str, int]:
+    return {kind: n - before.get(kind, 0) for kind, n in now.items()}
+
+
+def _words(counts: Mapping[str, int], why: str) -> list[str]:
+    return [f"{n} of kind {kind} ({why})" for kind, n in counts.items() if n]

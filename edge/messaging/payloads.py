@@ -51,8 +51,10 @@ PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25
 ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or sends broken frames",
     "store": "the database or its disk refuses writes; inspection halts",
-    "outbox_full": "unsent messages were dropped because the outbox is full: heatmaps first, passes next, fails last",
-    "refused": "a receiver refused a message; it is kept and offered again every hour and at each start",
+    "outbox_full": "unsent messages were dropped: too old, or no room; heatmaps first, passes next, fails last",
+    "refused": "a receiver refused a message; it is kept and offered again within a minute",
+    "receiver": "a receiver works, with a fault that a person should correct: denied topics, its MQTT level, client id",
+    "counts": "the database knew less than the second record of the counts: it was removed, damaged or replaced",
     "free_gel": "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at rest",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
@@ -154,7 +156,7 @@ class DefectPlace(BaseModel):
 
 
 class ResultPayload(Payload):
-    """One press, one result. `press_id` is the key: the same result may arrive twice, never with two contents.
+    """One press, one result. `press_id` is the key: the same result may arrive twice; only `is_replayed` may differ.
 
     Exactly one of `verdict` and `error` is set: a press that could not be scored has no verdict, and is never a pass.
     """
@@ -283,7 +285,11 @@ class StatsPayload(Payload):
     latency_ms_max: float | None = Field(default=None, description="likewise")
     outbox_rows: int = Field(default=0, ge=0)
     outbox_bytes: int = Field(default=0, ge=0)
+    outbox_refused: int = Field(default=0, ge=0, description="rows that a receiver refuses; they are kept")
     dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
+    receivers: dict[str, str] = Field(
+        default_factory=dict, description="receiver to `up` or why it is not; with the MQTT level in use"
+    )
 
 
 def state_message(payload: StatePayload) -> Message:

@@ -93,7 +93,11 @@ class Publisher:
     def counters(self) -> Mapping[str, SinkCounters]:
         """Of every sink, with the faults that it reports now."""
         return {
-            name: replace(worker.counters, faults=_faults(self._sinks[name]))
+            name: replace(
+                worker.counters,
+                faults=_faults(self._sinks[name]),
+                level=getattr(self._sinks[name], "level", None),
+            )
             for name, worker in self._workers.items()
         }
 

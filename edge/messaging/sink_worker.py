@@ -38,7 +38,8 @@ OnChange = Callable[[str, bool, str], None]
 class SinkCounters:
     """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
     refused: refusals so far. is_up: the last attempt succeeded. last_error: its sentence, or empty. last_refusal: that
-    of the last refused message, or empty. faults: what the sink itself reports."""
+    of the last refused message, or empty. faults: what the sink itself reports. level: of its protocol, if it has
+    several."""
 
     sent: int = 0
     replayed: int = 0
@@ -48,6 +49,7 @@ class SinkCounters:
     last_error: str = ""
     last_refusal: str = ""
     faults: tuple[str, ...] = ()
+    level: str | None = None
 
 
 class SinkWorker:

@@ -69,9 +69,10 @@ Node-RED, rounds integers above 2^53 without an error.
 
 A subscriber can rely on this:
 
-- **A result arrives at least once**, and again only with the same `press_id` and content: drop the second by its id.
+- **A result arrives at least once**, and again only with the same `press_id` and content, but for `is_replayed`: drop
+  the second by its id.
 - **Results keep their order** at one broker. A result that is sent late is marked `is_replayed`; its `time` is that of
-  the press. A refused message is kept and comes later.
+  the press. A refused message is kept and comes later, out of order.
 - **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
 - **`last/heatmap` comes just before its `last`** and is empty for a press without a picture, so the two always belong
   together. The press id is in the picture's text chunks as well.

@@ -92,12 +92,12 @@ def mount(
     return gel_id
 
 
-def count_press(connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
-    """One more press on the mounted gel. The last use never becomes earlier, also when the clock is set back."""
+def count_press(connection: sqlite3.Connection, serial: str, time_ns: int, presses: int = 1) -> None:
+    """More presses on the mounted gel. The last use never becomes earlier, also when the clock is set back."""
     connection.execute(
-        "UPDATE gels SET presses = presses + 1, first_use_ns = coalesce(first_use_ns, :t), "
+        "UPDATE gels SET presses = presses + :presses, first_use_ns = coalesce(first_use_ns, :t), "
         "last_use_ns = max(coalesce(last_use_ns, :t), :t) WHERE serial = :serial AND removed_ns IS NULL",
-        {"t": time_ns, "serial": serial},
+        {"t": time_ns, "serial": serial, "presses": presses},
     )
 
 

@@ -19,6 +19,8 @@ from edge.store import outbox
 from edge.store.database import Database
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import Bounds
+from edge.store.press_counts import Count, PressCounts
+from edge.store.recovery import recover
 from edge.store.running_time import RunningTime
 from edge.store.ulid import is_ulid
 
@@ -77,6 +79,8 @@ class Store:
     """The gateway's side of the database. Any thread may use it, one at a time.
 
     bounds: of the outbox. limit_presses, warn_fraction: limit of a gel that is not registered, warning of every gel.
+    monotonic_ns: by which messages age. findings: what a comparison with the second record of the counts
+    (edge.store.press_counts) has found and corrected, one sentence each.
     Errors of every method: StoreError; earlier commits stay.
     """
 
@@ -92,6 +96,9 @@ class Store:
         self._bounds = bounds or Bounds()
         self._limit_presses = limit_presses
         self._warn_fraction = warn_fraction
+        self._counts = PressCounts(path)
+        self._compared: set[str] = set()
+        self.findings: list[str] = []
         self._database = Database(path)
 
     @property
@@ -105,6 +112,7 @@ class Store:
         repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
         `make_messages`, and then nothing is recorded.
         """
+        self._compare(press.serial, press.time_ns)
         with self._database.writing(f"recording press {press.press_id}") as connection:
             known = connection.execute(
                 "SELECT number, serial, time_ns, verdict, score FROM presses WHERE press_id = ?",
@@ -123,14 +131,20 @@ class Store:
             recorded = Recorded(gel, _insert(connection, press, gel.gel_id, running_ns))
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
             outbox.enforce(connection, self._bounds, running_ns)
+        self._keep_count(recorded.gel, recorded.sequence)
         return recorded
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; an unknown sensor gets its first gel."""
+        self._compare(serial, time_ns)
         with self._database.writing(f"reading the gel of sensor {serial}") as connection:
             self._mount_first(connection, serial, time_ns)
             self._running.store_sometimes(connection)
-            return self._mounted(connection, serial)
+            gel, sequence = self._mounted(connection, serial), _newest_number(connection)
+        known = self._counts.read().get(serial)
+        if known is None or (known.gel_id, known.presses) != (gel.gel_id, gel.presses):
+            self._keep_count(gel, sequence)
+        return gel
 
     def gels(self, serial: str | None = None) -> list[GelRecord]:
         """Every gel of this sensor, or of all sensors, oldest first; the mounted one has no `removed_ns`."""
@@ -150,12 +164,28 @@ class Store:
 
         gel_id None makes the id `<serial>-<n>`. Errors: StoreError for an id that this sensor already had.
         """
+        self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
             gel = self._mounted(connection, serial)
+            sequence = _newest_number(connection)
             if make_messages is not None:
                 outbox.put(connection, make_messages(gel), "", time_ns, self._running.store(connection))
+        self._keep_count(gel, sequence)
         return gel
+
+    def count_presses(self, serial: str, presses: int, time_ns: int) -> GelRecord:
+        """Presses of which nothing else is known: they wear the gel."""
+        with self._database.writing(f"counting presses of sensor {serial}") as connection:
+            ledger.count_press(connection, serial, time_ns, presses)
+            gel, sequence = self._mounted(connection, serial), _newest_number(connection)
+        self._keep_count(gel, sequence)
+        return gel
+
+    def note_uncounted(self, serial: str, presses: int) -> None:
+        """Presses of this sensor that are made while the database refuses writes. They are counted when it accepts
+        one, or at the next start. Never raises."""
+        self._counts.set_uncounted(serial, presses)
 
     def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
         """The newest presses, each with its gel id, newest first."""
@@ -165,7 +195,12 @@ class Store:
                 "ORDER BY number DESC LIMIT ?",
                 (limit,),
             ).fetchall()
-        return [(PressRecord(*row[:8]), row[8]) for row in rows]
+        try:
+            return [(PressRecord(*row[:8]), row[8]) for row in rows]
+        except ValueError as error:
+            raise StoreError(
+                f"database {self.path} holds a press that cannot be ({error}); move it away to keep it for repair"
+            ) from error
 
     def check(self) -> None:
         """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged."""
@@ -187,9 +222,21 @@ class Store:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _compare(self, serial: str, time_ns: int) -> None:
+        """At the first use of a sensor, its count is compared with the second record."""
+        if serial in self._compared:
+            return
+        with self._database.writing(f"comparing the counts of sensor {serial}") as connection:
+            found = recover(connection, self._counts.read().get(serial), serial, time_ns)
+        self.findings += [f"database {self.path}: {sentence}" for sentence in found]
+        self._compared.add(serial)
+
     def _mount_first(self, connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
         if ledger.mounted(connection, serial, self._warn_fraction) is None:
             ledger.mount(connection, serial, None, self._limit_presses, "first seen", time_ns)
+
+    def _keep_count(self, gel: GelRecord, sequence: int) -> None:
+        self._counts.write(gel.serial, Count(gel.gel_id, gel.presses, gel.limit_presses, sequence))
 
     def _mounted(self, connection: sqlite3.Connection, serial: str) -> GelRecord:
         gel = ledger.mounted(connection, serial, self._warn_fraction)
@@ -198,6 +245,12 @@ class Store:
                 f"database {self.path} has no gel for sensor {serial}; run `gelgate gel replace`"
             )
         return gel
+
+
+def _newest_number(connection: sqlite3.Connection) -> int:
+    """The number of the newest press that this database ever had."""
+    row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'presses'").fetchone()
+    return 0 if row is None else int(row[0])
 
 
 def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:

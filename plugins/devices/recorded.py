@@ -27,6 +27,7 @@ class RecordedOptions(BaseModel):
     pace: float = Field(
         default=1.0,
         ge=0,
+        le=1000,
         description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read; with 0 frames "
         "have the recorded times, so contact is found as in real time and no frame is dropped",
     )

@@ -49,6 +49,7 @@ class UsbMockOptions(BaseModel):
     pace: float = Field(
         default=1.0,
         ge=0,
+        le=1000,
         description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
         "frames are read; at 0 frames keep their times of pace 1, so contact is detected as at pace 1 and no frame is "
         "dropped; at 2 and more a recording may be too short to learn the free gel",

@@ -1,0 +1,115 @@
+"""A second record of the counts, in a small file next to the database: the mounted gel, and how often it was pressed.
+
+A database may be removed, emptied, cut, or replaced by an old copy; then the wear of the gel would start again at 0.
+This file has a fixed size and is overwritten in place, so it can be written on a full disk too, where the database
+cannot. It holds two copies, written in turn: a power cut damages at most the one being written.
+"""
+
+import fcntl
+import json
+import logging
+import os
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+
+__all__ = ["Count", "PressCounts"]
+
+log = logging.getLogger(__name__)
+
+COPY_BYTES: Final = 8192
+
+# Sensors that are remembered, the last used ones: their entries fit into a copy with the longest ids.
+REMEMBERED: Final = 8
+
+
+@dataclass(frozen=True)
+class Count:
+    """Of one sensor. gel_id: the mounted gel. presses, limit_presses: of that gel. sequence: the number of the newest
+    press of the database. uncounted: presses that no database has counted yet. order: rises with every change."""
+
+    gel_id: str
+    presses: int
+    limit_presses: int
+    sequence: int
+    uncounted: int = 0
+    order: int = 0
+
+
+class PressCounts:
+    """The file of one database. Processes take turns; a file that cannot be read is as one that is not there."""
+
+    def __init__(self, database: Path) -> None:
+        real = database.resolve()
+        self.path = real.with_name(real.name + ".counts")
+        self._is_failing = False
+
+    def read(self) -> dict[str, Count]:
+        """Sensor to its count."""
+        try:
+            data = self.path.read_bytes()
+        except OSError:
+            return {}
+        return _newest(data)[1]
+
+    def write(self, serial: str, count: Count) -> None:
+        """Keep this count; what is not written is logged once, and no reason to refuse a press."""
+        try:
+            with self._open() as (file, number, counts):
+                order = 1 + max((known.order for known in counts.values()), default=0)
+                counts[serial] = replace(count, order=order)
+                kept = sorted(counts, key=lambda one: counts[one].order)[-REMEMBERED:]
+                _put(file, number + 1, {one: counts[one] for one in kept})
+            self._is_failing = False
+        except OSError as error:
+            if not self._is_failing:
+                log.warning("the counts in %s are not kept: %s", self.path, error.strerror or error)
+            self._is_failing = True
+
+    def set_uncounted(self, serial: str, uncounted: int) -> None:
+        """Presses of this sensor that the database does not take now; nothing for an unknown sensor."""
+        count = self.read().get(serial)
+        if count is not None and count.uncounted != uncounted:
+            self.write(serial, replace(count, uncounted=uncounted))
+
+    @contextmanager
+    def _open(self) -> Iterator[tuple[int, int, dict[str, Count]]]:
+        """(file, number of the newest copy, its counts), while no other process writes."""
+        file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if os.fstat(file).st_size < 2 * COPY_BYTES:
+                os.pwrite(file, bytes(2 * COPY_BYTES), 0)
+            yield file, *_newest(os.pread(file, 2 * COPY_BYTES, 0))
+        finally:
+            os.close(file)
+
+
+def _put(file: int, number: int, counts: Mapping[str, Count]) -> None:
+    text = json.dumps(
+        {"number": number, "sensors": {serial: asdict(count) for serial, count in counts.items()}},
+        ensure_ascii=False,
+    ).encode()
+    data = b"%08x %s\n" % (zlib.crc32(text), text)
+    os.pwrite(file, data.ljust(COPY_BYTES), (number % 2) * COPY_BYTES)
+    os.fdatasync(file)
+
+
+def _newest(data: bytes) -> tuple[int, dict[str, Count]]:
+    """(number, counts) of the newer readable copy; (0, {}) where there is none."""
+    copies = [_copy(data[start : start + COPY_BYTES]) for start in (0, COPY_BYTES)]
+    return max((copy for copy in copies if copy is not None), key=lambda copy: copy[0], default=(0, {}))
+
+
+def _copy(data: bytes) -> tuple[int, dict[str, Count]] | None:
+    try:
+        check, text = data.split(b"\n")[0].split(b" ", 1)
+        if int(check, 16) != zlib.crc32(text):
+            return None
+        content = json.loads(text)
+        return content["number"], {serial: Count(**fields) for serial, fields in content["sensors"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None

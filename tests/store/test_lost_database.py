@@ -1,0 +1,155 @@
+"""A database that was removed, emptied, cut or replaced by an old copy never starts a gel again at 0."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from edge.store.press_counts import COPY_BYTES, Count, PressCounts
+from edge.store.press_store import PressRecord, Store
+
+MakePress = Callable[..., PressRecord]
+SERIAL = "2BNN4ZE7"
+
+
+def record(path: Path, make_press: MakePress, *numbers: int) -> Store:
+    with Store(path) as store:
+        for n in numbers:
+            store.record_press(make_press(n), lambda recorded: [])
+    return store
+
+
+def remove(path: Path) -> None:
+    for name in (path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")):
+        name.unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("loss", ["removed", "emptied", "an older copy"])
+def test_a_gel_goes_on_counting_and_the_loss_is_reported(
+    path: Path, tmp_path: Path, make_press: MakePress, loss: str
+) -> None:
+    """The count, the gel's id and the numbers of presses go on; one sentence says what is missing."""
+    record(path, make_press, 1)
+    shutil.copy(path, tmp_path / "old.db")
+    record(path, make_press, 2, 3)
+    if loss == "emptied":
+        path.write_bytes(b"")
+    else:
+        remove(path)
+    if loss == "an older copy":
+        shutil.copy(tmp_path / "old.db", path)
+
+    with Store(path) as store:
+        gel = store.gel(SERIAL, 0)
+        recorded = store.record_press(make_press(9), lambda recorded: [])
+
+    assert (gel.gel_id, gel.presses) == (f"{SERIAL}-1", 3)
+    assert (recorded.gel.presses, recorded.sequence) == (4, 4)
+    (finding,) = store.findings
+    first = 2 if loss == "an older copy" else 1
+    assert f"presses {first} to 3 are missing" in finding
+    assert "goes on from 3 presses" in finding
+
+
+def test_a_lost_journal_is_found_at_the_next_start(path: Path, make_press: MakePress) -> None:
+    """Presses that were only in the write-ahead log when the machine stopped and somebody removed the log."""
+    program = f"""
+import os, sys
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from edge.store.press_store import PressRecord, Store
+from edge.store.ulid import new_ulid
+store = Store(Path({str(path)!r}))
+for n in range(5):
+    store.record_press(PressRecord(new_ulid(10**18 + n), 10**18 + n, {SERIAL!r}, "bolt", "pass"), lambda r: [])
+os._exit(0)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
+    path.with_name(path.name + "-wal").unlink()
+
+    with Store(path) as store:
+        assert store.gel(SERIAL, 0).presses == 5
+    assert len(store.findings) == 1
+
+
+def test_a_gel_that_was_replaced_stays_replaced(path: Path, make_press: MakePress) -> None:
+    """The second record knows the new gel, with its limit; the worn one does not come back."""
+    record(path, make_press, 1, 2)
+    with Store(path) as store:
+        store.replace_gel(SERIAL, 5, "new", 700)
+        store.record_press(make_press(3), lambda recorded: [])
+    remove(path)
+
+    with Store(path) as store:
+        gel = store.gel(SERIAL, 0)
+
+    assert (gel.gel_id, gel.presses, gel.limit_presses) == ("new", 1, 700)
+
+
+def test_a_sound_database_is_believed(path: Path, make_press: MakePress) -> None:
+    """No finding at an ordinary restart, nor when the second record is older, damaged or not there."""
+    record(path, make_press, 1)
+    counts = PressCounts(path)
+    for content in (None, b"", b"x" * 2 * COPY_BYTES, counts.path.read_bytes()):
+        if content is None:
+            counts.path.unlink()
+        else:
+            counts.path.write_bytes(content)
+        with Store(path) as store:
+            assert store.gel(SERIAL, 0).presses == 1
+        assert store.findings == []
+        assert counts.read()[SERIAL].presses == 1  # it is written again
+
+
+def test_a_power_cut_while_the_second_record_is_written_leaves_the_one_before(
+    path: Path, make_press: MakePress
+) -> None:
+    """Cut at any byte of a copy, the other copy is read: at most one press older."""
+    record(path, make_press, 1, 2)
+    counts = PressCounts(path)
+    whole = counts.path.read_bytes()
+    for start in (0, COPY_BYTES):
+        for cut in range(0, 200, 7):
+            counts.path.write_bytes(whole[: start + cut] + b"\xff" * 300 + whole[start + cut + 300 :])
+            assert counts.read()[SERIAL].presses in (1, 2)
+
+
+def test_the_second_record_is_written_in_place(path: Path, make_press: MakePress) -> None:
+    """Its blocks are allocated once, so a full disk does not stop it."""
+    record(path, make_press, 1)
+    counts = PressCounts(path)
+    before = os.stat(counts.path)
+    record(path, make_press, *range(2, 20))
+    after = os.stat(counts.path)
+
+    assert (after.st_size, after.st_ino) == (before.st_size, before.st_ino) == (2 * COPY_BYTES, before.st_ino)
+    assert counts.read()[SERIAL].presses == 19
+
+
+def test_presses_that_a_database_refused_are_counted_at_the_next_start(
+    path: Path, make_press: MakePress
+) -> None:
+    """Made while the disk was full, and then the gateway ended: the gel has felt them."""
+    with Store(path) as store:
+        store.record_press(make_press(1), lambda recorded: [])
+        store.note_uncounted(SERIAL, 20)
+
+    with Store(path) as store:
+        assert store.gel(SERIAL, 7).presses == 21
+        assert "20 presses of sensor 2BNN4ZE7 were made while it refused writes" in store.findings[0]
+    with Store(path) as store:
+        assert store.gel(SERIAL, 7).presses == 21
+        assert store.findings == []
+
+
+def test_the_sensors_used_last_are_remembered(path: Path) -> None:
+    """With ids of the greatest length all of them fit; the file does not grow."""
+    counts = PressCounts(path)
+    for n in range(20):
+        counts.write(f"S{n}" + "\u3042" * 60, Count("\u3042" * 64, n, 1000, n))
+
+    assert [count.presses for count in counts.read().values()] == list(range(12, 20))
