@@ -179,6 +179,33 @@ class StoreTable(_Table):
     )
 
 
+class CommandTable(_Table):
+    """Which requests over MQTT are served, and from whom; all others are refused. mqtt.md has the verbs."""
+
+    unsigned: tuple[str, ...] = Field(
+        default=("trigger",),
+        description="verbs for everybody whom the broker lets publish on `cmd/<verb>`: its access rules decide",
+    )
+    signed: tuple[str, ...] = Field(
+        default=(),
+        description="verbs that need a signature with the secret, such as `relearn` and `replace_gel`",
+    )
+    secret_file: Path | None = Field(
+        default=None, description="file that holds only the secret, at least 16 bytes, rights 0640"
+    )
+    requests_per_minute: int = Field(
+        default=60, ge=1, le=6000, description="more are refused, of all verbs together"
+    )
+
+    @model_validator(mode="after")
+    def _secret_for_signed(self) -> "CommandTable":
+        if self.signed and self.secret_file is None:
+            raise ValueError("signed verbs need secret_file")
+        if both := sorted(set(self.signed) & set(self.unsigned)):
+            raise ValueError(f"{', '.join(both)}: a verb is signed or unsigned, not both")
+        return self
+
+
 class Config(_Table):
     """The complete file."""
 
@@ -189,6 +216,7 @@ class Config(_Table):
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
+    commands: CommandTable = CommandTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
 
 
@@ -273,10 +301,18 @@ def _with_paths_from(folder: Path, config: Config) -> Config:
         }
     )
     store = config.store.model_copy(update={"path": folder / config.store.path})
+    secret = config.commands.secret_file
+    commands = config.commands.model_copy(update={"secret_file": None if secret is None else folder / secret})
     device = _with_options_from(folder, "devices", config.device)
     sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]
     return config.model_copy(
-        update={"inspection": inspection, "store": store, "device": device, "sinks": sinks}
+        update={
+            "inspection": inspection,
+            "store": store,
+            "commands": commands,
+            "device": device,
+            "sinks": sinks,
+        }
     )
 
 

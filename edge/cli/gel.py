@@ -59,8 +59,10 @@ def replace(
     import time
 
     from edge.messaging.payloads import GelPayload, gel_message
+    from edge.store.acts import Act
 
     now_ns = time.time_ns()
+    asked = {"serial": serial, "gel_id": gel_id, "limit_presses": limit, "note": note}
     with _open(database, config) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
@@ -70,8 +72,18 @@ def replace(
             limit,
             note,
             lambda gel: [gel_message(GelPayload.of(gel, now_ns))],
+            Act(now_ns, f"{_user()}, command line", "replace_gel", outcome="done", arguments=asked),
         )
     print(json.dumps(_plain(record), indent=2) if as_json else _line(record))
+
+
+def _user() -> str:
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container may have no name for its user
+        return "unnamed"
 
 
 def _only(serials: list[str]) -> str:

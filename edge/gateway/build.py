@@ -13,6 +13,7 @@ from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Sink
 from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
 from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
@@ -42,7 +43,10 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
-    context = _sink_context(config, clock, retained_state, Commands(station_handlers(calls), clock))
+    handlers = station_handlers(calls)
+    policy = policy_of(config, frozenset(handlers))
+    commands = Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
+    context = _sink_context(config, clock, retained_state, commands)
     sinks = _open_sinks(config, context, closing)
     publisher = Publisher(
         config.store.path,
@@ -99,6 +103,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         will=state_message(lost),
         birth=retained_state.all,
         on_command=commands,
+        on_refused=commands.refused,
     )
 
 

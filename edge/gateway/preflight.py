@@ -15,6 +15,8 @@ from edge.config import Config, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
+from edge.gateway.command_policy import policy_of
+from edge.gateway.commands import COMMANDS
 from edge.gateway.opening import device_opener, open_scorer
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
@@ -105,6 +107,7 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     found.try_part("bundle", lambda: found.open_bundle(config))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
+    found.try_part("commands", lambda: _commands(config))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found
@@ -131,6 +134,13 @@ def _database(config: Config) -> str:
         store.check()
         gels = [gel for gel in store.gels() if gel.removed_ns is None]
     return "; ".join(f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels) or "new"
+
+
+def _commands(config: Config) -> str:
+    policy = policy_of(config, frozenset(command.verb for command in COMMANDS))
+    words = [f"{verb} (unsigned)" for verb in sorted(policy.unsigned)]
+    words += [f"{verb} (signed)" for verb in sorted(policy.signed)]
+    return ", ".join(words) or "none"
 
 
 def _reachable(table: PluginTable, key: str) -> str:

@@ -1,14 +1,31 @@
 """Requests to a station and its responses: one pydantic model per payload of `cmd/`."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from edge.core.gel import MOST_PRESSES
 from edge.messaging.payloads import Payload
 
-__all__ = ["CommandArguments", "CommandRequest", "CommandResponse", "NoArguments", "ReplaceGelArguments"]
+__all__ = [
+    "LARGEST_REQUEST_BYTES",
+    "WAITING_REQUESTS",
+    "CommandArguments",
+    "CommandRequest",
+    "CommandResponse",
+    "NoArguments",
+    "ReplaceGelArguments",
+]
+
+# The largest request; those of the shipped verbs have some hundred bytes.
+LARGEST_REQUEST_BYTES: Final = 16 << 10
+
+# Requests that may wait while one is answered; a person or a line controller sends fewer at once.
+WAITING_REQUESTS: Final = 16
+
+PlainText = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]*$")]
+"""Without control characters, which a terminal would obey."""
 
 
 class CommandRequest(BaseModel):
@@ -16,10 +33,20 @@ class CommandRequest(BaseModel):
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
-    transaction: str = Field(
-        min_length=1, max_length=128, description="chosen by the requester, returned in the response"
+    transaction: PlainText = Field(
+        min_length=1,
+        max_length=128,
+        description="chosen by the requester, returned in the response; the same one within a minute is the same "
+        "request, and is not done twice",
     )
     arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
+    by: PlainText | None = Field(
+        default=None, max_length=64, description="who asks, for the table of acts; claimed, unless signed"
+    )
+    time_ns: int | None = Field(default=None, ge=0, description="wall clock of a signed request")
+    signature: str | None = Field(
+        default=None, pattern=r"^[0-9a-f]{64}$", description="HMAC-SHA256 of a signed request, hexadecimal"
+    )
 
 
 class CommandArguments(BaseModel):
@@ -45,9 +72,9 @@ class NoArguments(CommandArguments):
 class ReplaceGelArguments(CommandArguments):
     """Of `cmd/replace_gel`."""
 
-    gel_id: str | None = Field(default=None, min_length=1, max_length=64)
+    gel_id: PlainText | None = Field(default=None, min_length=1, max_length=64)
     limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
-    note: str = Field(default="", max_length=1000)
+    note: PlainText = Field(default="", max_length=1000)
 
 
 class CommandResponse(Payload):
@@ -58,3 +85,7 @@ class CommandResponse(Payload):
     status: Literal["ok", "error"]
     error: str | None = None
     data: dict[str, Any] = Field(default_factory=dict)
+    is_repeated: bool = Field(
+        default=False,
+        description="the request was done before; this is its outcome, and nothing was done now",
+    )

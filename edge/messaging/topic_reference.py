@@ -1,12 +1,18 @@
 """docs/mqtt.md, printed from the payload models, so that both always agree."""
 
+import json
 from collections.abc import Iterable, Iterator
 from typing import Any, Final, Protocol
 
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.command_payloads import (
+    LARGEST_REQUEST_BYTES,
+    WAITING_REQUESTS,
+    CommandRequest,
+    CommandResponse,
+)
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
@@ -16,6 +22,7 @@ from edge.messaging.payloads import (
     StatePayload,
     StatsPayload,
 )
+from edge.messaging.request_signature import signature_of, signed_text
 from edge.pictures.heatmap import FULL_SCALE
 from edge.pictures.press_picture import TEXT_KEYWORDS
 
@@ -31,6 +38,8 @@ class DocumentedCommand(Protocol):
     def arguments(self) -> type[BaseModel]: ...
     @property
     def help(self) -> str: ...
+    @property
+    def changes(self) -> str: ...
 
 
 # topic below the root, QoS, whether retained, payload, purpose
@@ -53,6 +62,43 @@ TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
     ("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
 )
+
+_EXAMPLE_ROOT: Final = "gelgate/plant/line1/station1/gel/v1"
+_EXAMPLE_SECRET: Final = "0123456789abcdef0123456789abcdef"
+_EXAMPLE_NS: Final = 1_780_000_000_000_000_000
+
+_ASKING: Final = """
+`[commands]` of the configuration says which verbs a station serves: `unsigned` ones from everybody whom the broker lets
+publish on `cmd/<verb>`, `signed` ones with a signature. By default only `trigger` is served. A verb that changes
+something belongs under `signed`, or the broker's access rules must allow its topic to few.
+
+A request is a JSON object of at most {largest} bytes, published with QoS 1 and not retained:
+
+```json
+{{"transaction": "17"}}
+```
+
+- The same verb and transaction id within a minute are the same request, because MQTT delivers at least once: it is not
+  done twice, and the answer with `is_repeated` is the first outcome. Use a new id for each request.
+- The response is published on `cmd/<verb>/response`. At level 5 a request may name a response topic below that one;
+  with any other the request is refused.
+- More than `requests_per_minute`, larger ones, and those that find {waiting} others waiting are refused, with a
+  response.
+- Every request that is not refused for its number or size is in the table of acts: `gelgate acts`.
+
+A signed request also has `by`, `time_ns` (within 60 s of the station's clock) and `signature`. The signature is the
+HMAC-SHA256, in hexadecimal, of one JSON text with sorted keys, without blanks, and with `\\u` escapes for everything
+that is not ASCII. With the secret `{secret}` this text
+
+```json
+{text}
+```
+
+gives this request on `cmd/replace_gel`:
+
+```json
+{request}
+```"""
 
 _HEAD: Final = f"""\
 # MQTT topics and payloads
@@ -117,10 +163,20 @@ def _overview() -> Iterator[str]:
 
 
 def _commands(commands: Iterable[DocumentedCommand]) -> Iterator[str]:
-    yield "\n## Commands\n\n| verb | arguments | what it does |\n| --- | --- | --- |"
-    yield from (f"| `{one.verb}` | {_arguments(one.arguments)} | {one.help} |" for one in commands)
-    yield "\nFor example, published on `cmd/replace_gel`:\n"
-    yield '```json\n{"transaction": "17", "arguments": {"gel_id": "batch7-3", "note": "torn"}}\n```'
+    yield "\n## Commands\n\n| verb | arguments | what it does | what it changes |\n| --- | --- | --- | --- |"
+    for one in commands:
+        yield f"| `{one.verb}` | {_arguments(one.arguments)} | {one.help} | {one.changes or 'nothing'} |"
+    arguments = {"gel_id": "batch7-3", "note": "torn"}
+    text = signed_text(_EXAMPLE_ROOT, "replace_gel", "17", _EXAMPLE_NS, "kim", arguments)
+    fields = {"transaction": "17", "arguments": arguments, "by": "kim", "time_ns": _EXAMPLE_NS}
+    request = {**fields, "signature": signature_of(_EXAMPLE_SECRET.encode(), text)}
+    yield _ASKING.format(
+        secret=_EXAMPLE_SECRET,
+        text=text.decode(),
+        request=json.dumps(request),
+        largest=LARGEST_REQUEST_BYTES,
+        waiting=WAITING_REQUESTS,
+    )
 
 
 def _arguments(model: type[BaseModel]) -> str:

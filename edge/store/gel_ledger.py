@@ -74,8 +74,12 @@ def mount(
 ) -> str:
     """Replace the mounted gel by this one; returns its id. `gel_id` None gives it a number.
 
-    Errors: StoreError if this sensor has had a gel of that id: the count would then be of two gels.
+    Errors: StoreError if this sensor has had a gel of that id: the count would then be of two gels; for an id or a note
+    with control characters.
     """
+    for what, text in (("gel id", gel_id or ""), ("note", note)):
+        if not text.isprintable():
+            raise StoreError(f"the {what} {text!r} holds control characters; use letters, digits and signs")
     ids = {row[0] for row in connection.execute("SELECT gel_id FROM gels WHERE serial = ?", (serial,))}
     gel_id = gel_id or next(name for n in range(1, len(ids) + 2) if (name := f"{serial}-{n}") not in ids)
     if gel_id in ids:

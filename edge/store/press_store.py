@@ -6,7 +6,7 @@ reads and acknowledges through an `Outbox` on the same file.
 
 import sqlite3
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -14,6 +14,7 @@ from typing import Final, Self
 from edge.core.errors import StoreError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
 from edge.core.ports import Message
+from edge.store import acts as act_table
 from edge.store import gel_ledger as ledger
 from edge.store import outbox
 from edge.store.database import Database
@@ -159,16 +160,20 @@ class Store:
         limit_presses: int | None = None,
         note: str = "",
         make_messages: Callable[[GelRecord], Sequence[Message]] | None = None,
+        act: act_table.Act | None = None,
     ) -> GelRecord:
         """Record that a new gel was mounted; its count starts at 0, and that of the old gel stays as history.
 
-        gel_id None makes the id `<serial>-<n>`. Errors: StoreError for an id that this sensor already had.
+        gel_id None makes the id `<serial>-<n>`. act: recorded with it, both or neither.
+        Errors: StoreError for an id that this sensor already had.
         """
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
             gel = self._mounted(connection, serial)
             sequence = _newest_number(connection)
+            if act is not None:
+                act_table.begin(connection, act, self._running.store(connection))
             if make_messages is not None:
                 outbox.put(connection, make_messages(gel), "", time_ns, self._running.store(connection))
         self._keep_count(gel, sequence)
@@ -186,6 +191,36 @@ class Store:
         """Presses of this sensor that are made while the database refuses writes. They are counted when it accepts
         one, or at the next start. Never raises."""
         self._counts.set_uncounted(serial, presses)
+
+    def begin_act(self, act: act_table.Act, within_s: float) -> tuple[int, act_table.Act | None]:
+        """Record that this is being done, and return its number; or the same request, when it was done before.
+
+        The same: with the same signature, or of the same verb and transaction id within this time of running.
+        """
+        with self._database.writing(f"recording the request '{act.verb}'") as connection:
+            now_ns = self._running.store(connection)
+            known = None
+            if act.request is not None and act.outcome is None:
+                after_ns = now_ns - int(within_s * 1e9)
+                known = act_table.earlier(connection, act.verb, act.request, act.signature, after_ns)
+            return (known.act_id, known) if known else (act_table.begin(connection, act, now_ns), None)
+
+    def finish_act(
+        self,
+        act_id: int,
+        outcome: act_table.Outcome,
+        sentence: str | None = None,
+        before: Mapping[str, object] | None = None,
+        after: Mapping[str, object] | None = None,
+    ) -> None:
+        """Record how it ended."""
+        with self._database.writing("recording the outcome of a request") as connection:
+            act_table.finish(connection, act_id, outcome, sentence, before, after)
+
+    def acts(self, limit: int = 100) -> list[act_table.Act]:
+        """The newest acts, newest first."""
+        with self._database.reading("reading the acts") as connection:
+            return act_table.newest(connection, limit)
 
     def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
         """The newest presses, each with its gel id, newest first."""

@@ -106,6 +106,7 @@ CREATE TABLE acts (
     after       TEXT
 ) STRICT;
 CREATE INDEX acts_by_request ON acts (verb, request, running_ns);
+CREATE INDEX acts_refused ON acts (act_id) WHERE outcome = 'refused';
 CREATE UNIQUE INDEX acts_by_signature ON acts (signature) WHERE signature IS NOT NULL;
 """
 

@@ -6,13 +6,12 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.errors import ConfigError
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from edge.messaging.mqtt_broker import Broker, Tls
 
-__all__ = ["LARGEST_REQUEST_BYTES", "MqttOptions", "TlsOptions"]
+__all__ = ["LARGEST_PACKET_BYTES", "MqttOptions", "TlsOptions"]
 
-# The largest payload of a request; those of the shipped verbs have some hundred bytes. The packet around it has room
-# for one that is a little larger, so that it gets an answer and not silence.
-LARGEST_REQUEST_BYTES: Final = 16 << 10
+# The packet has room for a request that is a little too large, so that it gets an answer and not silence.
 LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
 
 _OWN_MACHINE: Final = ("localhost", "127.0.0.1", "::1")

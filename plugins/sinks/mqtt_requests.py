@@ -6,20 +6,16 @@ the station's rights anything else could be overwritten, its own state included.
 
 import logging
 import queue
-from typing import Final
 
 from edge.core.errors import SinkError
 from edge.core.sink_context import Station
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
 from edge.messaging.mqtt_broker import Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
-from plugins.sinks.mqtt_options import LARGEST_REQUEST_BYTES
 
 __all__ = ["Requests"]
 
 log = logging.getLogger(__name__)
-
-# Requests that may wait while one is answered; a person or a line controller sends fewer at once.
-WAITING_COMMANDS: Final = 16
 
 
 class Requests:
@@ -27,7 +23,7 @@ class Requests:
 
     def __init__(self, station: Station) -> None:
         self._station = station
-        self._waiting: queue.Queue[Received | None] = queue.Queue(WAITING_COMMANDS)
+        self._waiting: queue.Queue[Received | None] = queue.Queue(WAITING_REQUESTS)
         self._is_refusing = False
 
     def receive(self, request: Received, connection: Connection | None) -> None:
@@ -42,7 +38,7 @@ class Requests:
             try:
                 self._waiting.put_nowait(request)
             except queue.Full:
-                why = f"{WAITING_COMMANDS} requests are waiting; ask again later"
+                why = f"{WAITING_REQUESTS} requests are waiting; ask again later"
         if why is not None:
             self._refuse(request, why, connection)
         self._note(request, why)

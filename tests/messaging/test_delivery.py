@@ -10,7 +10,8 @@ from edge.clock import SystemClock
 from edge.core.backoff import Backoff
 from edge.core.ports import Message
 from edge.core.verdict import Kind
-from edge.gateway.commands import Commands
+from edge.gateway.command_policy import CommandPolicy
+from edge.gateway.commands import Change, Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
 from edge.messaging.publisher import Publisher
@@ -144,9 +145,10 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
 ) -> None:
     """The gateway's composition in small: retained state, outbox, commands on one connection."""
     listener = listen(mosquitto)
-    commands = Commands({"ping": lambda arguments: {"echo": arguments["text"]}}, SystemClock())
-    sink = sink_to(mosquitto, commands)
     with Store(tmp_path / "gelgate.db") as store:
+        handlers = {"ping": lambda arguments: Change({"echo": arguments["text"]})}
+        commands = Commands(handlers, CommandPolicy(ROOT, frozenset(handlers)), store, SystemClock())
+        sink = sink_to(mosquitto, commands)
         publisher = Publisher(store.path, {"mqtt": sink}, RetainedState(), SystemClock(), random.Random(1))
         publisher.start()
         publisher.announce(state_message(StatePayload(time_ns=T0, state="halted", reason="no sensor")))

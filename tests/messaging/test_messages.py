@@ -13,7 +13,8 @@ from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
 from edge.core.verdict import Kind
-from edge.gateway.commands import COMMANDS, Commands
+from edge.gateway.command_policy import CommandPolicy
+from edge.gateway.commands import COMMANDS, Change, Commands
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,
@@ -28,6 +29,7 @@ from edge.messaging.payloads import (
 )
 from edge.messaging.topic_reference import TOPICS, reference
 from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
 
 PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
@@ -206,14 +208,11 @@ def test_ulids_sort_by_time_and_are_canonical() -> None:
         new_ulid(-1)
 
 
-ANSWERS = Commands(
-    {
-        "ping": lambda arguments: {"echo": arguments.get("text")},
-        "refuse": lambda arguments: (_ for _ in ()).throw(ConfigError("no bundle is named 'x'")),
-        "break": lambda arguments: {"number": 1 / 0},
-    },
-    SystemClock(),
-)
+HANDLERS = {
+    "ping": lambda arguments: Change({"echo": arguments.get("text")}),
+    "refuse": lambda arguments: (_ for _ in ()).throw(ConfigError("no bundle is named 'x'")),
+    "break": lambda arguments: Change({"number": 1 / 0}),
+}
 
 
 @pytest.mark.parametrize(
@@ -238,10 +237,12 @@ ANSWERS = Commands(
     ],
 )
 def test_every_request_has_an_answer(
-    verb: str, payload: bytes, transaction: str | None, status: str, words: str
+    tmp_path: Path, verb: str, payload: bytes, transaction: str | None, status: str, words: str
 ) -> None:
     """The transaction comes back; a fault is a sentence in the answer, never an exception."""
-    answer = json.loads(ANSWERS(verb, payload))
+    policy = CommandPolicy("root", frozenset(HANDLERS))
+    with Store(tmp_path / "gelgate.db") as store:
+        answer = json.loads(Commands(HANDLERS, policy, store, SystemClock())(verb, payload))
 
     assert (answer["transaction"], answer["verb"], answer["status"]) == (transaction, verb, status)
     assert words in (answer["error"] or "")

@@ -10,12 +10,12 @@ from scripted_broker import ScriptedBroker
 
 from edge.core.backoff import Backoff
 from edge.core.sink_context import Station
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink
-from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES, LARGEST_REQUEST_BYTES, MqttOptions
-from plugins.sinks.mqtt_requests import WAITING_COMMANDS
+from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES, MqttOptions
 
 from .conftest import ROOT
 
@@ -119,12 +119,12 @@ def test_requests_that_find_no_room_are_answered(
     broker: ScriptedBroker, sink: MqttSink, asked: Asked
 ) -> None:
     """A flood while nothing is served: what fits waits, and each of the others has its answer, with one log line."""
-    for number in range(WAITING_COMMANDS + 300):
+    for number in range(WAITING_REQUESTS + 300):
         broker.send(TRIGGER, b"%d" % number)
 
     until(lambda: len(broker.published) == 300)
     assert len(asked.refused) == 300
-    assert set(asked.refused) == {f"{WAITING_COMMANDS} requests are waiting; ask again later"}
+    assert set(asked.refused) == {f"{WAITING_REQUESTS} requests are waiting; ask again later"}
 
 
 def test_a_real_broker_does_not_deliver_a_huge_request(

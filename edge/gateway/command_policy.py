@@ -1,0 +1,113 @@
+"""Who may ask for what: verbs that are served, the signature of those that change something, and how many a minute."""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from edge.config import CommandTable, Config
+from edge.core.errors import ConfigError
+from edge.core.ports import Clock
+from edge.core.sink_context import topic_root
+from edge.core.suggest import suggestion
+from edge.messaging.command_payloads import CommandRequest
+from edge.messaging.request_signature import is_signed, signed_text
+
+__all__ = ["CommandPolicy", "Rate", "policy_of"]
+
+# The time in a signed request and the station's clock may differ by this.
+SIGNED_WITHIN_S: Final = 60.0
+
+# A secret of fewer bytes could be guessed from one request.
+SHORTEST_SECRET: Final = 16
+
+
+@dataclass(frozen=True)
+class CommandPolicy:
+    """root: of the station's topics. unsigned: verbs for everybody whom the broker lets publish; signed: verbs that
+    need a signature with `secret`; all others are off."""
+
+    root: str
+    unsigned: frozenset[str]
+    signed: frozenset[str] = frozenset()
+    secret: bytes | None = None
+
+    def refusal(self, verb: str, request: CommandRequest, now_ns: int) -> str | None:
+        """Why this request is not done, as one sentence; None if it may be. now_ns: wall clock."""
+        if verb in self.unsigned:
+            return None
+        if verb not in self.signed or self.secret is None:
+            return (
+                f"the command '{verb}' is off at this station; name it in [commands] of its configuration, "
+                "under signed or unsigned"
+            )
+        if request.signature is None or request.time_ns is None:
+            return f"the command '{verb}' needs time_ns and signature; see docs/mqtt.md"
+        arguments = (request.transaction, request.time_ns, request.by, request.arguments)
+        if not is_signed(self.secret, signed_text(self.root, verb, *arguments), request.signature):
+            return "the signature is not that of this request and this station's secret"
+        apart_s = abs(now_ns - request.time_ns) / 1e9
+        if apart_s > SIGNED_WITHIN_S:
+            return (
+                f"the request was signed {apart_s:.0f} s away from this station's clock, at most {SIGNED_WITHIN_S:g} s "
+                "are allowed; compare the clocks"
+            )
+        return None
+
+
+class Rate:
+    """At most so many requests a minute, at once or evenly. Any thread may use it."""
+
+    def __init__(self, per_minute: int, clock: Clock) -> None:
+        self._per_minute = per_minute
+        self._clock = clock
+        self._left = float(per_minute)
+        self._seen_ns = clock.monotonic_ns()
+        self._lock = threading.Lock()
+
+    def take(self) -> bool:
+        """Whether one more request is allowed now."""
+        with self._lock:
+            now_ns = self._clock.monotonic_ns()
+            gained = max(0, now_ns - self._seen_ns) / 60e9 * self._per_minute
+            self._left = min(float(self._per_minute), self._left + gained)
+            self._seen_ns = now_ns
+            if self._left < 1:
+                return False
+            self._left -= 1
+            return True
+
+
+def policy_of(config: Config, verbs: frozenset[str]) -> CommandPolicy:
+    """The configured policy. verbs: those that exist. Errors: ConfigError."""
+    table, station = config.commands, config.station
+    for verb in (*table.unsigned, *table.signed):
+        if verb not in verbs:
+            raise ConfigError(f"commands: no command is named '{verb}'; {suggestion(verb, sorted(verbs))}")
+    return CommandPolicy(
+        topic_root(station.prefix, station.site, station.line, station.station),
+        frozenset(table.unsigned),
+        frozenset(table.signed),
+        _secret(table),
+    )
+
+
+def _secret(table: CommandTable) -> bytes | None:
+    if table.secret_file is None:
+        return None
+    path: Path = table.secret_file
+    try:
+        secret = path.read_bytes().strip()
+        rights = path.stat().st_mode
+    except OSError as error:
+        raise ConfigError(
+            f"commands.secret_file: {path} cannot be read ({error.strerror}); make one with "
+            f"`head -c 32 /dev/urandom | base64`"
+        ) from error
+    if rights & 0o007:
+        raise ConfigError(f"commands.secret_file: {path} is open to every user; set its rights to 0640")
+    if len(secret) < SHORTEST_SECRET:
+        raise ConfigError(
+            f"commands.secret_file: {path} holds {len(secret)} bytes, at least {SHORTEST_SECRET} are needed"
+        )
+    return secret

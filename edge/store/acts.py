@@ -1,0 +1,114 @@
+"""The table of acts: every request to the station and its outcome. Runs inside the caller's transaction.
+
+An act is written before it is done, and completed afterwards. One without an outcome was interrupted.
+"""
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+__all__ = ["Act", "Outcome", "begin", "earlier", "finish", "newest"]
+
+# Acts that were done, and requests that were refused. They are counted apart: a flood of the second kind must not push
+# the first out.
+KEPT_ACTS: Final = 100_000
+KEPT_REFUSALS: Final = 10_000
+
+Outcome = Literal["done", "failed", "refused"]
+
+_COLUMNS = "time_ns, who, verb, request, arguments, signature, outcome, sentence, before, after, act_id"
+
+
+@dataclass(frozen=True)
+class Act:
+    """One request. time_ns: wall clock. who: through which receiver, signed or not, and the name that was claimed.
+    request: its transaction id. outcome: None while it is being done. sentence: why it failed or was refused.
+    before, after: what the act changes, as far as it is known."""
+
+    time_ns: int
+    who: str
+    verb: str
+    request: str | None = None
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    signature: str | None = None
+    outcome: Outcome | None = None
+    sentence: str | None = None
+    before: Mapping[str, Any] | None = None
+    after: Mapping[str, Any] | None = None
+    act_id: int = 0
+
+
+def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
+    """Add it, and return its number."""
+    number = connection.execute(
+        "INSERT INTO acts (time_ns, running_ns, who, verb, request, arguments, signature, outcome, sentence, before, "
+        "after) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (
+            act.time_ns,
+            running_ns,
+            act.who,
+            act.verb,
+            act.request,
+            json.dumps(dict(act.arguments)),
+            act.signature,
+            act.outcome,
+            act.sentence,
+            _json(act.before),
+            _json(act.after),
+        ),
+    ).lastrowid
+    for condition, kept in (("= 'refused'", KEPT_REFUSALS), ("IS NOT 'refused'", KEPT_ACTS)):
+        connection.execute(
+            f"DELETE FROM acts WHERE outcome {condition} AND act_id <= "
+            f"(SELECT act_id FROM acts WHERE outcome {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?)",
+            (kept,),
+        )
+    return int(number or 0)
+
+
+def finish(
+    connection: sqlite3.Connection,
+    act_id: int,
+    outcome: Outcome,
+    sentence: str | None,
+    before: Mapping[str, Any] | None,
+    after: Mapping[str, Any] | None,
+) -> None:
+    """Complete it."""
+    connection.execute(
+        "UPDATE acts SET outcome = ?, sentence = ?, before = ?, after = ? WHERE act_id = ?",
+        (outcome, sentence, _json(before), _json(after), act_id),
+    )
+
+
+def earlier(
+    connection: sqlite3.Connection, verb: str, request: str, signature: str | None, after_ns: int
+) -> Act | None:
+    """The same request: by its signature at any time; by its transaction id since this running time, if it was done."""
+    row = connection.execute(
+        f"SELECT {_COLUMNS} FROM acts WHERE outcome IS NOT 'refused' AND "
+        "((? IS NOT NULL AND signature = ?) OR (verb = ? AND request = ? AND running_ns >= ? "
+        "AND outcome IS NOT 'failed')) "
+        "ORDER BY act_id DESC LIMIT 1",
+        (signature, signature, verb, request, after_ns),
+    ).fetchone()
+    return None if row is None else _act(row)
+
+
+def newest(connection: sqlite3.Connection, limit: int) -> list[Act]:
+    """The newest acts, newest first."""
+    rows = connection.execute(f"SELECT {_COLUMNS} FROM acts ORDER BY act_id DESC LIMIT ?", (limit,))
+    return [_act(row) for row in rows]
+
+
+def _act(row: tuple[Any, ...]) -> Act:
+    values = dict(zip(_COLUMNS.split(", "), row, strict=True))
+    for name in ("arguments", "before", "after"):
+        values[name] = None if values[name] is None else json.loads(values[name])
+    return Act(**values)
+
+
+def _json(content: Mapping[str, Any] | None) -> str | None:
+    return None if content is None else json.dumps(dict(content))

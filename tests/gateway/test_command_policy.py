@@ -1,0 +1,269 @@
+"""Who may ask a station for what: off by default, signed where it changes a record, done once, and written down."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_recordings import FakeClock
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.config import load_config
+from edge.core.errors import ConfigError
+from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
+from edge.gateway.commands import COMMANDS, REPEATED_WITHIN_S, Change, Commands
+from edge.messaging.request_signature import signature_of, signed_text
+from edge.store.press_store import Store
+
+SECRET = b"0123456789abcdef"
+ROOT = "gelgate/site/line/station/gel/v1"
+VERBS = frozenset(command.verb for command in COMMANDS)
+
+
+class Bench:
+    """A store, a clock and three verbs that note what is done: `trigger`, `relearn` and `replace_gel`."""
+
+    def __init__(self, store: Store, clock: FakeClock) -> None:
+        self.done: list[str] = []
+        self.store, self.clock = store, clock
+        self.policy = CommandPolicy(
+            ROOT, frozenset({"trigger"}), frozenset({"relearn", "replace_gel"}), SECRET
+        )
+        self.commands = self.make()
+
+    def make(self, per_minute: int = 60) -> Commands:
+        handlers = {verb: self._handler(verb) for verb in ("trigger", "relearn", "replace_gel")}
+        return Commands(handlers, self.policy, self.store, self.clock, per_minute)
+
+    def _handler(self, verb: str) -> Callable[[Any], Change]:
+        def do(arguments: Any) -> Change:
+            if "fail" in arguments:
+                raise ValueError("nothing presses the gel")
+            self.done.append(verb)
+            return Change({"number": len(self.done)}, {"presses": 900}, {"presses": 0})
+
+        return do
+
+    def ask(self, verb: str, transaction: str = "1", **more: Any) -> dict[str, Any]:
+        payload = json.dumps({"transaction": transaction, **more}).encode()
+        return dict(json.loads(self.commands(verb, payload)))
+
+    def signed(self, verb: str, transaction: str = "1", **changes: Any) -> dict[str, Any]:
+        """Ask with a right signature; changes are made after it was signed."""
+        time_ns, arguments = changes.pop("signed_ns", self.clock.time_ns()), {"gel_id": "b7"}
+        text = signed_text(changes.pop("root", ROOT), verb, transaction, time_ns, "kim", arguments)
+        fields = {"arguments": arguments, "by": "kim", "time_ns": time_ns}
+        return self.ask(verb, transaction, **{**fields, "signature": signature_of(SECRET, text), **changes})
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    clock = FakeClock(1_780_000_000 * 10**9)
+    with Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns) as store:
+        yield Bench(store, clock)
+
+
+def test_only_a_trigger_is_served_by_default(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A station as it comes records no change of gel that somebody on the network asks for."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        policy = policy_of(load_config(tmp_path / "gelgate.toml"), VERBS)
+        commands = Commands({}, policy, station.parts.store, station.clock)
+        commands._handlers = {verb: lambda arguments: Change({}) for verb in VERBS}
+        answers = {verb: json.loads(commands(verb, b'{"transaction":"1"}')) for verb in VERBS}
+
+    assert {verb for verb, answer in answers.items() if answer["status"] == "ok"} == {"trigger"}
+    assert "is off at this station" in answers["replace_gel"]["error"]
+
+
+def test_a_signed_request_is_done_and_written_down(bench: Bench) -> None:
+    """Who, when, what, before and after."""
+    answer = bench.signed("replace_gel")
+
+    assert (answer["status"], bench.done) == ("ok", ["replace_gel"])
+    (act,) = bench.store.acts()
+    assert (act.who, act.verb, act.request, act.outcome) == (
+        "kim, over MQTT, signed",
+        "replace_gel",
+        "1",
+        "done",
+    )
+    assert (act.arguments, act.before, act.after) == ({"gel_id": "b7"}, {"presses": 900}, {"presses": 0})
+    assert act.time_ns == bench.clock.time_ns()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"signature": None}, "needs time_ns and signature"),
+        ({"time_ns": None}, "needs time_ns and signature"),
+        ({"arguments": {"gel_id": "b8"}}, "the signature is not that of this request"),
+        ({"by": "lee"}, "the signature is not that of this request"),
+        ({"signature": "0" * 64}, "the signature is not that of this request"),
+        ({"root": "gelgate/site/line/other/gel/v1"}, "the signature is not that of this request"),
+        ({"signature": "x"}, "signature: String should match pattern"),
+    ],
+)
+def test_a_request_that_is_not_signed_as_it_came_is_refused(
+    bench: Bench, changes: dict[str, Any], words: str
+) -> None:
+    """Each part of a request is signed, and the station that it is for."""
+    answer = bench.signed("replace_gel", **changes)
+
+    assert answer["status"] == "error"
+    assert words in answer["error"]
+    assert bench.done == []
+
+
+@pytest.mark.parametrize("away_s", [-SIGNED_WITHIN_S - 1, SIGNED_WITHIN_S + 1])
+def test_a_signature_of_another_time_is_refused(bench: Bench, away_s: float) -> None:
+    """A recorded request is no use later."""
+    answer = bench.signed("relearn", signed_ns=bench.clock.time_ns() + round(away_s * 1e9))
+
+    assert "compare the clocks" in answer["error"]
+    assert bench.done == []
+
+
+def test_a_repeated_request_is_not_done_again(bench: Bench) -> None:
+    """MQTT delivers at least once: the second answer is the outcome of the first, and says so."""
+    first, second = bench.ask("trigger", "7"), bench.ask("trigger", "7")
+
+    assert (first["status"], second["status"], bench.done) == ("ok", "ok", ["trigger"])
+    assert (first["is_repeated"], second["is_repeated"]) == (False, True)
+
+
+def test_a_signed_request_is_never_done_twice(bench: Bench) -> None:
+    """Also when the clock was set back and the gateway restarted: the signature is remembered."""
+    at_ns = bench.clock.time_ns()
+    bench.signed("replace_gel")
+    bench.clock.sleep(REPEATED_WITHIN_S * 3)
+    bench.commands = bench.make()
+
+    answer = bench.signed("replace_gel", signed_ns=at_ns)
+    bench.clock.sleep(-REPEATED_WITHIN_S * 3 + 1)
+    again = bench.signed("replace_gel", signed_ns=at_ns)
+
+    assert "compare the clocks" in answer["error"]
+    assert again["is_repeated"]
+    assert bench.done == ["replace_gel"]
+
+
+def test_a_transaction_id_is_not_used_for_two_requests(bench: Bench) -> None:
+    """Within a minute; a later one may be another request of a client that counts from 1 again."""
+    bench.ask("trigger", "7")
+    other = bench.ask("trigger", "7", arguments={"x": 1})
+    bench.clock.sleep(REPEATED_WITHIN_S + 1)
+    bench.ask("trigger", "7")
+
+    assert "used for another request" in other["error"]
+    assert bench.done == ["trigger", "trigger"]
+
+
+def test_a_request_that_failed_may_be_asked_again(bench: Bench) -> None:
+    """ "nothing presses the gel" is an answer for that moment; it is written down as a failure."""
+    answers = [bench.ask("trigger", "7", arguments={"fail": True}) for _ in range(2)]
+
+    assert [answer["error"] for answer in answers] == ["nothing presses the gel"] * 2
+    assert [act.outcome for act in bench.store.acts()] == ["failed", "failed"]
+
+
+def test_an_act_that_a_power_cut_interrupted_is_not_done_again_unseen(bench: Bench) -> None:
+    """It is written before it is done: its row has no outcome, and the same request is answered with that."""
+
+    def cut(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    bench.commands._handlers["relearn"] = cut  # type: ignore[assignment]
+    with pytest.raises(KeyboardInterrupt):
+        bench.signed("relearn")
+    bench.commands = bench.make()
+
+    answer = bench.signed("relearn")
+
+    assert "is being done, or was interrupted" in answer["error"]
+    assert [act.outcome for act in bench.store.acts()] == [None]
+
+
+def test_a_flood_is_refused_and_fills_no_table(bench: Bench) -> None:
+    """Sixty a minute are served; of the rest each is answered, none is done and none is written down."""
+    answers = [bench.ask("trigger", str(n)) for n in range(200)]
+
+    assert [answer["status"] for answer in answers] == ["ok"] * 60 + ["error"] * 140
+    assert "more than 60 requests a minute" in answers[-1]["error"]
+    assert (len(bench.done), len(bench.store.acts(1000))) == (60, 60)
+    bench.clock.sleep(1)
+    assert bench.ask("trigger", "later")["status"] == "ok"
+
+
+def test_refused_requests_do_not_push_acts_out_of_the_table(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are counted apart."""
+    from edge.store import acts
+
+    monkeypatch.setattr(acts, "KEPT_REFUSALS", 3)
+    bench.signed("replace_gel")
+    for n in range(10):
+        bench.ask("relearn", f"t{n}")
+
+    assert [act.outcome for act in bench.store.acts()] == ["refused"] * 3 + ["done"]
+
+
+@pytest.mark.parametrize("field", ["transaction", "by"])
+def test_control_characters_in_a_request_are_refused(bench: Bench, field: str) -> None:
+    """They would be printed on somebody's terminal."""
+    answer = json.loads(
+        bench.commands("trigger", json.dumps({"transaction": "1", field: "a\x1b[2J"}).encode())
+    )
+
+    assert answer["status"] == "error"
+    assert bench.done == []
+
+
+def test_a_gel_id_with_control_characters_is_refused(bench: Bench) -> None:
+    """From the command line too."""
+    from edge.core.errors import StoreError
+
+    for change in ({"gel_id": "\x00"}, {"note": "a\x1b[2J"}):
+        with pytest.raises(StoreError, match="holds control characters"):
+            bench.store.replace_gel("S1", 1, **change)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('unsigned = ["trigge"]', "no command is named 'trigge'; did you mean 'trigger'?"),
+        ('signed = ["relearn"]', "signed verbs need secret_file"),
+        ('signed = ["trigger"]\nsecret_file = "s"', "trigger: a verb is signed or unsigned, not both"),
+        ('signed = ["relearn"]\nsecret_file = "nowhere"', "cannot be read"),
+        ('signed = ["relearn"]\nsecret_file = "short"', "holds 3 bytes, at least 16 are needed"),
+        ('signed = ["relearn"]\nsecret_file = "open"', "is open to every user"),
+        ("requests_per_minute = 0", "requests_per_minute"),
+    ],
+)
+def test_a_policy_that_cannot_be_is_refused_at_the_start(
+    tmp_path: Path, recording: Path, bundle: Path, table: str, words: str
+) -> None:
+    """In one sentence, by `gelgate check` and `gelgate run`."""
+    for name, content, rights in (("short", b"abc", 0o640), ("open", SECRET, 0o644)):
+        (tmp_path / name).write_bytes(content)
+        (tmp_path / name).chmod(rights)
+    path = station_config(tmp_path, recording, bundle)
+    path.write_text(f"{path.read_text()}\n[commands]\n{table}\n")
+
+    with pytest.raises(ConfigError) as caught:
+        policy_of(load_config(path), VERBS)
+
+    assert words in str(caught.value)
+
+
+def test_the_signature_is_that_of_the_manual() -> None:
+    """A vector that other programs can test themselves with; checked with `openssl dgst -sha256 -hmac`."""
+    text = signed_text(ROOT, "replace_gel", "17", 1_780_000_000_000_000_000, "kim", {"gel_id": "b7-ü"})
+
+    assert text == (
+        b'{"arguments":{"gel_id":"b7-\\u00fc"},"by":"kim","root":"gelgate/site/line/station/gel/v1",'
+        b'"time_ns":1780000000000000000,"transaction":"17","verb":"replace_gel"}'
+    )
+    assert signature_of(SECRET, text) == "252bbd39fa4bbad3a3d5e183ddecf8e45c89ba8befebfe899ba9545749648cba"
