@@ -175,9 +175,11 @@ def verify(
     from edge.model.bundle import Bundle
     from edge.model.scorer import Scorer
     from edge.model.signature import Trust, trusted_keys
+    from edge.model.trial import try_bundle
 
     trust = Trust("required", trusted_keys(keys)) if keys else Trust()
     try:
+        try_bundle(bundle, trunks, threads)
         checked = Bundle.load(bundle, trunks, trust=trust)
         typer.echo(f"signature: {checked.signature.text}")
         typer.echo(f"manifest schema {checked.manifest.schema_version}: known")

@@ -1,17 +1,22 @@
 """How the configured bundle and sensor are opened, by the check before a start and by the start itself."""
 
+import contextlib
+import hashlib
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 
 from edge import registry
 from edge.config import Config, PluginTable
 from edge.core.plugins import PlaysRecording
 from edge.core.ports import Clock, Device
-from edge.model.bundle import Bundle
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.scorer import Scorer
 from edge.model.signature import Trust, trusted_keys
+from edge.model.trial import try_bundle
 from edge.recording.format import Recording
 
-__all__ = ["device_opener", "open_scorer", "played_recording"]
+__all__ = ["device_opener", "open_scorer", "played_recording", "try_once"]
 
 
 def open_scorer(config: Config) -> tuple[Scorer, float]:
@@ -24,6 +29,28 @@ def open_scorer(config: Config) -> tuple[Scorer, float]:
     bundle = Bundle.load(inspection.bundle, trust=Trust(inspection.signed, keys))
     scorer = Scorer(bundle, threads=inspection.threads)
     return scorer, scorer.check_golden()
+
+
+def try_once(config: Config) -> None:
+    """Run the configured bundle in a child process with limits, unless it was: its digest is kept at the database.
+
+    Errors: BundleError.
+    """
+    path, inspection = config.inspection.bundle, config.inspection
+    keys = {} if inspection.trusted_keys is None else trusted_keys(inspection.trusted_keys)
+    archive = open_archive(path)
+    raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
+    Trust(inspection.signed, keys).check(archive, raw)  # before anything of it is run
+    mark = (
+        f"{hashlib.sha256(raw).hexdigest()} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
+    )
+    known = config.store.path.with_name(config.store.path.name + ".tried")
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        if known.read_text(encoding="utf-8").strip() == mark:
+            return
+    try_bundle(path, threads=inspection.threads)
+    with contextlib.suppress(OSError):  # then it is tried at the next start too
+        known.write_text(mark + "\n", encoding="utf-8")
 
 
 def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:

@@ -17,7 +17,7 @@ from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import COMMANDS
-from edge.gateway.opening import device_opener, open_scorer
+from edge.gateway.opening import device_opener, open_scorer, try_once
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
 from edge.model.scorer import Scorer
@@ -74,6 +74,7 @@ class Preflight:
 
     def open_bundle(self, config: Config) -> str:
         """Load, hash and score the golden frames; returns the finding. Errors: BundleError."""
+        try_once(config)
         self.scorer, worst = open_scorer(config)
         bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
         licence = licence_sentence(manifest)

@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import math
+import tokenize
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -274,6 +275,7 @@ def parse_manifest(raw: bytes, where: str) -> Manifest:
     """The manifest from its bytes. Errors: BundleCorrupt, BundleMismatch for a newer schema."""
     try:
         content = json.loads(raw)
+        json.dumps(content, ensure_ascii=False).encode()  # half a character cannot be printed or hashed
         version = content["schema_version"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BundleCorrupt(
@@ -323,7 +325,8 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
         major, _ = np.lib.format.read_magic(stream)
         reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
         found_shape, fortran, found_dtype = reader(stream)
-    except (ValueError, EOFError, OSError) as error:
+    except (ValueError, EOFError, OSError, MemoryError, RecursionError, tokenize.TokenError) as error:
+        # The last three: numpy parses the header as Python text.
         raise BundleCorrupt(f"bundle {where}: {file} is not a npy file ({error}); export it again") from error
     if found_dtype.hasobject or found_dtype != np.dtype(dtype) or found_shape != shape or fortran:
         raise BundleCorrupt(
@@ -347,13 +350,21 @@ def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -
 def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
     """A picture of the region, uint8 (h, w, 3) RGB."""
     data = np.frombuffer(read_verified(archive, entry), np.uint8)
-    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    h, w = _png_size(data.tobytes()[:24])
+    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if (h, w) == frame else None
     if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
         raise BundleCorrupt(
-            f"bundle {archive.where}: the picture {entry.file} is {None if bgr is None else bgr.shape}, "
-            f"expected {(*frame, 3)}; export the bundle again"
+            f"bundle {archive.where}: the picture {entry.file} is {h}x{w}, expected a PNG of {frame[0]}x{frame[1]} (h, "
+            "w) in colour; export the bundle again"
         )
     return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
+
+
+def _png_size(head: bytes) -> tuple[int, int]:
+    """(h, w) from the first 24 bytes of a PNG, (0, 0) of something else: a small file can hold a gigantic picture."""
+    if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
+        return 0, 0
+    return int.from_bytes(head[20:24], "big"), int.from_bytes(head[16:20], "big")
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,11 @@ from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import Tiles
 from edge.core.verdict import Verdict, decide
+<<<<<<< HEAD
 from edge.model.detectability import CheckedFacts, DetectabilityCard
+=======
+from edge.model.archive import MAX_FILE_BYTES
+>>>>>>> 4a2adf6 (bundle: limits from the program, loops and random operators refused, and a first run with limits of time and memory)
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -51,6 +55,18 @@ RelativeFile = Annotated[
 Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
 
 
+Side = Annotated[int, Field(ge=1, le=8192)]
+"""Pixels or cells: the longest side of the sensor's frames has 3280."""
+
+Count = Annotated[int, Field(ge=0, le=2**53)]
+
+MAX_ARRAY_BYTES = 4 << 30
+"""The largest bank array or tap in memory; the largest known bank has 62 MB."""
+
+MAX_BUNDLE_BYTES = 2 << 30
+"""All files of a bundle together."""
+
+
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -60,7 +76,7 @@ class FileEntry(_Entry):
 
     file: RelativeFile
     sha256: Sha256
-    size_bytes: int = Field(ge=0)
+    size_bytes: int = Field(ge=0, le=MAX_FILE_BYTES)
 
 
 class ArrayEntry(_Entry):
@@ -70,11 +86,17 @@ class ArrayEntry(_Entry):
     """
 
     dtype: Literal["float32", "int64", "bool"]
-    shape: tuple[Annotated[int, Field(ge=0)], ...]
+    shape: tuple[Annotated[int, Field(ge=0, le=2**31 - 1)], ...] = Field(max_length=8)
     packing: Packing = "none"
     data: FileEntry
     scale: FileEntry | None = None
     exponent: int = Field(default=0, ge=-400, le=400)
+
+    @model_validator(mode="after")
+    def _fits(self) -> "ArrayEntry":
+        if self.bytes_unpacked > MAX_ARRAY_BYTES:
+            raise ValueError(f"an array has at most {MAX_ARRAY_BYTES} bytes, found {self.bytes_unpacked}")
+        return self
 
     @property
     def bytes_stored(self) -> int:
@@ -93,14 +115,17 @@ class BackboneEntry(_Entry):
     in_bundle: bool = True
 
 
+Border = Annotated[float, Field(ge=0, lt=0.5)]
+
+
 class ProfileEntry(_Entry):
     """Every field of `SensorProfile`: how camera bytes became the nominal pictures."""
 
     name: Name
-    native: tuple[int, int]
-    border: tuple[float, float]
-    size: tuple[int, int]
-    decode_scale: int
+    native: tuple[Side, Side]
+    border: tuple[Border, Border]
+    size: tuple[Side, Side]
+    decode_scale: Literal[1, 2, 4, 8]
     pixels_per_mm: float = Field(gt=0)
     controls: dict[str, int] = Field(default_factory=dict)
 
@@ -111,7 +136,7 @@ class ProfileEntry(_Entry):
             native=profile.native,
             border=profile.border,
             size=profile.size,
-            decode_scale=profile.decode_scale,
+            decode_scale=profile.decode_scale,  # type: ignore[arg-type]  # SensorProfile has checked it
             pixels_per_mm=profile.pixels_per_mm,
             controls=dict(sorted(profile.controls.items())),
         )
@@ -123,10 +148,10 @@ class ProfileEntry(_Entry):
 class RegionEntry(_Entry):
     """`edge.core.imaging.region.Region`: the inspected rectangle in pixels of the picture."""
 
-    x: int = Field(ge=0)
-    y: int = Field(ge=0)
-    width: int = Field(ge=1)
-    height: int = Field(ge=1)
+    x: int = Field(ge=0, le=8192)
+    y: int = Field(ge=0, le=8192)
+    width: Side
+    height: Side
 
     @classmethod
     def of(cls, region: Region) -> "RegionEntry":
@@ -139,9 +164,9 @@ class RegionEntry(_Entry):
 class TilesEntry(_Entry):
     """`edge.core.imaging.tiles.Tiles` over the region. untouched: tiles that no nominal press touches, row by row."""
 
-    size: int = Field(ge=1)
-    rows: tuple[int, ...]
-    columns: tuple[int, ...]
+    size: Side
+    rows: tuple[Annotated[int, Field(ge=0, le=8192)], ...]
+    columns: tuple[Annotated[int, Field(ge=0, le=8192)], ...]
     untouched: tuple[int, ...] = ()
 
     @classmethod
@@ -158,13 +183,16 @@ class GridEntry(_Entry):
     tiles: set where the trunk sees the region in overlapping tiles.
     """
 
-    frame: tuple[int, int]
-    taps: dict[str, tuple[int, int, int]]
+    frame: tuple[Side, Side]
+    taps: dict[str, tuple[Annotated[int, Field(ge=1, le=65536)], Side, Side]]
     pixels_per_mm: float = Field(gt=0)
     tiles: TilesEntry | None = None
 
     @model_validator(mode="after")
     def _laid_out(self) -> "GridEntry":
+        for tap, shape in self.taps.items():
+            if 4 * math.prod(shape) > MAX_ARRAY_BYTES:
+                raise ValueError(f"the tap '{tap}' of {shape} needs more than {MAX_ARRAY_BYTES} bytes")
         if self.tiles is None:
             return self
         count = len(self.tiles.tiles(self.frame))
@@ -253,7 +281,13 @@ class GoldenEntry(_Entry):
     image: FileEntry
     what: str
     score: float
-    map_peaks: tuple[tuple[float, ...], ...]
+    map_peaks: tuple[tuple[float, ...], ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _even(self) -> "GoldenEntry":
+        if len({len(row) for row in self.map_peaks}) != 1 or not self.map_peaks[0]:
+            raise ValueError("the rows of map_peaks have one length, at least 1")
+        return self
 
 
 class ContactRange(_Entry):
@@ -262,6 +296,14 @@ class ContactRange(_Entry):
     x: tuple[float, float]
     y: tuple[float, float]
     area: tuple[float, float]
+
+    @model_validator(mode="after")
+    def _rising(self) -> "ContactRange":
+        for name in ("x", "y", "area"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise ValueError(f"{name} runs from low to high, found {low} to {high}")
+        return self
 
 
 Level = Annotated[float, Field(ge=0, le=255)]
@@ -297,12 +339,12 @@ class CostCard(_Entry):
 
     trunk_ms: float
     head_ms: float
-    threads: int
+    threads: Count
     features_s: float
     fit_s: float
     threshold_s: float
-    bank_bytes_stored: int
-    bank_bytes_unpacked: int
+    bank_bytes_stored: Count
+    bank_bytes_unpacked: Count
 
 
 class Provenance(_Entry):
@@ -376,6 +418,8 @@ class Manifest(Facts):
             raise ValueError(
                 "tiles that are skipped need the picture free_gel, whose features replace theirs"
             )
+        if (size := sum(file.size_bytes for file in self.files)) > MAX_BUNDLE_BYTES:
+            raise ValueError(f"the files have {size} bytes together, at most {MAX_BUNDLE_BYTES} are read")
         if not self.region.region().is_within(self.profile.size):
             raise ValueError(f"region {self.region.region()} is outside the picture of {self.profile.size}")
         return self

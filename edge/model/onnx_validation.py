@@ -1,8 +1,9 @@
 """Checks what an ONNX file contains before the runtime parses it, by reading its protobuf fields.
 
 A graph in a bundle is refused when it points to data outside its own bytes, uses an operator domain other than the
-standard one, or defines its own functions. onnxruntime resolves external data relative to the working directory when it
-loads from bytes, so the refusal cannot be left to it; the onnx package is not needed on the gateway.
+standard one, a loop or a random operator, or defines its own functions. onnxruntime resolves external data relative to
+the working directory when it loads from bytes, so the refusal cannot be left to it; the onnx package is not needed on
+the gateway.
 
 Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 """
@@ -28,6 +29,14 @@ CHILDREN: dict[str, dict[int, str]] = {
     "tensor": {},
 }
 DOMAIN_FIELD = {"opset": 1, "node": 7}
+NODE_OPERATOR_FIELD = 4
+# A loop may run for ever on one frame, and a random score is none; no detector needs them.
+REFUSED_OPERATORS = frozenset(
+    {
+        b"Loop", b"Scan", b"RandomNormal", b"RandomNormalLike", b"RandomUniform", b"RandomUniformLike", b"Multinomial",
+        b"Bernoulli",
+    }
+)  # fmt: skip
 GRAPH_OUTPUT_FIELD = 12
 METADATA_FIELD = 14
 EXTERNAL_DATA_FIELD, DATA_LOCATION_FIELD = 13, 14
@@ -93,6 +102,8 @@ def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
             raise GraphRefused("it keeps tensors in an external file")
         if number == DOMAIN_FIELD.get(kind) and isinstance(value, memoryview):
             _check_domain(bytes(value))
+        if kind == "node" and number == NODE_OPERATOR_FIELD and isinstance(value, memoryview):
+            _check_operator(bytes(value))
         child = CHILDREN[kind].get(number)
         if child is None or not isinstance(value, memoryview):
             continue
@@ -103,6 +114,13 @@ def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
             if budget.nodes < 0:
                 raise GraphRefused(f"it has more than {MAX_NODES} nodes")
         _check(child, value, budget, depth + 1)
+
+
+def _check_operator(operator: bytes) -> None:
+    if operator in REFUSED_OPERATORS:
+        raise GraphRefused(
+            f"it uses the operator {operator.decode()}, which has no bounded time or no fixed result"
+        )
 
 
 def _check_domain(domain: bytes) -> None:

@@ -237,10 +237,17 @@ class Scorer:
                 f"bundle {self._where}: its graphs do not run on a frame of {self.frame} (h, w): {error!s:.300}"
             ) from error
         expected = (1, *self.frame)
-        if score_maps.shape != expected or scores.shape != (1,) or score_maps.dtype != np.float32:
+        is_number = scores.dtype in (np.float32, np.float64)
+        if (
+            score_maps.shape != expected
+            or scores.shape != (1,)
+            or score_maps.dtype != np.float32
+            or not is_number
+        ):
             raise BundleCorrupt(
                 f"bundle {self._where}: {self._head_name} gives score_map {score_maps.dtype} {score_maps.shape} "
-                f"and score {scores.shape}, expected float32 {expected} and (1,); export it again"
+                f"and score {scores.dtype} {scores.shape}, expected float32 {expected} and float32 "
+                "(1,); export it again"
             )
         return pipe
 

@@ -3,7 +3,7 @@
 import hashlib
 
 from edge.core.errors import BundleCorrupt
-from edge.model.archive import Archive
+from edge.model.archive import MAX_FILE_BYTES, Archive
 from edge.model.manifest import FileEntry
 
 __all__ = ["read_verified", "verified"]
@@ -11,7 +11,7 @@ __all__ = ["read_verified", "verified"]
 
 def read_verified(archive: Archive, entry: FileEntry) -> bytes:
     """The bytes of that file. Errors: BundleCorrupt: missing, too large, or not the bytes that the manifest names."""
-    return verified(archive.read(entry.file, entry.size_bytes), entry, archive.where)
+    return verified(archive.read(entry.file, min(entry.size_bytes, MAX_FILE_BYTES)), entry, archive.where)
 
 
 def verified(data: bytes, entry: FileEntry, where: str) -> bytes:
