@@ -15,11 +15,8 @@ from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import Tiles
 from edge.core.verdict import Verdict, decide
-<<<<<<< HEAD
 from edge.model.detectability import CheckedFacts, DetectabilityCard
-=======
 from edge.model.archive import MAX_FILE_BYTES
->>>>>>> 4a2adf6 (bundle: limits from the program, loops and random operators refused, and a first run with limits of time and memory)
 
 __all__ = [
     "SCHEMA_VERSION",
