@@ -220,8 +220,12 @@ class Config(_Table):
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
 
 
-def load_config(path: Path) -> Config:
-    """Read and check the file. Errors: ConfigError with one line for every fault found."""
+def load_config(path: Path, state_dir: Path | None = None) -> Config:
+    """Read and check the file.
+
+    state_dir: the folder of a relative `store.path`; by default that of the file. Errors: ConfigError with one line for
+    every fault found.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -238,7 +242,7 @@ def load_config(path: Path) -> Config:
     faults += _equal_sinks(config) if config is not None and not faults else []
     if faults or config is None:
         raise ConfigError(numbered(f"configuration {path}", faults))
-    return _with_paths_from(path.parent, config)
+    return _with_paths_from(path.parent, config, state_dir)
 
 
 def sink_names(sinks: Sequence[SinkTable]) -> list[str]:
@@ -291,7 +295,7 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
             yield "sinks", f"sinks.{index}", sink
 
 
-def _with_paths_from(folder: Path, config: Config) -> Config:
+def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None) -> Config:
     """The same configuration with every relative path, also in plugin options, taken from the folder of its file."""
     keys = config.inspection.trusted_keys
     inspection = config.inspection.model_copy(
@@ -300,7 +304,7 @@ def _with_paths_from(folder: Path, config: Config) -> Config:
             "trusted_keys": None if keys is None else folder / keys,
         }
     )
-    store = config.store.model_copy(update={"path": folder / config.store.path})
+    store = config.store.model_copy(update={"path": (state_dir or folder) / config.store.path})
     secret = config.commands.secret_file
     commands = config.commands.model_copy(update={"secret_file": None if secret is None else folder / secret})
     device = _with_options_from(folder, "devices", config.device)

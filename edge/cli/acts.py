@@ -38,6 +38,7 @@ def acts(
 
 
 def _line(act: "Act") -> str:
+    from edge.core.printable import printable
     from edge.messaging.payloads import iso_time
 
     words = [
@@ -49,8 +50,7 @@ def _line(act: "Act") -> str:
     ]
     if act.before is not None and act.after is not None:
         words += [f"{key}: {act.before.get(key)!r} -> {act.after[key]!r}" for key in _changed(act)]
-    line = "  ".join([*words, *([act.sentence] if act.sentence else [])])
-    return "".join(c if c.isprintable() else "?" for c in line)
+    return printable("  ".join([*words, *([act.sentence] if act.sentence else [])]))
 
 
 def _changed(act: "Act") -> list[str]:

@@ -134,7 +134,9 @@ def _line(record: "GelRecord") -> str:
     wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
     last = "never used" if record.last_use_ns is None else f"last used {_date(record.last_use_ns)}"
     note = f"  ({record.note})" if record.note else ""
-    return (
+    from edge.core.printable import printable
+
+    return printable(
         f"{mark} {record.gel_id}  sensor {record.serial}  {record.presses}/{record.limit_presses} presses"
         f"  {record.state}{wear}  mounted {_date(record.installed_ns)}, {last}{note}"
     )

@@ -47,6 +47,10 @@ plugin = "mqtt"
 options = { host = "localhost", port = 1883 }
 """
 
+StateOption = Annotated[
+    Path | None,
+    typer.Option("--state-dir", help="The folder of a relative store.path; that of the file by default."),
+]
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
 
 
@@ -57,6 +61,7 @@ def run(
         bool,
         typer.Option("--wait-for-device", help="Start without a sensor and wait for it, as a service does."),
     ] = False,
+    state_dir: StateOption = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every contact event.")] = False,
 ) -> None:
     """Run the gateway: inspect every press and publish.
@@ -64,6 +69,7 @@ def run(
     It reads the sensor, scores every press, publishes the verdict and counts the press on its gel. Ctrl-C or SIGTERM
     ends it."""
     import logging
+    import os
     import signal
     import threading
 
@@ -79,7 +85,8 @@ def run(
         level=logging.DEBUG if verbose else logging.INFO,
         format="%(asctime)s %(levelname)s %(name)s %(message)s",
     )
-    loaded = load_config(config)
+    os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
+    loaded = load_config(config, state_dir)
     clock = SystemClock()
     with preflight(loaded, clock) as checked:
         for finding in checked.findings:
@@ -87,17 +94,44 @@ def run(
                 raise finding.error
         recording = played_recording(loaded.device)
         stop = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        # A closed terminal (SIGHUP) ends it in good order too.
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
-        with Gateway.open(loaded, clock, lambda report: typer.echo(press_line(report)), checked) as gateway:
+        out = Lines()
+        with Gateway.open(loaded, clock, lambda report: out.put(press_line(report)), checked) as gateway:
             summary = gateway.run(stop, presses=presses)
-    typer.echo(summary_text(summary))
+    out.put(summary_text(summary))
     if recording is not None and loaded.inspection.trigger == "automatic":
         check_played(recording, summary, gateway.status)
 
 
+class Lines:
+    """Lines on standard output. Inspection does not depend on them: where they cannot be printed, they are left out."""
+
+    def __init__(self) -> None:
+        self._is_open = True
+
+    def put(self, line: str) -> None:
+        """Print it, or say once in the log that lines are left out."""
+        import logging
+        import os
+
+        if not self._is_open:
+            return
+        try:
+            typer.echo(line)
+        except OSError as error:
+            self._is_open = False
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is still buffered goes there at the end
+            logging.getLogger(__name__).warning(
+                "press lines cannot be printed (%s) and are left out; inspection goes on",
+                error.strerror or error,
+            )
+
+
 def check(
     config: ConfigOption = Path("gelgate.toml"),
+    state_dir: StateOption = None,
     example: Annotated[bool, typer.Option("--example", help="Print a configuration to start from.")] = False,
 ) -> None:
     """Check all that `run` needs; report every fault.
@@ -111,7 +145,7 @@ def check(
     from edge.core.errors import GelgateError
     from edge.gateway.preflight import preflight
 
-    loaded = load_config(config)
+    loaded = load_config(config, state_dir)
     typer.echo(f"ok     configuration: {config}")
     with preflight(loaded, SystemClock()) as checked:
         findings = checked.findings

@@ -35,12 +35,13 @@ def watch(
     import sys
 
     from edge.core.errors import ConfigError
+    from edge.core.printable import printable
     from edge.messaging.mqtt_broker import Broker, Tls
     from edge.messaging.subscriber import describe, station_filter
     from edge.messaging.subscriber import watch as listen
 
     def tell(sentence: str) -> None:
-        print(f"gelgate: {sentence}", file=sys.stderr)
+        print(f"gelgate: {printable(sentence)}", file=sys.stderr)
 
     try:
         password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
@@ -52,7 +53,8 @@ def watch(
     for seen in listen(broker, station_filter(prefix, site, line, station), save, count, timeout, tell):
         if seen.kind == "result":
             results += 1
-            print(json.dumps(seen.content) if as_json else describe(seen.content, seen.station), flush=True)
+            line = json.dumps(seen.content) if as_json else printable(describe(seen.content, seen.station))
+            print(line, flush=True)
         elif seen.kind == "heatmap":
             heatmaps += 1
         elif seen.kind == "state":

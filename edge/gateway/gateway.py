@@ -13,6 +13,7 @@ from edge.core.ports import Clock
 from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
+from edge.gateway.service_manager import ServiceManager
 from edge.gateway.station_loop import OnPress, Parts, StationLoop
 from edge.gateway.summary import Summary
 
@@ -51,7 +52,10 @@ class Gateway:
         """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
         self._parts.acquisition.start()
-        self.loop.run(stop, presses)
+        manager = ServiceManager(self._parts.clock)
+        manager.ready()
+        self.loop.run(stop, presses, manager.alive)
+        manager.stopping()
         return self.loop.summary
 
     @property

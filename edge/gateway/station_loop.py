@@ -94,19 +94,24 @@ class StationLoop:
             )
         return self._session
 
-    def run(self, stop: threading.Event, presses: int | None = None) -> None:
+    def run(
+        self, stop: threading.Event, presses: int | None = None, on_turn: Callable[[], None] = lambda: None
+    ) -> None:
         """Step until `stop` is set, a recording ends, or that number of presses was recorded.
 
-        Errors: StoreError when the store still refuses a press at the end; BundleMismatch for a sensor of another mode.
+        on_turn: called after every step. Errors: StoreError when the store still refuses a press at the end;
+        BundleMismatch for a sensor of another mode.
         """
         try:
             while not stop.is_set() and (presses is None or self.summary.presses < presses):
                 self.step(self._parts.acquisition.next(WAIT_S))
+                on_turn()
         except RecordingEnded as end:
             self.summary.has_ended = True
             log.info("%s", end)
             while self.is_halted and not stop.wait(STORE_RETRY_S):
                 self.step(None)
+                on_turn()
         finally:
             self._parts.calls.close(self)
         self._record()

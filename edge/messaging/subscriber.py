@@ -177,9 +177,21 @@ def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]
         return None
     try:
         content = json.loads(message.payload)
-        if not isinstance(content, dict) or (kind == "result" and "press_id" not in content):
+        if not isinstance(content, dict) or (kind == "result" and not _is_result(content)):
             raise ValueError("not a payload of this topic")
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         tell(f"a message on {message.topic} cannot be read ({error}); it is left out")
         return None
     return Seen(kind, station, content)
+
+
+def _is_result(content: Mapping[str, Any]) -> bool:
+    """Whether `describe` can print it. Anybody may publish; a newer station may add fields."""
+    press_id, latency = content.get("press_id"), content.get("latency_ms") or {}
+    total = latency.get("total") if isinstance(latency, dict) else ""
+    numbers = (content.get("score"), content.get("threshold"), total)
+    return (
+        isinstance(press_id, str)
+        and is_ulid(press_id)
+        and all(n is None or (isinstance(n, (int, float)) and abs(n) < 1e300) for n in numbers)
+    )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from breakable_station import Bench
+from station import press_recording, small_bundle, station_config
 
 GELGATE = Path(sys.executable).parent / "gelgate"
 START_TIMEOUT_S = 60.0
@@ -62,3 +63,60 @@ def test_a_reader_that_leaves_early_is_no_fault(bench: Bench) -> None:
     os.close(writing)
 
     assert "Traceback" not in done.stderr
+
+
+@pytest.fixture(scope="module")
+def pressing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a recording with three presses and a bundle for them."""
+    folder = tmp_path_factory.mktemp("pressing")
+    press_recording(folder / "presses", 3, seed=2)
+    small_bundle(folder / "bundle", press_recording(folder / "nominal", 12, seed=1))
+    return folder
+
+
+@pytest.fixture
+def pressed(pressing: Path, tmp_path: Path) -> Path:
+    """The configuration of a station that plays it."""
+    return station_config(tmp_path, pressing / "presses", pressing / "bundle")
+
+
+def published(config: Path) -> int:
+    log = config.parent / "out" / "messages.jsonl"
+    return sum(json.loads(line)["topic"] == "result" for line in log.read_text().splitlines())
+
+
+def run(config: Path, out: int) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [GELGATE, "run", "--config", config], stdout=out, stderr=subprocess.PIPE, text=True, cwd=config.parent
+    )
+
+
+def test_lines_that_cannot_be_printed_do_not_end_the_inspection(pressed: Path) -> None:
+    """Standard output on a full disk: every press is recorded and published, and the log says so once."""
+    with Path("/dev/full").open("w") as full:
+        done = run(pressed, full.fileno())
+
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("inspection goes on") == 1
+    assert "Traceback" not in done.stderr
+    assert published(pressed) == 3
+
+
+def test_a_reader_of_press_lines_that_leaves_does_not_end_the_inspection(pressed: Path) -> None:
+    """`gelgate run | head -1`."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = run(pressed, writing)
+    os.close(writing)
+
+    assert done.returncode == 0, done.stderr
+    assert published(pressed) == 3
+
+
+def test_what_a_run_writes_is_not_for_every_user(pressed: Path) -> None:
+    """The database, its counts and the results: no rights for others."""
+    assert run(pressed, subprocess.DEVNULL).returncode == 0
+
+    made = [*pressed.parent.glob("gelgate.db*"), pressed.parent / "out/messages.jsonl"]
+    assert len(made) >= 4
+    assert [path.name for path in made if path.is_file() and path.stat().st_mode & 0o007] == []

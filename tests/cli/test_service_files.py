@@ -31,6 +31,28 @@ def test_the_unit_starts_without_a_sensor() -> None:
     assert [command.split()[1:3] for command in commands] == [["run", "--wait-for-device"]]
 
 
+def test_the_unit_and_the_printed_example_fit(tmp_path: Path) -> None:
+    """The example's relative database is below a folder that the unit may write."""
+    from edge.cli.run import EXAMPLE
+    from edge.config import load_config
+
+    unit = (SERVICE / "gelgate.service").read_text()
+    (state,) = re.findall(r"--state-dir (\S+)", unit)
+    (folder,) = re.findall(r"^StateDirectory=(.*)$", unit, re.MULTILINE)
+    path = tmp_path / "gelgate.toml"
+    path.write_text(EXAMPLE)
+
+    assert load_config(path, Path(state)).store.path == Path("/var/lib") / folder / "gelgate.db"
+    assert load_config(path).store.path == tmp_path / "gelgate.db"
+
+
+def test_the_unit_expects_the_reports_that_the_gateway_sends() -> None:
+    """Ready, and alive often enough; nobody else of the group may read what it writes."""
+    unit = (SERVICE / "gelgate.service").read_text().splitlines()
+
+    assert {"Type=notify", "WatchdogSec=60", "UMask=0027", "MemoryMax=4G"} <= set(unit)
+
+
 @pytest.mark.parametrize("error", [ConfigError, BundleError])
 def test_the_unit_does_not_restart_what_cannot_be_mended(error: type[Exception]) -> None:
     """The exit codes of a wrong configuration or bundle are those that the unit excepts from restarting."""

@@ -113,6 +113,47 @@ def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
     assert len([sentence for sentence in messages if "cannot be read" in sentence]) == 3
 
 
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"press_id": [1]},
+        {"press_id": {}},
+        {"press_id": None},
+        {"press_id": "x"},
+        {"score": "high", "threshold": 1.0},
+        {"score": 1.0, "threshold": [1]},
+        {"score": 10**400, "threshold": 1.0},
+        {"latency_ms": [1]},
+        {"latency_ms": {"total": "fast"}},
+        {"latency_ms": "fast"},
+    ],
+    ids=str,
+)
+def test_a_malformed_result_does_not_end_the_watch(broker: LocalBroker, fields: dict[str, object]) -> None:
+    """Anybody in the plant may publish one: it is reported and left out, and the next result is printed."""
+    messages: list[str] = []
+    bad = json.dumps({**json.loads(result(0)), **fields}).encode()
+    run = speak(broker, ("result", b"[" * 100_000), ("result", bad), ("result", result(3)))
+
+    heard = listen(broker, run, count=1, tell=messages.append)
+
+    (good,) = [content for kind, content in heard if kind == "result"]
+    assert describe(good, "s")
+    assert good["press_id"] == IDS[3]
+    assert len([sentence for sentence in messages if "cannot be read" in sentence]) == 2
+
+
+def test_terminal_escapes_in_a_payload_are_shown_and_not_obeyed() -> None:
+    """A reason that clears the screen or sets the title."""
+    from edge.core.printable import printable
+
+    line = printable(describe(json.loads(result(0, reason="\x1b]0;owned\x07\x1b[2J\u009b")), "a\x1bb"))
+
+    assert "\x1b" not in line
+    assert "\u009b" not in line
+    assert "\\x1b]0;owned\\x07" in line
+
+
 def test_a_heatmap_can_only_be_saved_under_a_press_id(tmp_path: Path, broker: LocalBroker) -> None:
     """A topic that is not a press id never becomes a file name."""
     run = speak(

@@ -49,7 +49,7 @@ def test_a_start_after_the_check_opens_everything_once(
     counted = Counted(monkeypatch)
     config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
     with preflight(config, clock) as checked, ExitStack() as closing:
-        assert [finding.error for finding in checked.findings] == [None] * 4
+        assert [finding.error for finding in checked.findings] == [None] * 5
         acquisition = build(config, clock, closing, checked).acquisition
         acquisition.step()
         assert acquisition.status.state is AcquisitionState.STREAMING

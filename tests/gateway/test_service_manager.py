@@ -1,0 +1,76 @@
+"""What systemd hears of a gateway: ready, alive while the loop turns, stopping."""
+
+import socket
+from pathlib import Path
+
+import pytest
+from small_recordings import FakeClock
+from station import station_config
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.gateway import Gateway
+from edge.gateway.service_manager import ServiceManager
+
+
+class Manager:
+    """A socket as systemd makes it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = str(folder / "notify")
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(self.path)
+        self._socket.setblocking(False)
+
+    def heard(self) -> list[str]:
+        messages = []
+        while True:
+            try:
+                messages.append(self._socket.recv(100).decode())
+            except BlockingIOError:
+                return messages
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def test_a_run_is_ready_alive_and_stopping(
+    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In that order; the reports come from the loop's own turns, and a manager that does not read stops nothing."""
+    import threading
+
+    manager = Manager(tmp_path)
+    monkeypatch.setenv("NOTIFY_SOCKET", manager.path)
+    monkeypatch.setenv("WATCHDOG_USEC", "3")
+    config = load_config(station_config(tmp_path / "station", recording, bundle))
+    heard: list[str] = []
+    with Gateway.open(config, SystemClock(), lambda report: heard.extend(manager.heard())) as gateway:
+        gateway.run(threading.Event())
+    heard += manager.heard()
+    manager.close()
+
+    assert heard[0] == "READY=1"
+    assert heard.count("WATCHDOG=1") > 3
+
+
+def test_it_is_reported_three_times_in_the_longest_silence(tmp_path: Path) -> None:
+    """A turn every 0.2 s is not a message every 0.2 s."""
+    manager, clock = Manager(tmp_path), FakeClock()
+    service = ServiceManager(clock, {"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "30000000"})
+    for _ in range(300):
+        service.alive()
+        clock.sleep(0.2)
+    service.stopping()
+
+    assert manager.heard() == [*["WATCHDOG=1"] * 6, "STOPPING=1"]
+    manager.close()
+
+
+@pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "/nowhere/x", "WATCHDOG_USEC": "1"}])
+def test_without_systemd_nothing_happens(environment: dict[str, str]) -> None:
+    """As in a terminal or a container."""
+    service = ServiceManager(FakeClock(), environment)
+    service.ready()
+    service.alive()
+    service.stopping()
