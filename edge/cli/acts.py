@@ -34,7 +34,7 @@ def acts(
     for act in found:
         typer.echo(json.dumps(asdict(act)) if as_json else _line(act))
     if not found and not as_json:
-        typer.echo("nobody has asked the station for anything")
+        typer.echo("nothing was asked of this station yet")
 
 
 def _line(act: "Act") -> str:

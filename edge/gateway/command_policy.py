@@ -56,7 +56,7 @@ class CommandPolicy:
 
 
 class Rate:
-    """At most so many requests a minute, at once or evenly. Any thread may use it."""
+    """At most this number of requests a minute, at once or evenly. Any thread may use it."""
 
     def __init__(self, per_minute: int, clock: Clock) -> None:
         self._per_minute = per_minute

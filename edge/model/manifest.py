@@ -7,16 +7,25 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
-from edge.core.detector import Grid, Mode, Packing
+from edge.core.detector import Grid, Mode
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import Tiles
 from edge.core.verdict import Verdict, decide
 from edge.model.detectability import CheckedFacts, DetectabilityCard
-from edge.model.archive import MAX_FILE_BYTES
+from edge.model.manifest_files import (
+    MAX_ARRAY_BYTES,
+    MAX_BUNDLE_BYTES,
+    ArrayEntry,
+    Count,
+    Entry,
+    FileEntry,
+    Name,
+    Side,
+)
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -42,69 +51,8 @@ __all__ = [
 SCHEMA_VERSION = 1
 """Increased when a reader of the last version would misread the new one; a newer bundle is refused."""
 
-Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
-RelativeFile = Annotated[
-    str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)?$")
-]
-"""A file of the bundle: at most one folder deep, no leading dot, so neither absolute nor `..`."""
-
-Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
-
-
-Side = Annotated[int, Field(ge=1, le=8192)]
-"""Pixels or cells: the longest side of the sensor's frames has 3280."""
-
-Count = Annotated[int, Field(ge=0, le=2**53)]
-
-MAX_ARRAY_BYTES = 4 << 30
-"""The largest bank array or tap in memory; the largest known bank has 62 MB."""
-
-MAX_BUNDLE_BYTES = 2 << 30
-"""All files of a bundle together."""
-
-
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class FileEntry(_Entry):
-    """One file: its place in the bundle, and the hash and size of its bytes."""
-
-    file: RelativeFile
-    sha256: Sha256
-    size_bytes: int = Field(ge=0, le=MAX_FILE_BYTES)
-
-
-class ArrayEntry(_Entry):
-    """One bank array. dtype and shape are those of the head's input; `packing` says how `data` stores it.
-
-    `scale` belongs to int8 (float32, one per row of the last axis), `exponent` to float16 (times 2**exponent).
-    """
-
-    dtype: Literal["float32", "int64", "bool"]
-    shape: tuple[Annotated[int, Field(ge=0, le=2**31 - 1)], ...] = Field(max_length=8)
-    packing: Packing = "none"
-    data: FileEntry
-    scale: FileEntry | None = None
-    exponent: int = Field(default=0, ge=-400, le=400)
-
-    @model_validator(mode="after")
-    def _fits(self) -> "ArrayEntry":
-        if self.bytes_unpacked > MAX_ARRAY_BYTES:
-            raise ValueError(f"an array has at most {MAX_ARRAY_BYTES} bytes, found {self.bytes_unpacked}")
-        return self
-
-    @property
-    def bytes_stored(self) -> int:
-        return self.data.size_bytes + (self.scale.size_bytes if self.scale else 0)
-
-    @property
-    def bytes_unpacked(self) -> int:
-        return math.prod(self.shape) * {"float32": 4, "int64": 8, "bool": 1}[self.dtype]
-
-
-class BackboneEntry(_Entry):
+class BackboneEntry(Entry):
     """The trunk, known by the SHA-256 of its file. `in_bundle` is false where it is found in the gateway's store."""
 
     id: Name
@@ -115,7 +63,7 @@ class BackboneEntry(_Entry):
 Border = Annotated[float, Field(ge=0, lt=0.5)]
 
 
-class ProfileEntry(_Entry):
+class ProfileEntry(Entry):
     """Every field of `SensorProfile`: how camera bytes became the nominal pictures."""
 
     name: Name
@@ -142,7 +90,7 @@ class ProfileEntry(_Entry):
         return SensorProfile(**self.model_dump())
 
 
-class RegionEntry(_Entry):
+class RegionEntry(Entry):
     """`edge.core.imaging.region.Region`: the inspected rectangle in pixels of the picture."""
 
     x: int = Field(ge=0, le=8192)
@@ -158,7 +106,7 @@ class RegionEntry(_Entry):
         return Region(self.x, self.y, self.width, self.height)
 
 
-class TilesEntry(_Entry):
+class TilesEntry(Entry):
     """`edge.core.imaging.tiles.Tiles` over the region. untouched: tiles that no nominal press touches, row by row."""
 
     size: Side
@@ -174,7 +122,7 @@ class TilesEntry(_Entry):
         return Tiles(frame, self.size, self.rows, self.columns)
 
 
-class GridEntry(_Entry):
+class GridEntry(Entry):
     """`edge.core.detector.Grid`: the geometry that the head was built for. Taps are (channels, h, w).
 
     tiles: set where the trunk sees the region in overlapping tiles.
@@ -214,7 +162,7 @@ class GridEntry(_Entry):
         return Grid(self.frame, self.taps, self.pixels_per_mm, tiles)
 
 
-class RatePromise(_Entry):
+class RatePromise(Entry):
     """An exact binomial limit: after `alarms` in `trials` at most `rate` of trials alarm, with this confidence."""
 
     trials: int = Field(ge=1)
@@ -223,7 +171,7 @@ class RatePromise(_Entry):
     confidence: float = Field(gt=0, lt=1)
 
 
-class ThresholdEntry(_Entry):
+class ThresholdEntry(Entry):
     """A press fails when its score is above `value`.
 
     alpha: the requested false-alarm rate. alpha_floor: 1 / (pieces + 1), the smallest rate that presses of this number
@@ -254,7 +202,7 @@ class ThresholdEntry(_Entry):
         return self.alpha < self.alpha_floor
 
 
-class ToleranceEntry(_Entry):
+class ToleranceEntry(Entry):
     """The allowed difference from a score computed at fit: `score` and `score_map` absolute, plus `relative` of the
     expected value. `measured` is the largest difference found at fit over runs, threads and batch sizes."""
 
@@ -268,7 +216,7 @@ class ToleranceEntry(_Entry):
         return self.score + self.relative * abs(score)
 
 
-class GoldenEntry(_Entry):
+class GoldenEntry(Entry):
     """A frame that is scored again at load.
 
     score: the expected anomaly score. map_peaks: the expected score map as the maxima of 8 x 8 equal blocks, row by
@@ -287,7 +235,7 @@ class GoldenEntry(_Entry):
         return self
 
 
-class ContactRange(_Entry):
+class ContactRange(Entry):
     """Where nominal presses have contact, (low, high) with a margin: fractions of the picture, as in `Touch`."""
 
     x: tuple[float, float]
@@ -306,7 +254,7 @@ class ContactRange(_Entry):
 Level = Annotated[float, Field(ge=0, le=255)]
 
 
-class ColourEntry(_Entry):
+class ColourEntry(Entry):
     """`NominalColours`: the coarse colours of nominal presses, by which other sensors are refused.
 
     cells: rows of columns of (r, g, b) over the region, levels. limit: the `colour_distance` at which a press is
@@ -328,7 +276,7 @@ class ColourEntry(_Entry):
         return NominalColours(np.array(self.cells, np.float64), self.limit)
 
 
-class CostCard(_Entry):
+class CostCard(Entry):
     """The time and size of scoring and fitting, on the machine of the fit. Milliseconds are medians of one frame.
 
     features_s: trunk over all presses. fit_s: the bank from the features. threshold_s: the folds for the threshold.
@@ -344,7 +292,7 @@ class CostCard(_Entry):
     bank_bytes_unpacked: Count
 
 
-class Provenance(_Entry):
+class Provenance(Entry):
     """Where the bundle comes from. `created` is a date given by the caller; `presses` names every nominal press,
     `left_out` those that were given and left out by name."""
 
@@ -356,7 +304,7 @@ class Provenance(_Entry):
     warnings: tuple[str, ...] = ()
 
 
-class Facts(_Entry):
+class Facts(Entry):
     """The manifest without the list of files."""
 
     schema_version: Literal[1] = 1

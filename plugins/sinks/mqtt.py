@@ -148,7 +148,7 @@ class MqttSink:
         return None
 
     def find_level(self) -> None:
-        """At 3.1.1 by choice of the broker: ask again for level 5, and connect anew if it answers."""
+        """At 3.1.1 by choice of the broker: ask again for level 5, and connect again if it answers."""
         connection = self._connection
         self._level_again_s = min(2 * self._level_again_s, LEVEL_AGAIN_LAST_S)
         if connection is None or connection.level == "5" or self._broker.level is not None:

@@ -31,7 +31,7 @@ def test_two_receivers_that_cannot_be_told_apart_are_refused(tmp_path: Path) -> 
 
 
 def test_names_of_older_databases_are_taken_over_for_plugins_used_once(tmp_path: Path) -> None:
-    """Of two brokers nobody knows which one was the first."""
+    """Of two brokers it is not known which one was the first."""
     once = load_config(written(tmp_path, SOUND + BROKER.format("a")))
     twice = load_config(written(tmp_path, SOUND + BROKER.format("a") + BROKER.format("b")))
 

@@ -98,7 +98,7 @@ def test_a_denied_retained_topic_stops_nothing_else(broker: ScriptedBroker) -> N
 
 
 def test_a_denied_subscription_to_commands_is_reported_and_results_pass(broker: ScriptedBroker) -> None:
-    """Otherwise nobody learns that requests never arrive."""
+    """Otherwise no one learns that requests never arrive."""
     broker.topics = {"cmd": "deny"}
     sink = stepped(broker, STATE, on_command=lambda verb, payload: b"")
 

@@ -15,7 +15,7 @@ import tiny
 from edge.core.errors import BundleCorrupt
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES
 from edge.model.bundle import Bundle, GoldenFrame, write_bundle
-from edge.model.manifest import MAX_BUNDLE_BYTES
+from edge.model.manifest_files import MAX_BUNDLE_BYTES
 from edge.model.scorer import Scorer
 
 GOLDEN = GoldenFrame(tiny.presses(1)[0], "a press", 0.5, ((0.5,),))

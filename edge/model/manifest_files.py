@@ -1,0 +1,75 @@
+"""The files and arrays of a manifest, and the largest sizes that any bundle may have.
+
+The limits are the program's: a manifest cannot raise them.
+"""
+
+import math
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+from edge.core.detector import Packing
+from edge.model.archive import MAX_FILE_BYTES
+
+__all__ = ["MAX_ARRAY_BYTES", "MAX_BUNDLE_BYTES", "ArrayEntry", "Count", "Entry", "FileEntry", "Name", "Side"]
+
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+
+RelativeFile = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)?$")
+]
+"""A file of the bundle: at most one folder deep, no leading dot, so neither absolute nor `..`."""
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
+
+
+Side = Annotated[int, Field(ge=1, le=8192)]
+"""Pixels or cells: the longest side of the sensor's frames has 3280."""
+
+Count = Annotated[int, Field(ge=0, le=2**53)]
+
+MAX_ARRAY_BYTES: Final = 4 << 30
+"""The largest bank array or tap in memory; the largest known bank has 62 MB."""
+
+MAX_BUNDLE_BYTES: Final = 2 << 30
+"""All files of a bundle together."""
+
+
+class Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FileEntry(Entry):
+    """One file: its place in the bundle, and the hash and size of its bytes."""
+
+    file: RelativeFile
+    sha256: Sha256
+    size_bytes: int = Field(ge=0, le=MAX_FILE_BYTES)
+
+
+class ArrayEntry(Entry):
+    """One bank array. dtype and shape are those of the head's input; `packing` says how `data` stores it.
+
+    `scale` belongs to int8 (float32, one per row of the last axis), `exponent` to float16 (times 2**exponent).
+    """
+
+    dtype: Literal["float32", "int64", "bool"]
+    shape: tuple[Annotated[int, Field(ge=0, le=2**31 - 1)], ...] = Field(max_length=8)
+    packing: Packing = "none"
+    data: FileEntry
+    scale: FileEntry | None = None
+    exponent: int = Field(default=0, ge=-400, le=400)
+
+    @model_validator(mode="after")
+    def _fits(self) -> "ArrayEntry":
+        if self.bytes_unpacked > MAX_ARRAY_BYTES:
+            raise ValueError(f"an array has at most {MAX_ARRAY_BYTES} bytes, found {self.bytes_unpacked}")
+        return self
+
+    @property
+    def bytes_stored(self) -> int:
+        return self.data.size_bytes + (self.scale.size_bytes if self.scale else 0)
+
+    @property
+    def bytes_unpacked(self) -> int:
+        return math.prod(self.shape) * {"float32": 4, "int64": 8, "bool": 1}[self.dtype]
