@@ -15,7 +15,7 @@ from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
 from export.importers.given_trunk import given_trunk
 from export.importers.heads import MapSteps, patchcore_head
-from export.reading.foreign import Foreign, checked_array, described
+from export.reading.foreign import Foreign, checked_array, described, float32
 from export.reading.isolated import read_foreign
 from plugins.detectors.common.descriptor import BINS, Descriptor
 
@@ -58,7 +58,7 @@ class AmazonPatchcore:
         )
         descriptor = Descriptor(layers, layers[0], "binned", False)
         with read_foreign(_index(file.path)) as index:
-            rows = checked_array(index.path, "rows", index.table().get("rows"), None, BINS).astype(np.float32)
+            rows = float32(checked_array(index.path, "rows", index.table().get("rows"), None, BINS))
         mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
         head = patchcore_head(descriptor, given.grid, len(rows), 1, True, steps)

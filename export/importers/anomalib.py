@@ -22,7 +22,7 @@ from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import framed_trunk
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
-from export.reading.foreign import Foreign
+from export.reading.foreign import Foreign, float32
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import TOPOLOGIES, check_state
 from plugins.detectors.common.descriptor import Descriptor
@@ -177,7 +177,7 @@ def _padim(model: _Model) -> Imported:
 
 def _patchcore(model: _Model) -> Imported:
     descriptor = Descriptor(model.found.layers, model.found.layers[0], "means", False)
-    rows = model.array("model.memory_bank", None, descriptor.width(model.grid)).astype(np.float32)
+    rows = float32(model.array("model.memory_bank", None, descriptor.width(model.grid)))
     neighbours = int(model.found.options.get("num_neighbors", 9))
     mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
     head = patchcore_head(
@@ -242,7 +242,7 @@ def _dfkde(model: _Model) -> Imported:
 
 
 def _bank(arrays: Mapping[str, NDArray[Any]], packed: str, model: _Model) -> Bank:
-    plain = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+    plain = {name: float32(array) for name, array in arrays.items()}
     return Bank(plain, {} if model.settings.packing == "none" else {packed: model.settings.packing})
 
 

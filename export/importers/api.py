@@ -16,6 +16,7 @@ import numpy as np
 from calibration.fitting.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Report
+from calibration.threads import one_blas_thread
 from edge.core.detector import Packing
 from edge.core.errors import ConfigError
 from edge.core.imaging.known_profiles import profile as known_profile
@@ -92,6 +93,7 @@ class ImportedBundle:
     warnings: tuple[str, ...]
 
 
+@one_blas_thread()
 def import_detector(
     file: str | Path,
     presses: str | Path | Sequence[str | Path] | NominalPresses | ReadPresses,

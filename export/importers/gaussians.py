@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
+from export.reading.foreign import float32
 
 __all__ = ["Reduced", "distances_both_ways", "reduced"]
 
@@ -70,7 +71,7 @@ def reduced(
         loss = max(loss, float(apart[:, keep:].max(initial=0.0)))
         order = order[:, :keep]
         values.append(np.take_along_axis(spread, order, axis=1))
-        rows.append(np.take_along_axis(vectors, order[:, None, :], axis=2).swapaxes(1, 2).astype(np.float32))
+        rows.append(float32(np.take_along_axis(vectors, order[:, None, :], axis=2).swapaxes(1, 2)))
     return Reduced(_padded(rows), _padded_weights(values, bottom), bottom, needed, loss)
 
 

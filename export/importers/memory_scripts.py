@@ -17,7 +17,7 @@ from edge.core.detector import Bank, Grid, Nominal, Packing
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.given_trunk import Given, given_trunk
-from export.reading.foreign import Foreign, checked_array
+from export.reading.foreign import Foreign, checked_array, float32
 from plugins.detectors.common.descriptor import BINS
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
@@ -151,7 +151,7 @@ class InreachPoints:
             raise ConfigError(
                 f"{file.path} holds no points of {BINS} or {BINS + 2} numbers; see `gelgate export detect`"
             )
-        points = checked_array(file.path, "nominal points", points, None, points.shape[1]).astype(np.float32)
+        points = float32(checked_array(file.path, "nominal points", points, None, points.shape[1]))
         weight = settings.value("position_weight", float, PLACE_WEIGHT if points.shape[1] > BINS else 0.0)
         if (weight > 0) != (points.shape[1] > BINS):
             raise ConfigError(
@@ -214,7 +214,7 @@ def _features(path: Path, tap: str, value: Any, grid: Grid) -> NDArray[np.float3
         value = np.concatenate(parts)
     if tap == "avgpool" and value.ndim == 2:
         value = value[:, :, None, None]
-    return checked_array(path, tap, value, None, c, h, w).astype(np.float32)
+    return float32(checked_array(path, tap, value, None, c, h, w))
 
 
 def _normalised(path: Path, settings: Settings, features: NDArray[np.float32]) -> bool:
@@ -264,7 +264,7 @@ def _prototypes(
         kind = "cell" if found.ndim == 3 else "location"
         if not members.any():
             continue
-        rows = found[members].astype(np.float32).reshape(-1, *found.shape[-2:])
+        rows = float32(found[members]).reshape(-1, *found.shape[-2:])
         mean = rows.mean(axis=1, dtype=np.float64).astype(np.float32)
         where = _places(side, w)[members].reshape(len(rows), -1)
         arrays[f"{tap}_{name}"], arrays[f"{tap}_{name}_mean"] = rows - mean[:, None], mean

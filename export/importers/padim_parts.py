@@ -13,6 +13,7 @@ from edge.core.detector import Bank, Features, Grid, Packing
 from edge.core.errors import ConfigError
 from export.importers.gaussians import Reduced, distances_both_ways, reduced
 from export.importers.heads import MapSteps, padim_head
+from export.reading.foreign import float32
 from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
 
 __all__ = ["Gaussians", "PadimParts", "padim_parts"]
@@ -64,7 +65,7 @@ def padim_parts(
         return np.asarray(given.dense(part))[:, order][:, :, order]
 
     thin = reduced(dense, embedding.count, given.is_inverse, rank, given.ridge, given.path, given.name)
-    mean = np.ascontiguousarray(given.mean[:, order], np.float32)
+    mean = float32(given.mean[:, order])
     arrays = {**embedding.arrays, "mean": mean, "basis": thin.basis, "weights": thin.weights}
     packed: dict[str, Packing] = {} if packing == "none" else {"basis": packing}
     head = padim_head(embedding, thin.ridge, steps)

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 
-__all__ = ["Content", "Foreign", "Record", "attributes", "described"]
+__all__ = ["Content", "Foreign", "Record", "attributes", "checked_array", "described", "float32"]
+
+# Squares of larger numbers overflow float32, in which a gateway scores.
+LARGEST = 1e15
 
 Content = Any
 """None, bool, int, float, str, list, dict, ndarray or Record. Tuples and sets are lists."""
@@ -53,7 +56,7 @@ class Foreign:
 
 def checked_array(path: Path, name: str, value: Content, *shape: int | None) -> NDArray[Any]:
     """`value` as an array of real, finite numbers of that shape. Errors: as `Foreign.array`."""
-    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
+    if isinstance(value, list) and value and all(_is_number(one) for one in value):
         value = np.array(value)
     wanted = f"numbers of shape ({', '.join('any' if n is None else str(n) for n in shape)})"
     if not isinstance(value, np.ndarray):
@@ -67,9 +70,22 @@ def checked_array(path: Path, name: str, value: Content, *shape: int | None) -> 
         raise ConfigError(
             f"{path}: '{name}' is empty; the model was saved before it was fitted, save it after the fit"
         )
-    if value.dtype.kind == "f" and not np.isfinite(value).all():
-        raise ConfigError(f"{path}: '{name}' holds values that are not finite; fit the model again")
+    # NaN fails the comparison too.
+    if value.dtype.kind == "f" and not bool(np.abs(value).max() <= LARGEST):
+        raise ConfigError(
+            f"{path}: '{name}' holds values that are not finite or beyond {LARGEST:g}; fit the model again"
+        )
     return value
+
+
+def _is_number(value: Content) -> bool:
+    return isinstance(value, int | float) or (isinstance(value, np.ndarray) and value.ndim == 0)
+
+
+def float32(array: NDArray[Any]) -> NDArray[np.float32]:
+    """The same numbers in single precision, contiguous; those too small for it become 0."""
+    with np.errstate(under="ignore"):
+        return np.ascontiguousarray(array, np.float32)
 
 
 def attributes(value: Content) -> Mapping[Any, Content]:

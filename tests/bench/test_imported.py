@@ -1,0 +1,199 @@
+"""anomalib's PaDiM and PatchCore against their bundles: the same scores, how much faster, how much smaller.
+
+    make demo-import
+
+trains both with the installed anomalib on simulated presses (ResNet-18 with random weights, anomalib's defaults at
+256x256; PatchCore with a coreset of 1 %), imports the checkpoints, and plays the presses to a gateway on the virtual
+sensor.
+"""
+
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from anomalib_files import interpreter, made_by_anomalib, write_weights
+from command_line import gelgate
+from numpy.typing import NDArray
+
+from calibration.metrics.aupro import aupro
+from calibration.simulator.field_of_view import LR
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.scene import load_scene
+from calibration.simulator.sensor_appearance import SENSORS
+from calibration.simulator.streams import named_streams
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from export.importers.api import ImportedBundle, ImportOptions, import_detector
+from export.importers.framing import Framing
+from export.parity import rank_correlation
+
+pytestmark = [pytest.mark.bench, pytest.mark.importers]
+
+SIZE = (256, 256)
+WANTED = {
+    "padim": {"backbone": "resnet18", "formats": []},
+    "patchcore": {
+        "backbone": "resnet18", "layers": ["layer2", "layer3"], "coreset_sampling_ratio": 0.01, "formats": [],
+    },
+}  # fmt: skip
+AUPRO_LIMIT = 0.3
+CONFIG = """
+version = 1
+[station]
+site = "bench"
+line = "import"
+station = "one"
+[device]
+plugin = "usb_mock"
+options = {{ recording = "{recording}", pace = 0 }}
+[inspection]
+bundle = "{bundle}"
+[store]
+path = "gelgate.db"
+[[sinks]]
+plugin = "jsonl"
+options = {{ folder = "out" }}
+"""
+
+
+class Trained:
+    """The presses, and what anomalib made of them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        python = interpreter()
+        done = gelgate("simulate", "small", "-o", folder / "dataset", "--workers", 2)
+        assert done.code == 0, done.err
+        self.files = sorted((folder / "dataset").glob("PZ3/pos1/rgb_320x240/*.png"))
+        bad = sorted((folder / "dataset").glob("PZ3/pos1/fault/rgb_320x240/*.png"))
+        for part, files in (("good", self.files), ("bad", bad)):
+            (folder / "pictures" / part).mkdir(parents=True)
+            for file in files:
+                (folder / "pictures" / part / file.name).write_bytes(file.read_bytes())
+        self.nominal, self.files = len(self.files), [*self.files, *bad]
+        self.frames = np.stack([cv2.imread(str(file))[..., ::-1] for file in self.files])
+        self.masks = np.zeros(self.frames.shape[:3], bool)
+        for k, file in enumerate(bad):
+            mask = cv2.imread(str(file.parents[1] / "mask_320x240" / file.name), cv2.IMREAD_GRAYSCALE)
+            self.masks[self.nominal + k] = mask > 0
+        write_weights(folder / "weights.npz")
+        self.made = made_by_anomalib(folder, WANTED, SIZE, python)
+
+    def recording(self) -> Path:
+        """The presses as the virtual sensor plays them, between pictures of the untouched gel."""
+        folder = self.folder / "recording"
+        if not folder.exists():
+            scene = load_scene("small")
+            gel = Renderer(
+                LR, scene.effects, SENSORS[scene.camera.sensor], streams=named_streams(0)
+            ).free_gel()
+            cv2.imwrite(str(self.folder / "free.png"), gel[..., ::-1])
+            shown = self.folder / "shown"
+            shown.mkdir()
+            for k, frame in enumerate(self.frames):
+                cv2.imwrite(str(shown / f"{k:03}.png"), frame[..., ::-1])
+            done = gelgate(
+                "record", folder, "--from-images", shown, "--reference", self.folder / "free.png",
+                "--profile", "cropped_lr",
+            )  # fmt: skip
+            assert done.code == 0, done.err
+        return folder
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    return Trained(tmp_path_factory.mktemp("imported"))
+
+
+@pytest.fixture(params=["padim", "patchcore"])
+def made(request: pytest.FixtureRequest, trained: Trained) -> tuple[str, ImportedBundle]:
+    """The bundle of one model, exact rank, the bank in int8."""
+    name = str(request.param)
+    options = ImportOptions("PZ3", "own", profile="cropped_lr", packing="int8", threshold="model")
+    output = trained.folder / f"{name}.zip"
+    presses = trained.files[: trained.nominal]
+    return name, import_detector(trained.made / f"{name}.ckpt", presses, output, options, overwrite=True)
+
+
+def test_the_same_scores_faster_and_smaller(trained: Trained, made: tuple[str, ImportedBundle]) -> None:
+    """The order of the presses to three digits and AU-PRO to 0.001; time and bytes are printed."""
+    name, bundle = made
+    expected = np.load(trained.made / f"{name}.npz")
+    scorer = Scorer(Bundle.load(bundle.path))
+    maps, scores, seconds = _scored(scorer, trained.frames)
+    framing = Framing((240, 320), SIZE)
+    drawn = framing.back(0) @ expected["score_map"].astype(np.float64) @ framing.back(1).T
+    order = rank_correlation(expected["score"], scores)
+    theirs, ours = (aupro(list(one), list(trained.masks), AUPRO_LIMIT) for one in (drawn, maps))
+    assert theirs is not None
+    assert ours is not None
+    slow, fast = 1e3 * float(np.median(expected["seconds"])), 1e3 * float(np.median(seconds))
+    large, small = (trained.made / f"{name}.ckpt").stat().st_size, bundle.path.stat().st_size
+    bank = sum(value.nbytes for key, value in _detector_arrays(trained.made / f"{name}.ckpt").items())
+    print(
+        f"\n{name}: order {order:.4f}, AU-PRO@{AUPRO_LIMIT} {theirs:.4f} (anomalib) {ours:.4f} (bundle)"
+        f"\n  time of a press {slow:.0f} ms (anomalib, torch) {fast:.1f} ms (bundle): {slow / fast:.0f} times"
+        f"\n  files {large / 1e6:.1f} MB (checkpoint) {small / 1e6:.1f} MB (bundle): {large / small:.0f} times"
+        f"\n  without backbone {bank / 1e6:.1f} MB {bundle.losses.bytes_stored / 1e6:.2f} MB: "
+        f"{bank / bundle.losses.bytes_stored:.0f} times"
+        f"\n  {bundle.losses.words()}\n  " + "\n  ".join(bundle.model.says)
+    )
+    assert order >= 0.9995
+    assert abs(theirs - ours) < 1e-3
+
+
+def test_the_gateway_gives_the_same_order(trained: Trained, made: tuple[str, ImportedBundle]) -> None:
+    """Every press of the virtual sensor has the score of anomalib, within packing, and the verdict of its threshold."""
+    name, bundle = made
+    expected = np.load(trained.made / f"{name}.npz")["score"]
+    station = trained.folder / f"station_{name}"
+    station.mkdir()
+    (station / "gelgate.toml").write_text(CONFIG.format(recording=trained.recording(), bundle=bundle.path))
+
+    done = gelgate("run", station / "gelgate.toml")
+
+    assert done.code == 0, done.err
+    lines = [
+        json.loads(line)
+        for file in sorted(station.rglob("*.jsonl"))
+        for line in file.read_text().splitlines()
+    ]
+    scores = np.array([score for line in lines if (score := _score(line)) is not None])
+    order = rank_correlation(expected, scores) if len(scores) == len(expected) else 0.0
+    print(f"\n{name}: the gateway scored {len(scores)} of {len(expected)} presses, order {order:.4f}")
+    assert len(scores) == len(expected)
+    assert order >= 0.9995
+
+
+def _score(line: dict[str, object]) -> float | None:
+    payload = line.get("payload", line)
+    score = payload.get("score") if isinstance(payload, dict) and "press_id" in payload else None
+    return float(score) if isinstance(score, int | float) else None
+
+
+def _scored(
+    scorer: Scorer, frames: NDArray[np.uint8]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    maps, scores, seconds = [], [], []
+    for frame in frames:
+        start = time.perf_counter()
+        scored = scorer.score(frame)
+        seconds.append(time.perf_counter() - start)
+        maps.append(np.array(scored.score_map, np.float64))
+        scores.append(scored.anomaly_score)
+    return np.array(maps), np.array(scores), np.array(seconds)
+
+
+def _detector_arrays(path: Path) -> dict[str, NDArray[np.float32]]:
+    """A checkpoint's arrays without its backbone."""
+    from export.reading.files import read_here
+
+    state = read_here(path)[1]["state_dict"]
+    return {
+        name: value
+        for name, value in state.items()
+        if name.startswith("model.") and "feature_extractor" not in name
+    }

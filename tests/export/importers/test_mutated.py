@@ -1,0 +1,168 @@
+"""Mutated files of every importer: each is imported or refused with a sentence, and nothing in it is run.
+
+`make fuzz-importers` tries 2,000; a usual run tries fewer of the same sequence.
+"""
+
+import os
+import pickle
+import random
+import struct
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anomalib_files import SMALL
+from mutations import changed_bytes, changed_value, with_canary
+from toy_trunk import toy_trunk
+
+from calibration.fitting.trunks import Trunk
+from edge.core.errors import ConfigError, GelgateError
+from export.importers.contract import Settings
+from export.importers.finding import importers
+from export.reading.faiss_index import HEADER
+from export.reading.files import read_here
+from export.reading.foreign import Foreign
+from export.reading.isolated import read_foreign
+from plugins.detectors.inreach.paper import PAPER_TAPS
+
+TRIED = int(os.environ.get("GELGATE_MUTATED", "180"))
+READ_APART = 12
+
+
+def rows(count: int = 6, width: int = 1024) -> Any:
+    return np.random.default_rng(0).random((count, width)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Settings]]:
+    """A sound file of each importer, and what is given with it."""
+    folder = tmp_path_factory.mktemp("seeds")
+    small = {"layer1": (6, 4), "layer2": (8, 8), "layer3": (10, 8)}
+    cov = np.stack([np.eye(3) * (1 + k) for k in range(80)], axis=2)
+    rng = np.random.default_rng(1)
+    fapm = {
+        **{f"final_{kind}_core_f": rng.random((49, 3, 4)).astype(np.float32) for kind in ("near", "far")},
+        **{f"final_{kind}_core_c": rng.random((49, 3, 5)).astype(np.float32) for kind in ("near", "far")},
+        "fn_selector_f": rng.random(49) < 0.3,
+        "fn_selector_c": rng.random(49) < 0.3,
+    }  # fmt: skip
+    thirteen = {tap: (2, 2 ** min(int(tap[5]) + 1, 3)) for tap in PAPER_TAPS}
+    contents: dict[str, tuple[Any, dict[str, tuple[int, int]], tuple[int, int]]] = {
+        "padim_pickle": ({"mean": rng.random((3, 80)), "cov": cov, "idx": [1, 7, 9]}, small, (32, 40)),
+        "spade_features": (
+            {"layer1": rng.random((3, 6, 8, 10)), "layer2": rng.random((3, 8, 4, 5))}, small, (32, 40),
+        ),
+        "fapm_pickle": (fapm, {"layer2": (4, 8), "layer3": (5, 16)}, (224, 224)),
+        "inreach_points": ({"nominal_points": rows()}, thirteen, (32, 40)),
+        "amazon_patchcore": (
+            {"backbone.name": "wideresnet50", "layers_to_extract_from": ["layer2", "layer3"], "patchsize": 3},
+            small, (32, 40),
+        ),
+    }  # fmt: skip
+    found: dict[str, tuple[Path, Settings]] = {}
+    for name, (content, taps, frame) in contents.items():
+        path = folder / f"{name}.pkl"
+        path.write_bytes(pickle.dumps(content))
+        values = {"is_normalised": False} if name == "spade_features" else {}
+        found[name] = path, Settings(frame, 15.77, Trunk("toy", toy_trunk(taps)), values=values)
+    head = HEADER.pack(b"IxF2", 1024, 6, 1 << 20, 1 << 20, 1, 1)
+    (folder / "nnscorer_search_index.faiss").write_bytes(
+        head + struct.pack("<Q", 6 * 1024) + rows().tobytes()
+    )
+    for file in ("padim.ckpt", "patchcore.pt", "dfm.ckpt", "dfkde.ckpt"):
+        found[file] = SMALL / file, Settings((48, 64), 15.77)
+    return found
+
+
+def imported(file: Foreign, settings: Settings) -> bool:
+    """Whether an importer makes a model of it. Any error but a sentence fails the test."""
+    for one in importers():
+        if one.recognised(file) is not None:
+            try:
+                one.imported(file, settings)
+            except GelgateError as error:
+                return not _is_sentence(str(error))
+            return True
+    return False
+
+
+def _is_sentence(text: str) -> bool:
+    assert text
+    assert "\n" not in text
+    return True
+
+
+def test_sound_files_are_imported(seeds: dict[str, tuple[Path, Settings]]) -> None:
+    """The files that are mutated below are right before."""
+    for path, settings in seeds.values():
+        assert imported(Foreign(path, *read_here(path)), settings), path
+
+
+def test_mutated_files_are_sentences(seeds: dict[str, tuple[Path, Settings]], tmp_path: Path) -> None:
+    """Bytes and values changed at random: no traceback, no warning, no file of the canary."""
+    rng = random.Random(0)
+    canary, scratch = tmp_path / "canary", tmp_path / "file"
+    made = refused = 0
+    for number in range(TRIED):
+        path, settings = seeds[rng.choice(list(seeds))]
+        original = path.read_bytes()
+        try:
+            kind = number % 3
+            if kind == 0:
+                content = read_here(path)
+                file = Foreign(path, content[0], changed_value(content[1], rng))
+            else:
+                data = (
+                    changed_bytes(original, rng)
+                    if kind == 1
+                    else with_canary({"mean": np.zeros(3)}, canary, rng)
+                )
+                scratch.write_bytes(data)
+                file = Foreign(path, *read_here(scratch))
+        except Exception:  # noqa: BLE001 (the reader's process turns every error into its sentence)
+            refused += 1
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", RuntimeWarning
+            )  # overflow of absurd numbers; the sentence follows
+            if imported(file, settings):
+                made += 1
+            else:
+                refused += 1
+    assert made + refused == TRIED
+    assert refused > TRIED // 2
+    assert not canary.exists()
+
+
+def _read_or_refused(path: Path) -> None:
+    try:
+        with read_foreign(path):
+            pass
+    except ConfigError as error:
+        if "model.pkl was not imported: " not in str(error):
+            raise
+
+
+def test_mutated_files_end_in_the_readers_process(
+    seeds: dict[str, tuple[Path, Settings]], tmp_path: Path
+) -> None:
+    """The same by the process that users' files are read in: a sentence with the file's name, and no canary."""
+    rng = random.Random(1)
+    canary, scratch = tmp_path / "canary", tmp_path / "model.pkl"
+    for number in range(READ_APART):
+        path, _ = seeds[rng.choice(list(seeds))]
+        is_canary = number % 2 == 0
+        data = with_canary([1], canary, rng) if is_canary else changed_bytes(path.read_bytes(), rng)
+        scratch.write_bytes(data)
+        if is_canary:
+            with (
+                pytest.raises(ConfigError, match=r"model\.pkl was not imported: it names "),
+                read_foreign(scratch),
+            ):
+                pass
+        else:
+            _read_or_refused(scratch)
+    assert not canary.exists()
