@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from calibration.progress import Stages, progress
+from calibration.progress import Stages, lines, progress
 
 
 def test_a_long_stage_is_not_silent(capsys: pytest.CaptureFixture[str]) -> None:
@@ -28,3 +28,33 @@ def test_per_cent_are_not_called_steps(capsys: pytest.CaptureFixture[str]) -> No
         advance(5)
 
     assert capsys.readouterr().err.splitlines() == ["simulate: 12 %", "scored: 5 of 10"]
+
+
+def test_plain_lines_say_the_time_left(capsys: pytest.CaptureFixture[str]) -> None:
+    """At every tenth; what an earlier run did is not counted as fast work of this one."""
+    now = [0.0]
+    advance = lines("cells", 100, clock=lambda: now[0])
+    advance(50)
+    for done in range(51, 101):
+        now[0] += 30.0
+        advance(done)
+
+    assert capsys.readouterr().err.splitlines() == [
+        "cells: 50 of 100",
+        "cells: 60 of 100, about 20 min left",
+        "cells: 70 of 100, about 15 min left",
+        "cells: 80 of 100, about 10 min left",
+        "cells: 90 of 100, about 5 min left",
+        "cells: 100 of 100",
+    ]
+
+
+def test_short_work_has_no_estimate(capsys: pytest.CaptureFixture[str]) -> None:
+    """Less than a minute is not worth a number."""
+    now = [0.0]
+    advance = lines("cells", 2, clock=lambda: now[0])
+    for done in (1, 2):
+        now[0] += 30.0
+        advance(done)
+
+    assert capsys.readouterr().err == "cells: 1 of 2\ncells: 2 of 2\n"
