@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench test-hardware kernel-lab detectability clean
+.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -55,6 +55,10 @@ detectability: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s
+
+# The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour. ACQUISITIONS_CACHE keeps finished rows.
+acquisitions: $(VENV)/.test
+	$(BIN)/pytest tests/bench/test_acquisitions.py -m bench -s
 
 # Needs a GelSight Mini on this machine; without one every test is skipped and says so.
 test-hardware: $(VENV)/.test

@@ -30,7 +30,17 @@ from edge.core.suggest import suggestion
 from edge.recording.format import Recording
 from edge.recording.from_images import images_in
 
-__all__ = ["NominalPresses", "is_recording", "named_presses", "read_presses"]
+__all__ = [
+    "NominalPresses",
+    "is_recording",
+    "listed_pictures",
+    "lit",
+    "named_presses",
+    "read_presses",
+    "specimen_of",
+    "touched_union",
+    "why_unread",
+]
 
 # Frames of the free gel that are kept: the detectors need only its mean and its noise.
 MAX_NO_CONTACT = 16
@@ -124,7 +134,7 @@ class _Gathered:
             names=tuple(self.names),
             specimens=tuple(self.specimens),
             touches=tuple(touched(mask) for mask in masks) if is_known else (),
-            touched=_union(masks, self.profile, self.region) if is_known else None,
+            touched=touched_union(masks, self.profile, self.region) if is_known else None,
             no_contact=np.stack(self.free[:MAX_NO_CONTACT]) if self.free else None,
             left_out=tuple(self.left_out),
             free_view=self._free_view(),
@@ -164,17 +174,17 @@ def read_presses(
     listing every faulty picture, FitError when there is no press, or no press of a name to leave out.
     """
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out))
-    free = _pictures(_listed(no_contact), profile, resize)
+    free = _pictures(listed_pictures(no_contact), profile, resize)
     for _, picture in free:
         gathered.add_free(picture)
     reference = _reference([picture for _, picture in free])
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
-    files = _listed([source for source in sources if not is_recording(source)], pattern)
-    files = [path for path in files if not any(path.samefile(one) for one in _listed(no_contact))]
+    files = listed_pictures([source for source in sources if not is_recording(source)], pattern)
+    files = [path for path in files if not any(path.samefile(one) for one in listed_pictures(no_contact))]
     for path, picture in _pictures(files, profile, resize):
-        _add_picture(picture, _name(path), specimens.get(path) or _specimen(path), reference, gathered)
+        _add_picture(picture, _name(path), specimens.get(path) or specimen_of(path), reference, gathered)
     _require_left_out(gathered)
     if not gathered.frames and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
@@ -205,7 +215,7 @@ def named_presses(
         gathered.add_free(picture)
     reference = _reference(no_contact)
     for name, picture in pictures.items():
-        _add_picture(picture, name, _specimen(Path(name)), reference, gathered)
+        _add_picture(picture, name, specimen_of(Path(name)), reference, gathered)
     return gathered.presses()
 
 
@@ -227,7 +237,8 @@ def _contact(picture: NDArray[np.uint8], reference: Reference) -> _Contact:
     return _Contact(mask, relief.area)
 
 
-def _specimen(path: Path) -> str | None:
+def specimen_of(path: Path) -> str | None:
+    """The piece in a file's name, None for a name without one."""
     name = numbered(path.stem)
     return name.specimen if name else None
 
@@ -280,7 +291,7 @@ def _add_settled(folder: Path, found: FoundPress, specimen: object, gathered: _G
     )
 
 
-def _listed(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
+def listed_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
     """Picture files, and those directly inside folders (or that match the pattern), in the order of their names."""
     files: list[Path] = []
     for source in sources:
@@ -321,7 +332,7 @@ def _pictures(
     found: list[tuple[Path, NDArray[np.uint8]]] = []
     for path in files:
         try:
-            found.append((path, _lit(path, read_rgb(path, profile, resize=resize))))
+            found.append((path, lit(path, read_rgb(path, profile, resize=resize))))
         except DatasetError as error:
             faults.append(str(error))
     if faults:
@@ -332,8 +343,8 @@ def _pictures(
     return found
 
 
-def _lit(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Errors: DatasetError for a black picture."""
+def lit(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same picture. Errors: DatasetError for a black picture."""
     level = float(picture.mean(dtype=np.float64))
     if level < BLACK_LEVEL:
         raise DatasetError(
@@ -353,7 +364,10 @@ def _reference(pictures: Sequence[NDArray[np.uint8]]) -> Reference | None:
     return Reference(np.asarray(mean, np.float32), len(pictures), 0)
 
 
-def _union(masks: Sequence[NDArray[np.bool_]], profile: SensorProfile, region: Region) -> NDArray[np.bool_]:
+def touched_union(
+    masks: Sequence[NDArray[np.bool_]], profile: SensorProfile, region: Region
+) -> NDArray[np.bool_]:
+    """What presses touch in the region, bool (h, w), with a margin. masks: of the view, bool (120, 160) each."""
     union = np.logical_or.reduce(masks)
     seen = touched_in(union, profile.size, region).astype(np.uint8)
     side = 2 * round(TOUCHED_MARGIN_MM * profile.pixels_per_mm) + 1

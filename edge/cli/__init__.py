@@ -30,7 +30,7 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         5: "`gelgate verify`: the bundle is not sound",
         6: "a recording was played, and the presses found are not the presses that it holds",
         7: "`gelgate tradeoff --check`: a point has become worse than in the earlier run",
-        130: "interrupted with Ctrl-C; not `gelgate run` and `gelgate record`, which it stops with 0",
+        130: "interrupted with Ctrl-C; `gelgate run`, `gelgate record` and `gelgate acquire` end with 0 then",
     }
 )
 
@@ -48,7 +48,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 
 # `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
 _ORDER: Final = (
-    "demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run", "watch", "gel", "acts",
+    "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "watch", "gel", "acts",
     "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
     "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
 )  # fmt: skip

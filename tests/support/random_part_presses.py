@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator.field_of_view import LR
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS, specimen
-from calibration.simulator.plan import PRESS_CYCLE_S
+from calibration.simulator.plan import PRESS_CYCLE_S, placed_damage
 from calibration.simulator.pose import Jitter, Pose, pose_jitter, sample
 from calibration.simulator.random_parts import RandomPart, random_part
-from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams, named_streams
@@ -41,8 +42,33 @@ class RandomPartPresses:
         placed = self._gel.place(clamped, (piece, repeat))
         imprint = self._gel.imprint(sample(shape, placed, LR), DEPTH_MM * placed.depth_factor)
         moment = int(self._moments[order])
+        return self._exposed(imprint, moment, (piece, repeat))
+
+    def damaged(self, piece: int, order: int) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """One press of a damaged piece: uint8 (240, 320, 3) RGB, and where it differs from the sound one, (240, 320).
+
+        The kinds of damage take turns; its severity is 0.3 to 1.
+        """
+        kinds, severity = tuple(DEFECTS), float(self._streams("severity", piece).uniform(0.3, 1.0))
+        shape = specimen(self._shape, self._streams("specimen", piece))
+        placed = self._gel.place(
+            pose_jitter(Pose(), self._clamping, self._streams("clamp", piece)), (piece, 1)
+        )
+        defect = placed_damage(
+            self._shape,
+            kinds[piece % len(kinds)],
+            severity,
+            DEPTH_MM,
+            MASK_DEPTH_MM,
+            self._streams("defect", piece),
+        )
+        sound, imprint = self._gel.imprints(shape, defect, DEPTH_MM, placed)
+        rgb = self._exposed(imprint, int(self._moments[order]), (piece, 1))
+        return rgb, self._gel.mask(sound, imprint, MASK_DEPTH_MM)
+
+    def _exposed(self, imprint: F32, moment: int, key: tuple[int, int]) -> NDArray[np.uint8]:
         light = self._gel.light(self._gel.surface(imprint, moment), moment)
-        return self._gel.expose(light, (piece, repeat), Exposure(0, moment * PRESS_CYCLE_S))
+        return self._gel.expose(light, key, Exposure(0, moment * PRESS_CYCLE_S))
 
     def free_gel(self, number: int) -> NDArray[np.uint8]:
         """The untouched gel, uint8 (240, 320, 3) RGB."""

@@ -1,0 +1,262 @@
+"""`gelgate acquire`: nominal presses one by one, until they are enough."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calibration.fitting.options import (
+    Backbone,
+    NoContact,
+    Part,
+    Pattern,
+    Position,
+    Profile,
+    RegionText,
+    Resize,
+    Threads,
+)
+from calibration.fitting.trunks import DEFAULT_BACKBONE
+
+if TYPE_CHECKING:
+    from calibration.acquisition.acquiring import Acquiring
+    from calibration.acquisition.fit_step import Plan
+    from calibration.acquisition.pieces import Keys
+    from calibration.acquisition.presses import FreeGel, LeftOut, Press
+    from edge.core.imaging.sensor_profile import SensorProfile
+
+__all__ = ["acquire"]
+
+# A limit on memory: 4 bytes for each pair of presses and each cell, 125 MB on the default region.
+MOST_PRESSES = 200
+
+Sources = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[SOURCE...]", help="Recordings, datasets or pictures in place of a sensor."),
+]
+Output = Annotated[
+    Path,
+    typer.Option("--output", "-o", help="Folder of the acquisition: new, or one to continue."),
+]
+Station = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", help="A station's TOML file: its sensor is read.", show_default=False),
+]
+DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")]
+OptionTexts = Annotated[
+    list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
+]
+Method = Annotated[str, typer.Option(help="The detector that will be fitted; its first tap is compared.")]
+Each = Annotated[
+    int | None,
+    typer.Option("--per-piece", min=1, help="A new piece is put in after this number of presses."),
+]
+Enter = Annotated[
+    bool,
+    typer.Option("--enter", help="A new piece is in place whenever a line is entered (the Enter key)."),
+]
+Rate = Annotated[float, typer.Option("--promise", help="The rate of false alarms to promise.")]
+Confidence = Annotated[float, typer.Option(help="How sure the promise is.")]
+Most = Annotated[int, typer.Option("--most", min=1, max=MOST_PRESSES, help="Stop at this number of presses.")]
+GoOn = Annotated[bool, typer.Option("--go-on", help="Do not stop when presses are enough, but at --most.")]
+FitTo = Annotated[Path | None, typer.Option("--fit", help="Fit this bundle at the end.", show_default=False)]
+
+
+def acquire(
+    output: Output,
+    sources: Sources = None,
+    config: Station = None,
+    device: DeviceName = None,
+    option: OptionTexts = None,
+    part: Part = None,
+    position: Position = None,
+    method: Method = "padim",
+    backbone: Backbone = DEFAULT_BACKBONE,
+    profile: Profile = "",
+    region: RegionText = "centre",
+    no_contact: NoContact = None,
+    resize: Resize = False,
+    pattern: Pattern = None,
+    per_piece: Each = None,
+    enter: Enter = False,
+    promise: Rate = 0.1,
+    confidence: Confidence = 0.9,
+    most: Most = 100,
+    go_on: GoOn = False,
+    fit: FitTo = None,
+    threads: Threads = 2,
+) -> None:
+    """Take nominal presses until they are enough, then fit.
+
+    After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
+    same command continues.
+    """
+    from calibration.acquisition.fit_step import Plan
+    from calibration.fitting.command import chosen_profile, refuse_existing
+
+    _check(sources, config, device, promise, confidence, per_piece, enter)
+    if fit is not None:
+        refuse_existing(fit, overwrite=False)
+    sensor = chosen_profile(profile, sources or [])
+    stream, part, position, limit = _stream(
+        sources, config, device, option, part, position, sensor, no_contact, resize, pattern
+    )
+    plan = Plan(part, position, sensor.name, region, method, backbone, resize)
+    acquiring = _acquiring(output, plan, sensor, per_piece, _keys(enter), (promise, confidence), threads)
+    try:
+        _run(acquiring, stream, limit, most, go_on)
+    except KeyboardInterrupt:
+        typer.echo("stopped with Ctrl-C", err=True)
+    _finish(acquiring, plan, limit, fit, threads)
+
+
+def _check(
+    sources: Sequence[Path] | None,
+    config: Path | None,
+    device: str | None,
+    promise: float,
+    confidence: float,
+    per_piece: int | None,
+    enter: bool,
+) -> None:
+    """Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    if sum(bool(given) for given in (sources, config, device)) != 1:
+        raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
+    for name, value in (("--promise", promise), ("--confidence", confidence)):
+        if not 0 < value < 1:
+            raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
+    if per_piece is not None and enter:
+        raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
+
+
+Stream = Iterator["Press | FreeGel | LeftOut"]
+
+
+def _stream(
+    sources: list[Path] | None,
+    config: Path | None,
+    device: str | None,
+    option: Sequence[str] | None,
+    part: str | None,
+    position: str | None,
+    profile: "SensorProfile",
+    no_contact: Sequence[Path] | None,
+    resize: bool,
+    pattern: str | None,
+) -> tuple[Stream, str, str, int]:
+    """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
+    from calibration.acquisition.live import frames_of, named_device, station_device
+    from calibration.acquisition.presses import from_frames, from_sources
+    from calibration.fitting.command import found_sources
+    from calibration.fitting.recorded_presses import PressFinder
+    from edge.clock import SystemClock
+    from edge.core.gel import DEFAULT_LIMIT_PRESSES
+
+    if sources:
+        found = found_sources(sources, part, position, profile)
+        stream = from_sources(
+            found.paths,
+            profile,
+            found.specimens,
+            no_contact=no_contact or (),
+            resize=resize,
+            pattern=pattern,
+        )
+        return stream, found.part, found.position, DEFAULT_LIMIT_PRESSES
+    if part is None:
+        raise typer.BadParameter("Missing option '--part': a sensor does not know what is pressed.")
+    clock = SystemClock()
+    if config is not None:
+        sensor = station_device(config, profile, clock)
+    else:
+        sensor = named_device(device or "", option or [], clock)
+    frames = frames_of(sensor, clock, lambda text: typer.echo(text, err=True))
+    finder = PressFinder(profile, sensor.contact)
+    stream = from_frames(((frame, None) for frame in frames), finder, profile, device or str(config))
+    return stream, part, position or "default", sensor.gel_limit
+
+
+def _keys(is_wanted: bool) -> "Keys | None":
+    import sys
+
+    from calibration.acquisition.pieces import Keys
+
+    return Keys(sys.stdin) if is_wanted else None
+
+
+def _acquiring(
+    output: Path,
+    plan: "Plan",
+    profile: "SensorProfile",
+    per_piece: int | None,
+    keys: "Keys | None",
+    goal: tuple[float, float],
+    threads: int,
+) -> "Acquiring":
+    from calibration.acquisition.acquiring import Acquiring
+    from calibration.acquisition.folder import About, AcquisitionFolder
+    from calibration.acquisition.pieces import Pieces
+    from calibration.acquisition.stopping import Goal
+    from calibration.fitting.trunks import open_trunk
+    from edge import registry
+    from edge.core.imaging.region import Region
+
+    region = Region.parse(plan.region, profile.size)
+    detector = registry.detector(plan.method)
+    tap = detector.taps(detector.parameters())[0]
+    trunk = open_trunk(plan.backbone, (tap,))
+    folder = AcquisitionFolder(output, About(plan.part, plan.position, plan.profile, str(region)))
+    if folder.presses:
+        typer.echo(f"{output} has {len(folder.presses)} presses already; they count")
+    pieces = Pieces(folder.presses, per_piece, keys)
+    return Acquiring(
+        folder, trunk, tap, profile, region, pieces, Goal(*goal), resize=plan.resize, threads=threads
+    )
+
+
+def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: bool) -> None:
+    """Take presses until they are enough, the source ends, or there are `most`."""
+    from calibration.acquisition.forecast import ROUND
+    from calibration.acquisition.report import forecast_lines, press_line, signals
+
+    standing = acquiring.standing
+    said = 0
+    while standing.presses < most and (go_on or not standing.is_enough):
+        found = next(stream, None)
+        if found is None:
+            return
+        kept = acquiring.take(found)
+        for why in acquiring.left_out[said:]:
+            typer.echo(f"warning: left out: {why}", err=True)
+        said = len(acquiring.left_out)
+        if kept is None:
+            continue
+        standing = acquiring.standing
+        acquiring.folder.log(signals(standing, kept.path.name, getattr(found, "name", "")))
+        typer.echo(press_line(standing, kept.piece))
+        if standing.presses % ROUND == 0:
+            typer.echo("\n".join(forecast_lines(standing, limit)))
+        if acquiring.pieces.is_waiting and not standing.is_enough:
+            typer.echo(f"put in piece {acquiring.pieces.next}")
+
+
+def _finish(acquiring: "Acquiring", plan: "Plan", limit: int, fit: Path | None, threads: int) -> None:
+    """The summary, the map, and the fit or its command. Errors: FitError where no press was taken."""
+    from calibration.acquisition.fit_step import fit_command, fit_now
+    from calibration.acquisition.report import summary_lines
+    from edge.core.errors import FitError
+
+    standing = acquiring.standing
+    if not standing.presses:
+        why = f": {acquiring.left_out[0]}" if acquiring.left_out else ""
+        raise FitError(f"no press was taken{why}; give a source with presses, or press the part onto the gel")
+    typer.echo("\n".join(summary_lines(standing, limit)))
+    if (picture := acquiring.map()) is not None:
+        typer.echo(f"where something is still new: {picture}")
+    if fit is None:
+        typer.echo(f"fit them with:\n  {fit_command(acquiring.folder.root, plan, standing)}")
+    else:
+        fit_now(acquiring.folder.root, plan, standing, fit, threads)

@@ -1,0 +1,151 @@
+"""Coverage: which share of the part's places a new piece would show as never seen, by Good-Turing.
+
+Ref: Good, The population frequencies of species (Biometrika 40, 1953): the share of things seen exactly once estimates
+the chance that the next is new. Böhme, STADS (TOSEM 27, 2018), uses it to end a search. Here a "thing" is what a cell
+of the feature map shows: a cell that finds no near neighbour among the other pieces, at the same place, was seen once.
+Where pieces are not known, each press counts as one; otherwise a piece that is pressed often would cover itself.
+
+Near is what is closer than half of all pairs of presses (of different pieces) are at their places: the median over
+pairs and touched cells. The rule has no unit and no setting: it comes from the presses themselves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.threshold import pieces_of
+
+__all__ = ["LEAST", "MOST_CELLS", "Coverage", "PlaceDistances", "rarefied"]
+
+LEAST = 4
+"""With fewer pieces there is no coverage: with three each has two others, and half of all pairs are near."""
+
+MOST_CELLS = 32
+"""A feature map with more cells along a side is averaged down: 0.5 mm on the default region, as fine as damage."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What n presses of some pieces show of a part. near: the distance below which two cells show the same.
+
+    neighbours: int (n, rows, cols), how many other pieces have a near press at each cell of each press. touched: bool
+    (rows, cols). pieces: their number; a press of an unknown piece counts as one.
+    """
+
+    near: float
+    neighbours: NDArray[np.int64]
+    touched: NDArray[np.bool_]
+    pieces: int
+
+    @property
+    def presses_of_each(self) -> float:
+        return len(self.neighbours) / self.pieces
+
+    @property
+    def by_place(self) -> NDArray[np.float64]:
+        """The share of presses that show something new at each cell, float64 (rows, cols); nan where untouched."""
+        return np.where(self.touched, (self.neighbours == 0).mean(axis=0), np.nan)
+
+    @property
+    def unseen(self) -> float:
+        """The share of touched cells that is expected to be new on a new piece, 0 to 1."""
+        return float((self.neighbours[:, self.touched] == 0).mean())
+
+    @property
+    def newest(self) -> float:
+        """The share of the last press's touched cells that no other piece shows."""
+        return float((self.neighbours[-1, self.touched] == 0).mean())
+
+    @property
+    def curve(self) -> NDArray[np.float64]:
+        """The unseen share after 1, 2, ... pieces, float64 (pieces,), averaged over all orders of the pieces."""
+        counts = np.bincount(self.neighbours[:, self.touched].ravel(), minlength=self.pieces)
+        return rarefied(counts / counts.sum())
+
+
+def rarefied(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The expected unseen share of every subset of 1 to n pieces, float64 (n,).
+
+    shares: of cells with 0, 1, ... n - 1 near neighbours among n pieces, (n,). A cell with r of them is unseen in a
+    random subset of m pieces that holds it with probability C(n - 1 - r, m - 1) / C(n - 1, m - 1)
+    (Hurlbert, Ecology 52, 1971: rarefaction).
+    """
+    n = len(shares)
+    r = np.arange(n, dtype=np.float64)
+    unseen, found = np.ones(n), [1.0]
+    for m in range(1, n):
+        unseen = unseen * np.maximum(n - r - m, 0) / (n - m)
+        found.append(float(unseen @ shares))
+    return np.array(found)
+
+
+class PlaceDistances:
+    """Distances between all presses at every cell, one press added at a time.
+
+    After n presses it holds 4 n^2 bytes per cell: 30 MB for 100 presses of the default region.
+    """
+
+    def __init__(self) -> None:
+        self._maps: list[NDArray[np.float32]] = []
+        self._pieces: list[str | None] = []
+        self._touched: NDArray[np.bool_] | None = None
+        self._distances = np.zeros((0, 0, 0, 0), np.float32)
+
+    def __len__(self) -> int:
+        return len(self._maps)
+
+    def add(
+        self,
+        maps: NDArray[np.float32],
+        touched: NDArray[np.bool_] | None = None,
+        piece: str | None = None,
+    ) -> None:
+        """One more press. maps: its features, float32 (c, rows, cols). touched: bool (h, w) of the frame, None where
+        the free gel is not known; then every cell counts. piece: None where unknown.
+
+        Errors: ValueError for maps of another shape.
+        """
+        cells = _averaged(maps)
+        if self._maps and cells.shape != self._maps[0].shape:
+            raise ValueError(f"features are {self._maps[0].shape}, found {cells.shape}")
+        n, places = len(self._maps), cells.shape[1:]
+        grown = np.zeros((n + 1, n + 1, *places), np.float32)
+        if n:
+            grown[:n, :n] = self._distances
+        for k, other in enumerate(self._maps):
+            grown[k, n] = grown[n, k] = np.sqrt(np.square(cells - other).sum(axis=0))
+        self._distances = grown
+        self._maps.append(cells)
+        self._pieces.append(piece)
+        shown = np.ones(places, np.bool_) if touched is None else _in_cells(touched, places)
+        self._touched = shown if self._touched is None else self._touched | shown
+
+    def coverage(self) -> Coverage | None:
+        """None for fewer than LEAST pieces, or where no press touches anything."""
+        keys = np.array(pieces_of(self._pieces))
+        pieces = list(dict.fromkeys(keys.tolist()))
+        if len(pieces) < LEAST or self._touched is None or not self._touched.any():
+            return None
+        is_other = np.triu(keys[:, None] != keys[None])
+        near = float(np.median(self._distances[is_other][:, self._touched]))
+        is_near = self._distances <= near
+        neighbours = sum(is_near[:, keys == piece].any(axis=1).astype(np.int64) for piece in pieces) - 1
+        return Coverage(near, np.asarray(neighbours), self._touched, len(pieces))
+
+
+def _averaged(maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Averaged over squares of cells, so that no side has more than MOST_CELLS; what does not fill a square is cut."""
+    c, rows, cols = maps.shape
+    side = -(-max(rows, cols) // MOST_CELLS)
+    kept = maps[:, : rows // side * side, : cols // side * side]
+    blocks = kept.reshape(c, rows // side, side, cols // side, side)
+    return np.asarray(blocks.mean(axis=(2, 4)), np.float32)
+
+
+def _in_cells(touched: NDArray[np.bool_], places: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which cells hold a touched pixel."""
+    rows, cols = np.nonzero(touched)
+    found = np.zeros(places, np.bool_)
+    found[rows * places[0] // touched.shape[0], cols * places[1] // touched.shape[1]] = True
+    return found

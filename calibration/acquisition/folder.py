@@ -1,0 +1,166 @@
+"""The folder of an acquisition: every press is a complete file as soon as it is taken, so nothing is lost.
+
+    acquisition.json   what is pressed and how it is seen; an acquisition continues only with the same
+    presses/           the camera's bytes: <part>_<position>_s<piece>_p<press>, or press_<number> of unknown pieces
+    free/              pictures of the free gel
+    signals.jsonl      what was printed after each press
+    coverage.png       where presses still show something new
+
+`gelgate fit FOLDER/presses --no-contact FOLDER/free` learns from it. A press is known by its bytes: a source that is
+read again after an interruption gives the same presses, and they are not taken twice.
+"""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from calibration.dataset.press import numbered
+from edge.core.errors import ConfigError, StoreError
+from edge.core.imaging.image_bytes import kind
+
+__all__ = ["MOST_FREE", "About", "AcquisitionFolder", "KeptPress"]
+
+MOST_FREE = 16
+"""Pictures of the free gel that are kept: the detectors need only its mean and its noise."""
+
+_ABOUT, _VERSION = "acquisition.json", 1
+
+
+@dataclass(frozen=True)
+class About:
+    """What an acquisition is of. region: as text."""
+
+    part: str
+    position: str
+    profile: str
+    region: str
+
+
+@dataclass(frozen=True)
+class KeptPress:
+    """A press in the folder. piece: its number, None where pieces are not known."""
+
+    path: Path
+    piece: int | None
+
+
+class AcquisitionFolder:
+    """Opens or begins an acquisition. presses: in the order in which they were taken.
+
+    Errors: ConfigError for a folder that holds something else, or another acquisition; StoreError.
+    """
+
+    def __init__(self, root: Path, about: About) -> None:
+        self.root, self.about = root, about
+        self._begin()
+        self.presses: list[KeptPress] = []
+        for path in sorted(
+            (root / "presses").iterdir(), key=lambda path: (path.stat().st_mtime_ns, path.name)
+        ):
+            if path.suffix == ".part":
+                path.unlink()
+                continue
+            name = numbered(path.stem)
+            self.presses.append(KeptPress(path, int(name.specimen) if name else None))
+        self._known = {_digest(kept.path.read_bytes()): kept for kept in self.presses}
+
+    @property
+    def free(self) -> list[Path]:
+        """The pictures of the free gel."""
+        return sorted(path for path in (self.root / "free").iterdir() if path.suffix != ".part")
+
+    def taken(self, payload: bytes) -> KeptPress | None:
+        """The press with these bytes, if it is here."""
+        return self._known.get(_digest(payload))
+
+    def add(self, payload: bytes, piece: int | None) -> KeptPress:
+        """Keep a press; it is on the disk when this returns. Errors: StoreError."""
+        kept = KeptPress(self._write(f"presses/{self._name(piece)}", payload), piece)
+        self.presses.append(kept)
+        self._known[_digest(payload)] = kept
+        return kept
+
+    def add_free(self, payload: bytes) -> None:
+        """Keep a picture of the free gel, if there is room for one. Errors: StoreError."""
+        count = len(self.free)
+        if count < MOST_FREE:
+            self._write(f"free/free_{count + 1:02d}", payload)
+
+    def log(self, signals: Mapping[str, object]) -> None:
+        """Append what was printed after a press. Errors: StoreError."""
+        try:
+            with (self.root / "signals.jsonl").open("a", encoding="utf-8") as file:
+                file.write(json.dumps(dict(signals)) + "\n")
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def picture(self, png: bytes) -> Path:
+        """Write the map of the coverage. Errors: StoreError."""
+        return self._write("coverage", png)
+
+    def _name(self, piece: int | None) -> str:
+        if piece is None:
+            return f"press_{len(self.presses) + 1:04d}"
+        of_piece = sum(kept.piece == piece for kept in self.presses)
+        where = re.sub(r"[^A-Za-z0-9-]+", "-", f"{self.about.part}_{self.about.position}".replace("_", "-"))
+        return f"{where}_s{piece:03d}_p{of_piece + 1:02d}"
+
+    def _write(self, name: str, payload: bytes) -> Path:
+        """A complete file or none; after a power cut, too."""
+        path = self.root / f"{name}.{kind(payload) or 'bmp'}"
+        part = path.with_suffix(".part")
+        try:
+            with part.open("wb") as file:
+                file.write(payload)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(part, path)
+        except OSError as error:
+            raise self._refused(error) from error
+        return path
+
+    def _begin(self) -> None:
+        about = {"version": _VERSION, **asdict(self.about)}
+        if self.root.exists() and not self.root.is_dir():
+            raise ConfigError(f"{self.root} is a file, a folder is expected; choose another name")
+        if self.root.exists() and any(self.root.iterdir()):
+            self._check(about)
+        try:
+            for name in ("presses", "free"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+            part = self.root / f"{_ABOUT}.part"
+            part.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+            os.replace(part, self.root / _ABOUT)
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def _check(self, about: Mapping[str, object]) -> None:
+        try:
+            found = json.loads((self.root / _ABOUT).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ConfigError(
+                f"{self.root} is not empty and holds no acquisition; choose another folder"
+            ) from error
+        other = [
+            f"{key} {found.get(key)!r}, not {value!r}"
+            for key, value in about.items()
+            if found.get(key) != value
+        ]
+        if other:
+            raise ConfigError(
+                f"{self.root} holds another acquisition: {', '.join(other)}; choose another folder, or the same options"
+            )
+
+    def _refused(self, error: OSError) -> StoreError:
+        return StoreError(
+            f"the acquisition {self.root} cannot be written: {error.strerror or error}; the presses so far are kept, "
+            "free some space and start again with the same command"
+        )
+
+
+def _digest(payload: bytes) -> str:
+    return hashlib.sha256(payload).hexdigest()

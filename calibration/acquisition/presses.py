@@ -1,0 +1,124 @@
+"""Presses one by one: from pictures, from recordings, and from the frames of a sensor that is running."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.files import read_rgb
+from calibration.fitting.nominal_presses import (
+    is_recording,
+    listed_pictures,
+    lit,
+    specimen_of,
+    why_unread,
+)
+from calibration.fitting.recorded_presses import FoundPress, PressFinder
+from edge.core.errors import DatasetError, FitError, FrameCorrupt
+from edge.core.imaging.decode import decode
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.recording.format import Recording
+
+__all__ = ["FreeGel", "LeftOut", "Press", "from_frames", "from_sources"]
+
+
+@dataclass(frozen=True, eq=False)
+class Press:
+    """One press. name: where it is from. payload: the picture's file. piece: None where unknown.
+
+    rgb: uint8 (h, w, 3) in the profile's size. mask: where it touches in the contact view, bool (120, 160), None where
+    the free gel is not known.
+    """
+
+    name: str
+    payload: bytes
+    piece: str | None
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FreeGel:
+    """The gel without contact. payload: the picture's file. rgb: as of a press."""
+
+    payload: bytes
+    rgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A press that cannot be used, with the reason as a sentence."""
+
+    why: str
+
+
+Found = Press | FreeGel | LeftOut
+
+
+def from_sources(
+    sources: Sequence[Path],
+    profile: SensorProfile,
+    specimens: Mapping[Path, str | None],
+    *,
+    no_contact: Sequence[Path] = (),
+    resize: bool = False,
+    pattern: str | None = None,
+) -> Iterator[Found]:
+    """The free gel first, then the presses of recordings, then those of pictures in the order of their names.
+
+    specimens: of pictures, where their names do not have it. Errors: RecordingError, FitError, DatasetError for the
+    free gel.
+    """
+    free = listed_pictures(no_contact)
+    for path in free:
+        yield FreeGel(path.read_bytes(), lit(path, read_rgb(path, profile, resize=resize)))
+    for source in sources:
+        if is_recording(source):
+            yield from _of_recording(source, profile)
+    pictures = [source for source in sources if not is_recording(source)]
+    for path in listed_pictures(pictures, pattern):
+        if not any(path.samefile(one) for one in free):
+            yield _of_picture(path, specimens.get(path) or specimen_of(path), profile, resize)
+
+
+def _of_picture(path: Path, piece: str | None, profile: SensorProfile, resize: bool) -> Found:
+    try:
+        rgb = lit(path, read_rgb(path, profile, resize=resize))
+    except DatasetError as error:
+        return LeftOut(str(error))
+    return Press(f"{path.parent.name}/{path.name}", path.read_bytes(), piece, rgb)
+
+
+def _of_recording(folder: Path, profile: SensorProfile) -> Iterator[Found]:
+    recording, finder = Recording.open(folder), PressFinder(profile)
+    frames = ((recorded.frame, (recorded.label or {}).get("specimen")) for recorded in recording)
+    yield from from_frames(frames, finder, profile, folder.name)
+    if finder.detector.looked_at == 0:
+        raise FitError(f"no press was found: {why_unread(folder, recording, finder.detector)}")
+
+
+def from_frames(
+    frames: Iterable[tuple[CameraFrame, object]], finder: PressFinder, profile: SensorProfile, name: str
+) -> Iterator[Found]:
+    """The presses of one sensor's frames, each with its piece or None. name: of the recording, or of the sensor."""
+    pieces: dict[int, object] = {}
+    for frame, piece in frames:
+        pieces[frame.sequence] = piece
+        for found in finder.feed(frame):
+            where = f"{name}#{found.frame.sequence}"
+            try:
+                rgb = decode(found.frame, profile).rgb
+            except FrameCorrupt as error:
+                yield LeftOut(f"press {where} cannot be read: {error}")
+                continue
+            if isinstance(found, FoundPress):
+                known = pieces.get(found.frame.sequence)
+                yield Press(
+                    where, found.frame.payload, None if known is None else str(known), rgb, found.mask
+                )
+                pieces = {key: kept for key, kept in pieces.items() if key > found.frame.sequence}
+            else:
+                yield FreeGel(found.frame.payload, rgb)

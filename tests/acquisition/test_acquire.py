@@ -1,0 +1,214 @@
+"""`gelgate acquire`: presses one by one, from recordings, pictures and a sensor, until they are enough."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import gelgate
+
+from edge.model.bundle import Bundle
+
+# Twelve presses of six pieces promise 18 %; the region keeps the trunk small.
+OPTIONS = ("--part", "bolt", "--position", "pos1", "--profile", "cropped_lr", "--promise", "0.2")
+
+
+def rows(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / "signals.jsonl").read_text().splitlines()]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in (folder / "presses").iterdir())
+
+
+def payloads(folder: Path) -> set[bytes]:
+    return {path.read_bytes() for path in (folder / "presses").iterdir()}
+
+
+def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: Path) -> None:
+    """Signals after every press, a forecast after every fourth, and the printed command fits what was promised."""
+    out = tmp_path / "acquired"
+    done = gelgate("acquire", recording, "-o", out, *OPTIONS, "--per-piece", 2, "--most", 12, "--go-on")
+    assert done.code == 0, done.err
+    lines = done.out.splitlines()
+    assert sum(line.startswith("press ") for line in lines) == 12
+    assert sum(line.startswith("forecast: ") for line in lines) >= 2
+    assert "put in piece 6" in lines
+    assert any(
+        line.startswith("12 presses of 6 pieces: at most 17 % false alarms by press, 32 %") for line in lines
+    )
+    found = rows(out)
+    assert [row["presses"] for row in found] == list(range(1, 13))
+    assert found[2]["unseen"] is None
+    assert 0 < float(str(found[-1]["unseen"])) < float(str(found[7]["unseen"]))
+    assert names(out)[:3] == ["bolt-pos1_s001_p01.png", "bolt-pos1_s001_p02.png", "bolt-pos1_s002_p01.png"]
+    assert (out / "coverage.png").read_bytes().startswith(b"\x89PNG")
+    words = shlex.split(lines[-1])
+    words[words.index("-o") + 1] = str(tmp_path / "bundle")
+    assert gelgate(*words[1:]).code == 0
+    limit = Bundle.load(tmp_path / "bundle").manifest.threshold
+    assert limit.by_press is not None
+    assert limit.by_piece is not None
+    assert limit.by_press.rate == pytest.approx(float(str(found[-1]["by_press"])))
+    assert limit.by_piece.rate == pytest.approx(float(str(found[-1]["by_piece"])))
+
+
+def test_pictures_know_their_pieces_and_are_fitted_at_once(pictures: Path, tmp_path: Path) -> None:
+    """The names of the files carry the pieces; --fit leaves a bundle."""
+    done = gelgate(
+        "acquire", pictures / "presses", "--no-contact", pictures / "free.png", "-o", tmp_path / "acquired",
+        *OPTIONS, "--fit", tmp_path / "bundle",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert rows(tmp_path / "acquired")[-1]["pieces"] == 6
+    manifest = Bundle.load(tmp_path / "bundle").manifest
+    assert manifest.threshold.pieces == 6
+    assert manifest.contact is not None
+
+
+def test_a_sensor_is_read_and_an_acquisition_continues(recording: Path, tmp_path: Path) -> None:
+    """The virtual sensor of a station plays the recording twice: presses that are there are not taken again."""
+    station = tmp_path / "station.toml"
+    station.write_text(
+        'version = 1\n[device]\nplugin = "usb_mock"\n'
+        f'options = {{ recording = "{recording}", pace = 0 }}\n'
+        '[inspection]\nbundle = "not-there-yet"\n[gel]\nlimit_presses = 500\n[[sinks]]\nplugin = "memory"\n'
+    )
+    out = tmp_path / "acquired"
+    first = gelgate("acquire", "-c", station, "-o", out, *OPTIONS, "--most", 5)
+    assert first.code == 0, first.err
+    assert "of a gel rated for 500 presses" in first.out
+    again = gelgate("acquire", "-c", station, "-o", out, *OPTIONS, "--most", 7)
+    assert f"{out} has 5 presses already; they count" in again.out
+    assert [row["presses"] for row in rows(out)] == [1, 2, 3, 4, 5, 6, 7]
+    assert len(payloads(out)) == 7
+
+
+def _started(recording: Path, out: Path) -> subprocess.Popen[str]:
+    """The command in a process of its own; the device plays in real time, so it does not end at once."""
+    return subprocess.Popen(
+        [sys.executable, "-c", "from edge.cli import main; main()", "acquire", "--device", "recorded",
+         "--option", f"recording={recording}", "--option", "pace=1", "--option", "loop=true",
+         "-o", str(out), *OPTIONS, "--most", "100", "--go-on"],
+        stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+
+
+def _until_pressed(process: subprocess.Popen[str], count: int) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(f"press {count:3}"):
+            return
+    raise AssertionError("it ended before")
+
+
+@pytest.mark.slow
+def test_a_kill_loses_no_press_that_was_said(recording: Path, tmp_path: Path) -> None:
+    """Killed after the third press: all three are there, and the same folder is continued."""
+    out = tmp_path / "acquired"
+    with _started(recording, out) as process:
+        _until_pressed(process, 3)
+        process.kill()
+    assert len(payloads(out)) >= 3
+    (out / "presses" / "press_0099.part").write_bytes(b"half a pictu")
+    done = gelgate("acquire", recording, "-o", out, *OPTIONS, "--most", 6, "--go-on")
+    assert done.code == 0, done.err
+    assert len(names(out)) == len(payloads(out)) == 6
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_with_the_summary(recording: Path, tmp_path: Path) -> None:
+    """The presses so far, what they promise, and how to fit them; exit code 0."""
+    with _started(recording, tmp_path / "acquired") as process:
+        _until_pressed(process, 2)
+        process.send_signal(signal.SIGINT)
+        assert process.stdout is not None
+        rest = process.stdout.read()
+    assert process.returncode == 0
+    assert "not enough: the promise is not reached" in rest
+    assert "gelgate fit" in rest
+
+
+def test_presses_that_cannot_be_scored_are_said_and_left_out(pictures: Path, tmp_path: Path) -> None:
+    """A black picture and a truncated one: a sentence each, the other presses count."""
+    folder = tmp_path / "presses"
+    folder.mkdir()
+    good = sorted((pictures / "presses").iterdir())[:4]
+    for path in good:
+        (folder / path.name).write_bytes(path.read_bytes())
+    cv2.imwrite(str(folder / "a_black.png"), np.zeros((240, 320, 3), np.uint8))
+    (folder / "b_cut.png").write_bytes(good[0].read_bytes()[:2000])
+    done = gelgate("acquire", folder, "-o", tmp_path / "acquired", *OPTIONS)
+    assert done.code == 0, done.err
+    assert len(names(tmp_path / "acquired")) == 4
+    said = [line for line in done.err.splitlines() if line.startswith("warning: left out: ")]
+    assert len(said) == 2
+    assert "is black" in said[0]
+    assert "b_cut.png" in said[1]
+
+
+def test_one_piece_alone_is_said(pictures: Path, tmp_path: Path) -> None:
+    """Twelve presses of it are no coverage of other pieces."""
+    done = gelgate(
+        "acquire", pictures / "presses", "-o", tmp_path / "acquired", *OPTIONS, "--pattern", "*_s000_*",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    assert "2 presses, 1 piece; what a new piece would show is not known" in done.out
+
+
+def test_only_unreadable_presses_are_refused(tmp_path: Path) -> None:
+    """One sentence, and exit code 3."""
+    (tmp_path / "presses").mkdir()
+    cv2.imwrite(str(tmp_path / "presses" / "black.png"), np.zeros((240, 320, 3), np.uint8))
+    done = gelgate("acquire", tmp_path / "presses", "-o", tmp_path / "acquired", *OPTIONS)
+    assert done.code == 3
+    assert done.sentence().startswith("no press was taken: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ((), 3, "name one of SOURCE, --config and --device"),
+        (("--device", "recorded", "--option", "recording=nowhere"), 3, "recording nowhere does not exist"),
+        (("--device", "gelsight_mini", "--option", "serial=NOSUCH00"), 4, "NOSUCH00"),
+        (("--device", "no_such"), 3, "no_such"),
+        (("nowhere",), 3, "there is nothing at nowhere"),
+        (("--device", "recorded", "--promise", "0"), 3, "--promise lies between 0 and 1"),
+        (("--device", "recorded", "--per-piece", "2", "--enter"), 3, "give one of them"),
+    ],
+)
+def test_what_cannot_be_acquired_is_one_sentence(
+    arguments: tuple[str, ...], code: int, said: str, tmp_path: Path
+) -> None:
+    """Without a press nothing is promised."""
+    done = gelgate("acquire", *arguments, "-o", tmp_path / "acquired", *OPTIONS[:6])
+    assert said in done.sentence()
+    assert done.code == code
+
+
+def test_a_recording_that_cannot_be_read_is_one_sentence(recording: Path, tmp_path: Path) -> None:
+    """Its index lists frames that are not there."""
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    for name in ("recording.toml", "index.jsonl"):
+        (broken / name).write_bytes((recording / name).read_bytes())
+    done = gelgate("acquire", broken, "-o", tmp_path / "acquired", *OPTIONS)
+    assert (done.code, "frame files" in done.sentence()) == (3, True)
+
+
+def test_another_acquisition_is_not_continued(pictures: Path, tmp_path: Path) -> None:
+    """Another part, or a folder of something else: refused with what is there."""
+    out, source = tmp_path / "acquired", pictures / "presses"
+    assert gelgate("acquire", source, "-o", out, *OPTIONS, "--most", 1).code == 0
+    other = gelgate("acquire", source, "-o", out, "--part", "nut", *OPTIONS[2:])
+    assert "holds another acquisition: part 'bolt', not 'nut'" in other.sentence()
+    foreign = gelgate("acquire", source, "-o", source, *OPTIONS)
+    assert "is not empty and holds no acquisition" in foreign.sentence()
+    file = gelgate("acquire", source, "-o", pictures / "free.png", *OPTIONS)
+    assert "is a file, a folder is expected" in file.sentence()

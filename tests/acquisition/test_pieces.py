@@ -1,0 +1,78 @@
+"""Which piece a press is of."""
+
+import io
+import threading
+from pathlib import Path
+
+from calibration.acquisition.folder import KeptPress
+from calibration.acquisition.pieces import Keys, Pieces
+
+
+def test_names_of_the_source_are_numbered_as_they_come() -> None:
+    """A name keeps its number."""
+    pieces = Pieces(())
+    assert [pieces.of(name) for name in ("s7", "s7", "s3", "s7")] == [1, 1, 2, 1]
+
+
+def test_counted_presses_change_the_piece() -> None:
+    """Two of each; it is known when the next piece is due."""
+    pieces = Pieces((), each=2)
+    found, waiting = [], []
+    for _ in range(5):
+        found.append(pieces.of(None))
+        waiting.append(pieces.is_waiting)
+    assert found == [1, 1, 2, 2, 3]
+    assert waiting == [False, True, False, True, False]
+
+
+def test_an_earlier_run_is_continued() -> None:
+    """Piece 2 has one press of its two; a name that comes again keeps its number."""
+    kept = [KeptPress(Path("a"), 1), KeptPress(Path("b"), 1), KeptPress(Path("c"), 2)]
+    assert Pieces(kept, each=2).of(None) == 2
+    named = Pieces(kept)
+    named.seen("s9", 2)
+    assert [named.of("s9"), named.of("new")] == [2, 3]
+
+
+def test_unknown_pieces_stay_unknown() -> None:
+    """Nobody says what is pressed."""
+    assert Pieces(()).of(None) is None
+
+
+class _Lines:
+    """Lines that arrive when the test lets them; `enter` returns when they were counted."""
+
+    def __init__(self) -> None:
+        self._more, self._is_waiting = threading.Semaphore(0), threading.Semaphore(0)
+
+    def enter(self, count: int) -> None:
+        for _ in range(count):
+            assert self._is_waiting.acquire(timeout=60)
+            self._more.release()
+        assert self._is_waiting.acquire(timeout=60)
+        self._is_waiting.release()
+
+    def __iter__(self) -> "_Lines":
+        return self
+
+    def __next__(self) -> str:
+        self._is_waiting.release()
+        self._more.acquire()
+        return "\n"
+
+
+def test_an_operator_says_when_a_piece_is_new() -> None:
+    """Lines before the first press, or several for one change, count once."""
+    lines = _Lines()
+    pieces = Pieces((), keys=Keys(lines))
+    lines.enter(2)
+    found = [pieces.of(None), pieces.of(None)]
+    lines.enter(3)
+    found += [pieces.of(None), pieces.of(None)]
+    assert found == [1, 1, 2, 2]
+
+
+def test_an_input_that_ends_changes_nothing() -> None:
+    """As from a service without a terminal."""
+    pieces = Pieces((), keys=Keys(io.StringIO("")))
+    assert [pieces.of(None), pieces.of(None)] == [1, 1]

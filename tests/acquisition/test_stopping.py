@@ -1,0 +1,103 @@
+"""When presses are enough, and what the acquisition says of it."""
+
+import numpy as np
+import pytest
+
+from calibration.acquisition.coverage import Coverage
+from calibration.acquisition.fit_step import alpha
+from calibration.acquisition.report import forecast_lines, promise_line, summary_lines
+from calibration.acquisition.stopping import Goal, Standing
+from calibration.fitting.threshold import conformal_threshold
+
+
+def coverage(presses: int, unseen: int) -> Coverage:
+    """One row of 100 cells: `unseen` of them have no neighbour on any press, all others have all."""
+    neighbours = np.full((presses, 1, 100), presses - 1, np.int64)
+    neighbours[:, :, :unseen] = 0
+    return Coverage(1.0, neighbours, np.ones((1, 100), np.bool_), presses)
+
+
+@pytest.mark.parametrize(
+    ("rate", "confidence", "presses"), [(0.1, 0.9, 22), (0.05, 0.9, 45), (0.1, 0.95, 29)]
+)
+def test_what_a_goal_needs(rate: float, confidence: float, presses: int) -> None:
+    """Presses without an alarm."""
+    assert Goal(rate, confidence).presses == presses
+
+
+def test_enough_is_promise_and_coverage() -> None:
+    """21 presses promise too little; 22 that show nothing new are enough; without a coverage nothing is."""
+    assert not Standing(21, None, coverage(21, 0)).is_enough
+    assert Standing(22, None, coverage(22, 0)).is_enough
+    assert not Standing(22, None, None).is_enough
+
+
+def test_presses_that_show_something_new_are_not_enough() -> None:
+    """Every cell of 22 presses has one near neighbour alone: four more presses would show others."""
+    neighbours = np.ones((22, 1, 4), np.int64)
+    neighbours[::2] = 0
+    standing = Standing(22, None, Coverage(1.0, neighbours, np.ones((1, 4), np.bool_), 22))
+    assert standing.fall is not None
+    assert standing.fall > 0.01
+    assert not standing.is_enough
+    assert standing.still_needed
+
+
+def test_what_differs_on_every_press_is_not_pressed_for_ever() -> None:
+    """Ten cells that differ on every press: more presses do not lower their share, so they are not asked for."""
+    standing = Standing(22, None, coverage(22, 10))
+    assert standing.coverage is not None
+    assert standing.coverage.unseen == pytest.approx(0.1)
+    assert standing.is_enough
+
+
+def test_coverage_is_not_trusted_before_eight_presses() -> None:
+    """Seven presses alike may be luck."""
+    assert not Standing(7, None, coverage(7, 0)).is_covered
+    assert Standing(8, None, coverage(8, 0)).is_covered
+
+
+def test_the_forecast_is_the_larger_of_both() -> None:
+    """Covered already: the promise decides, 12 more of 10. It is unknown without a coverage."""
+    assert Standing(10, None, coverage(10, 0)).still_needed == 12
+    assert Standing(10, None, None).still_needed is None
+    assert Standing(30, None, coverage(30, 0)).still_needed == 0
+
+
+def test_the_promise_in_words() -> None:
+    """31 presses of 9 pieces, as a person reads it; one number where each press is a piece."""
+    assert promise_line(Standing(31, 9, None)) == (
+        "31 presses of 9 pieces: at most 7.2 % false alarms by press, 23 % by piece, 90 % sure; "
+        "14 more give 5 % by press"
+    )
+    assert promise_line(Standing(22, None, None)) == (
+        "22 presses: at most 9.9 % false alarms, 90 % sure; 23 more give 5 %"
+    )
+    assert promise_line(Standing(22, 22, None)) == promise_line(Standing(22, None, None))
+
+
+def test_a_forecast_names_its_reasons_and_its_price() -> None:
+    """12 presses of a gel rated for 500 are 2.4 % of it."""
+    assert forecast_lines(Standing(10, None, coverage(10, 0)), 500) == [
+        "forecast: 12 more presses, 22 in all (12 for the promise of 10 %, about 0 for the coverage); "
+        "2.4 % of a gel rated for 500 presses"
+    ]
+
+
+def test_one_piece_alone_is_said() -> None:
+    """The coverage of a new piece is not known from one piece, however often it is pressed."""
+    lines = summary_lines(Standing(25, 1, None), 1000)
+    assert any("25 presses, 1 piece; what a new piece would show is not known" in line for line in lines)
+    assert any(line.startswith("not enough") for line in lines)
+
+
+@pytest.mark.parametrize("pieces", [4, 12, 19, 22, 38, 45, 120])
+@pytest.mark.parametrize("each", [1, 4])
+def test_the_fit_keeps_the_promise(pieces: int, each: int) -> None:
+    """At the rate that the printed command asks for, no nominal press lies above the threshold."""
+    standing = Standing(pieces * each, pieces, None)
+    names = [str(k // each) for k in range(pieces * each)]
+    limit = conformal_threshold(np.arange(float(len(names))), alpha(standing), specimens=names)
+    assert limit.by_press is not None
+    assert limit.by_press.alarms == 0
+    assert limit.by_press.rate == pytest.approx(standing.rate(standing.presses))

@@ -1,0 +1,96 @@
+"""The tables of docs/acquire.md, from the rows of the simulated acquisitions; make them with `make acquisitions`."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.acquisition.forecast import ROUND
+
+__all__ = ["ROWS", "read_rows", "tables", "write_rows"]
+
+ROWS = Path(__file__).resolve().parents[1] / "bench" / "acquisitions.jsonl"
+POOL = 40
+"""Presses that an acquisition may take."""
+
+DESIGNS = ("presses", "pieces")
+
+
+def write_rows(found: Sequence[Mapping[str, Any]]) -> None:
+    """Sorted, with four decimals."""
+    ordered = sorted(found, key=lambda row: (DESIGNS.index(row["design"]), row["part"], row["order"]))
+    rounded = [
+        {key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}
+        for row in ordered
+    ]
+    ROWS.write_text("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in rounded))
+
+
+def read_rows() -> list[dict[str, Any]]:
+    return [json.loads(line) for line in ROWS.read_text().splitlines()]
+
+
+def tables(found: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]]:
+    """The lines of the table of promises, and of that of forecasts."""
+    of = {design: [row for row in found if row["design"] == design] for design in DESIGNS}
+    promises = [
+        "| design | acquisitions | promised | false alarms | broken | its interval | broken by press | presses used "
+        "| at most | AU-PRO lost | nine of ten lose less |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+        *(promise_line(design, chosen) for design, chosen in {**of, "both": found}.items()),
+    ]
+    forecasts = [
+        "| design | seen | forecasts | needed, median | forecast / needed, median | within 30 % | still needed "
+        "within 30 % |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for design, chosen in of.items():
+        lines = [forecast_line(design, chosen, seen) for seen in range(ROUND, POOL, ROUND)]
+        forecasts += [line for line in lines if line]
+    return promises, forecasts
+
+
+def promise_line(design: str, found: Sequence[Mapping[str, Any]]) -> str:
+    """How often the promise is broken, how many presses are used, and what is lost by not using all."""
+    broken = np.array([row["false_alarms"] > row["by_piece"] for row in found])
+    by_press = np.array([row["false_alarms"] > row["by_press"] for row in found])
+    used = np.array([row["stop"] for row in found]) / POOL
+    lost = np.array([row["aupro_all"] - row["aupro"] for row in found])
+    promised = np.median([row["by_piece"] for row in found])
+    low, high = _over_parts(found, broken)
+    return (
+        f"| {design} | {len(found)} | {promised:.1%} | {np.mean([r['false_alarms'] for r in found]):.1%} | "
+        f"{broken.mean():.1%} | {low:.1%} to {high:.1%} | {by_press.mean():.1%} | {used.mean():.0%} | "
+        f"{used.max():.0%} | {lost.mean():+.4f} | {np.quantile(lost, 0.9):+.4f} |"
+    )
+
+
+def _over_parts(found: Sequence[Mapping[str, Any]], values: NDArray[np.bool_]) -> tuple[float, float]:
+    """The 95 % bootstrap interval of the mean over parts: acquisitions of one part are not independent."""
+    parts = np.array([row["part"] for row in found])
+    means = np.array([values[parts == part].mean() for part in np.unique(parts)])
+    drawn = np.random.default_rng(0).choice(means, (10_000, len(means))).mean(axis=1)
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def forecast_line(design: str, found: Sequence[Mapping[str, Any]], seen: int) -> str | None:
+    """How near the forecast after so many presses is to the presses that were needed."""
+    pairs = [
+        (forecast, row["covered"])
+        for row in found
+        for count, forecast in row["forecasts"]
+        if count == seen and row["covered"]
+    ]
+    if not pairs:
+        return None
+    forecast, needed = np.array(pairs, np.float64).T
+    total, still = forecast / needed, (forecast - seen) / (needed - seen)
+    near, near_still = np.mean(np.abs(total - 1) <= 0.3), np.mean(np.abs(still - 1) <= 0.3)
+    return (
+        f"| {design} | {seen} | {len(pairs)} | {np.median(needed):.0f} | {np.median(total):.2f} | {near:.0%} | "
+        f"{near_still:.0%} |"
+    )
