@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from edge.model.archive import write_file
 from edge.model.licence import LICENCE
+from export.graph_file import read_graph
 from export.known_weights import Encoder, check_release, encoder
 from export.licence import stated_licence
 from export.onnx_trunk import graph_trunk, named_taps
@@ -142,7 +143,7 @@ def _from_graph(
 ) -> BackboneExport:
     taps = named_taps(options.taps)
     made = graph_trunk(
-        source.read_bytes(),
+        read_graph(source),
         taps,
         steps,
         _probe(options.frame),

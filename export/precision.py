@@ -35,11 +35,11 @@ STORAGE_LIMIT = 0.01
 """The same for weights that are only stored as float16."""
 
 WORTH = 0.9
-"""int8 must take less than this part of the float graph's time to be worth its difference."""
+"""int8 must take less than this part of the float graph's time, and float16 of its bytes, to be worth it."""
 
 CALIBRATION_FRAMES = 32
 ALONE_FRAMES = 4
-TIMED_RUNS = 9
+TIMED_RUNS = 15
 
 Report = Callable[[str, float], None]
 Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
@@ -126,7 +126,8 @@ def chosen(precisions: Precisions) -> Measured:
         and whole.milliseconds < WORTH * plain.milliseconds
     ):
         return whole
-    return half if half.map_difference <= STORAGE_LIMIT and half.bytes < plain.bytes else plain
+    is_smaller = half.bytes < WORTH * plain.bytes  # not where the weights are stored as float16 already
+    return half if half.map_difference <= STORAGE_LIMIT and is_smaller else plain
 
 
 def in_precision(
@@ -200,6 +201,7 @@ class _Comparison:
         self._maps = np.stack([one.score_map for one in scored])
         self._scores = np.array([one.anomaly_score for one in scored])
         self._aupro = self._aupro_of(self._plain)
+        self._milliseconds: float | None = None
 
     def of(self, precision: Precision, graph: bytes, in_float: Sequence[str] = ()) -> Measured:
         scorer = self._scorer(graph)
@@ -238,15 +240,22 @@ class _Comparison:
         )
 
     def _time(self, scorer: Scorer) -> float:
-        """Median milliseconds of a frame, each run next to one of the unchanged bundle so that load falls on both."""
-        taken = []
+        """Milliseconds of a frame: those of the unchanged bundle, times the median ratio of neighbouring runs, so that
+        the load of the machine falls on both."""
+        ratios, plain = [], []
         for k in range(TIMED_RUNS):
             frame = self._frames[k % len(self._frames)]
-            self._plain.score(frame)
-            start = time.perf_counter()
-            scorer.score(frame)
-            taken.append(1e3 * (time.perf_counter() - start))
-        return float(np.median(taken))
+            plain.append(_seconds(self._plain, frame))
+            ratios.append(_seconds(scorer, frame) / plain[-1])
+        if self._milliseconds is None:
+            self._milliseconds = 1e3 * float(np.median(plain))
+        return self._milliseconds * float(np.median(ratios))
+
+
+def _seconds(scorer: Scorer, frame: NDArray[np.uint8]) -> float:
+    start = time.perf_counter()
+    scorer.score(frame)
+    return time.perf_counter() - start
 
 
 def _relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> float:

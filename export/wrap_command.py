@@ -79,10 +79,11 @@ def wrap(
     )
     from edge.core.imaging.region import Region
     from export.external_graph import WrapConfig, wrap_files
+    from export.graph_file import read_graph
     from export.licence import stated_licence
 
     refuse_existing(output, overwrite)
-    content = _read(graph)
+    content = read_graph(graph)
     stated = stated_licence(licence, f"the graph {graph}")
     sensor = chosen_profile(profile, sources)
     inspected = Region.parse(region, sensor.size)
@@ -95,17 +96,6 @@ def wrap(
     config = WrapConfig(*where, method, alpha, threshold, threads, facts)
     typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
     make(partial(wrap_files, ready, presses, config), output, overwrite)
-
-
-def _read(graph: Path) -> bytes:
-    from edge.core.errors import ConfigError
-
-    try:
-        return graph.read_bytes()
-    except OSError as error:
-        raise ConfigError(
-            f"{graph} cannot be read: {error.strerror}; give the detector's ONNX file"
-        ) from error
 
 
 def _given(

@@ -250,3 +250,26 @@ def test_timm_computes_the_same(tmp_path: Path) -> None:
         last = network.forward_features(planes)[:, 1:].transpose(1, 2).reshape(found["norm"].shape)
     for tap, expected in (("block1", block), ("norm", last)):
         np.testing.assert_allclose(found[tap], expected, atol=1e-5 * float(expected.abs().max()))
+
+
+def test_a_detector_is_fitted_on_a_transformer(tmp_path: Path) -> None:
+    """From weights to a bundle that verifies: `export backbone`, `fit --set taps`, `verify`; the licence is inside."""
+    save_safetensors(tmp_path / "vit.safetensors", random_vit(patch=16, grid=14))
+    (tmp_path / "good").mkdir()
+    for k in range(5):
+        frame = np.random.default_rng(k).integers(90, 160, (240, 320, 3), dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), frame)
+    trunk, bundle = str(tmp_path / "t.onnx"), str(tmp_path / "b")
+    source = str(tmp_path / "vit.safetensors")
+    taps = ["--set", 'taps=["block1"]', "--set", "grid_tap=block1", "--set", "channels=32"]
+    fit = ["fit", str(tmp_path / "good"), "-o", bundle, "--part", "bolt", "--backbone", trunk, *taps]
+    for command in (
+        ["export", "backbone", source, "-o", trunk, "--taps", "block1", "--licence", "MIT"],
+        fit,
+        ["verify", bundle],
+    ):
+        done = CliRunner().invoke(build(), command, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+    shown = CliRunner().invoke(build(), ["inspect", bundle]).output
+    assert "weights MIT" in shown
+    assert "block1 128x14x14" in shown

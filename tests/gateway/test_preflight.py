@@ -1,5 +1,7 @@
 """The check before the start: every part is tried once, and the start uses the opened parts."""
 
+import json
+import shutil
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -69,3 +71,22 @@ def test_a_check_without_a_start_gives_the_sensor_back(tmp_path: Path, recording
     assert held is not None
     with pytest.raises(DeviceLost):
         held.read(clock.monotonic_ns() + 10**9)
+
+
+def test_the_check_prints_the_licence_of_the_weights(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Weights that are not for commercial use are named as such; a bundle without a statement says nothing."""
+    stated = tmp_path / "stated"
+    shutil.copytree(bundle, stated)
+    manifest = json.loads((stated / "manifest.json").read_text())
+    manifest["facts"]["backbone"] = {**manifest["facts"].get("backbone", {}), "licence": "CC-BY-NC-4.0"}
+    (stated / "manifest.json").write_text(json.dumps(manifest))
+    texts = {}
+    for name, path in (("stated", stated), ("plain", bundle)):
+        (tmp_path / name).mkdir(exist_ok=True)
+        config = load_config(station_config(tmp_path / name, recording, path))
+        with preflight(config, SystemClock()) as checked:
+            texts[name] = checked.findings[0].text
+    assert (
+        "licence of the weights CC-BY-NC-4.0: not for commercial use, not for production" in texts["stated"]
+    )
+    assert "licence" not in texts["plain"]
