@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability clean
+.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -26,6 +26,18 @@ test-train: $(VENV)/.train
 # Two thousand damaged files through every reader of `gelgate export`; the tests try sixty.
 test-fuzz: $(VENV)/.train
 	GELGATE_MUTATIONS=400 $(BIN)/pytest tests/export/test_fuzz.py
+
+# Files that the newest anomalib writes now, imported and compared with what anomalib computes.
+test-importers: $(VENV)/.test $(VENV)-importers/.made
+	$(BIN)/pytest tests/export/importers -m "importers or not bench"
+
+# Two thousand mutated files through every importer; the tests try 180.
+fuzz-importers: $(VENV)/.test
+	GELGATE_MUTATED=2000 $(BIN)/pytest tests/export/importers/test_mutated.py
+
+# PaDiM and PatchCore are trained by anomalib on simulated presses, imported, and inspect on the virtual sensor.
+demo-import: $(VENV)/.test $(VENV)-importers/.made
+	$(BIN)/pytest tests/bench/test_imported.py -m bench -s
 
 # Every verb in an environment of its own, made by `pip install .` without extras.
 test-plain: $(VENV)/.test
@@ -84,6 +96,13 @@ $(VENV)/.train: pyproject.toml | $(VENV)/.test
 	$(BIN)/python -m pip install --quiet -e '.[test,train]' '$(TORCH)'
 	touch $@
 
+# anomalib brings another OpenCV, which shares its folder with ours, so it has an environment of its own.
+ANOMALIB ?= anomalib>=2.7,<3
+$(VENV)-importers/.made:
+	$(PYTHON) -m venv $(VENV)-importers
+	$(VENV)-importers/bin/python -m pip install --quiet '$(ANOMALIB)' '$(TORCH)' torchvision onnx onnxscript
+	touch $@
+
 # The real broker, and the emulator of another processor, for the tests. Where apt or root is missing they fall back
 # to amqtt, or skip, and say so.
 .PHONY: debian
@@ -97,4 +116,4 @@ debian:
 	  echo "cannot be installed here:$$missing; without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor"
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers build dist *.egg-info

@@ -45,10 +45,7 @@ def read_here(path: Path) -> tuple[str, Content]:
         file.seek(0)
         reader = _READERS.get(form)
         if reader is None:
-            raise ValueError(
-                f"it is {form or 'of no known kind'}; a PyTorch file (.ckpt, .pt, .pth), a pickle, a NumPy file or a "
-                "faiss index was expected"
-            )
+            raise ValueError(_OTHERS.get(form, _OTHERS[""]))
         return form, reader(file)
 
 
@@ -65,6 +62,16 @@ def _read_npz(file: Any) -> Content:
     with np.load(file, allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}
 
+
+# Files that are not read here, and where they go.
+_OTHERS = {
+    "ONNX model": "it is an ONNX model, a finished graph: gelgate wrap takes it; the checkpoint of the same training "
+    "(.ckpt) gives a smaller bundle here",
+    "OpenVINO model": "it is an OpenVINO model, whose weights are in another file: export the same training as ONNX "
+    "for gelgate wrap, or give its checkpoint (.ckpt)",
+    "": "it is of no known kind; a PyTorch file (.ckpt, .pt, .pth), a pickle, a NumPy file or a faiss index was "
+    "expected",
+}
 
 _READERS: dict[str, Callable[[Any], Content]] = {
     "PyTorch archive": read_archive,

@@ -153,7 +153,7 @@ def test_the_gateway_gives_the_same_order(trained: Trained, made: tuple[str, Imp
     station.mkdir()
     (station / "gelgate.toml").write_text(CONFIG.format(recording=trained.recording(), bundle=bundle.path))
 
-    done = gelgate("run", station / "gelgate.toml")
+    done = gelgate("run", "--config", station / "gelgate.toml")
 
     assert done.code == 0, done.err
     lines = [

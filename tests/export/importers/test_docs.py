@@ -1,0 +1,144 @@
+"""docs/export.md, trained detectors: every command runs as it is written, up to the verdicts on MQTT."""
+
+import pickle
+import re
+import shlex
+import shutil
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from anomalib_files import ROOT, SMALL
+from command_line import Outcome, gelgate
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+from station import press_recording
+from toy_trunk import toy_trunk
+
+from edge.core.errors import ConfigError
+from edge.messaging.local_broker import LocalBroker
+from edge.model.bundle import Bundle
+from export import import_padim, import_spade
+
+PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+PRESSES = 5
+
+
+def section(title: str) -> str:
+    """The text of one subsection."""
+    return PAGE.partition(f"\n### {title}\n")[2].partition("\n### ")[0].partition("\n## ")[0]
+
+
+def commands(title: str) -> list[list[str]]:
+    blocks = re.findall(r"```console\n(.*?)```", section(title), re.DOTALL)
+    return [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
+
+
+def ran(line: list[str]) -> Outcome:
+    done = gelgate(*line)
+    assert done.code == 0, done.err
+    return done
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The files that the page names."""
+    monkeypatch.chdir(tmp_path)
+    press_recording(tmp_path / "presses", PRESSES)
+    press_recording(tmp_path / "recording", PRESSES, dented=[2], seed=1)
+    shutil.copy(SMALL / "padim.ckpt", tmp_path / "padim.ckpt")
+    trunk = toy_trunk({"layer1": (4, 8), "layer2": (4, 16), "layer3": (4, 32)})
+    (tmp_path / "trunk.onnx").write_bytes(trunk)
+    rng = np.random.default_rng(0)
+    cov = np.einsum("pdn,pen->dep", rng.random((784, 3, 9)), rng.random((784, 3, 9)))
+    cov = (cov + cov.transpose(1, 0, 2)) / 2 + 20 * np.eye(3)[:, :, None]
+    (tmp_path / "train_bracket.pkl").write_bytes(pickle.dumps([rng.random((3, 784)), cov]))
+    return tmp_path
+
+
+def test_from_anomalib_to_a_verdict_on_mqtt(folder: Path) -> None:
+    """Every press of the virtual sensor has its verdict at a subscriber."""
+    *before, run = commands("I trained this in anomalib")
+    for line in before:
+        done = ran(line)
+        if line[:2] == ["export", "detect"]:
+            assert "PaDiM of anomalib" in done.out
+    (toml,) = re.findall(r"```toml\n(.*?)```", section("I trained this in anomalib"), re.DOTALL)
+    heard, is_complete = list[bytes](), Event()
+
+    def note(client: Client, data: object, message: MQTTMessage) -> None:
+        if message.topic.endswith("/result"):
+            heard.append(message.payload)
+        if len(heard) >= PRESSES:
+            is_complete.set()
+
+    with LocalBroker() as broker:
+        (folder / "station.toml").write_text(toml.replace("1883", str(broker.port)))
+        client = Client(CallbackAPIVersion.VERSION2)
+        client.on_message = note
+        client.connect(broker.host, broker.port)
+        client.subscribe("gelgate/#", 1)
+        client.loop_start()
+        try:
+            ran(run)
+            assert is_complete.wait(30), heard
+        finally:
+            client.loop_stop()
+
+
+def test_from_the_papers_pickles_to_a_bundle(folder: Path) -> None:
+    """Mean and covariance of the port, whose channels are drawn again."""
+    for line in commands("I have the paper's pickles"):
+        done = ran(line)
+        if line[:2] == ["export", "detect"]:
+            assert "PaDiM's mean and covariance" in done.out
+        if line[:2] == ["export", "import"]:
+            assert "random.seed(1024)" in done.out
+
+
+def test_from_python(folder: Path) -> None:
+    """A notebook ends with a bundle, whose manifest has licence, source and losses."""
+    made = import_padim(
+        "padim.ckpt", "presses", "bracket.zip", part="bracket", licence="own", profile="cropped_lr"
+    )
+
+    manifest = Bundle.load(made.path).manifest
+    assert manifest.facts["licence"] == "own"
+    assert manifest.facts["imported"]["source"].startswith("PaDiM of anomalib")
+    assert "rank correlation 1.0000" in made.losses.words()
+
+
+def test_a_file_of_another_method_is_refused(folder: Path) -> None:
+    """`import_spade` of a PaDiM names the function that takes it, and writes nothing."""
+    with pytest.raises(ConfigError, match=r"padim\.ckpt is PaDiM of anomalib .* use import_padim"):
+        import_spade(
+            "padim.ckpt", "presses", "bracket.zip", part="bracket", licence="own", profile="cropped_lr"
+        )
+    assert not (folder / "bracket.zip").exists()
+
+
+@pytest.mark.parametrize("licence", [None, "", " "])
+def test_a_licence_that_is_not_stated_is_refused(folder: Path, licence: str | None) -> None:
+    """Before the file is opened, and nothing is written."""
+    given = [] if licence is None else ["--licence", licence]
+    done = gelgate(
+        "export", "import", "padim.ckpt", "presses", "-o", "bracket.zip", "--part", "bracket", *given
+    )
+
+    assert done.code != 0
+    assert "the licence of padim.ckpt and of its weights is not stated" in done.sentence()
+    assert not (folder / "bracket.zip").exists()
+
+
+def test_nothing_is_half_written(folder: Path) -> None:
+    """A refusal after the file was read leaves the folder as it was."""
+    before = sorted(folder.iterdir())
+
+    done = gelgate(
+        "export", "import", "train_bracket.pkl", "presses", "-o", "b.zip", "--part", "x", "--licence", "own",
+        "--backbone", "trunk.onnx", "--profile", "cropped_lr", "--region", "0,0,128x128",
+    )  # fmt: skip
+
+    assert "'mean' has 784 places, the taps give 256" in done.sentence()
+    assert sorted(folder.iterdir()) == before
