@@ -138,7 +138,7 @@ def _peak(trials: _Counted) -> tuple[float, float, State]:
     """ln a90 of the best curve, its log-likelihood, and whether a step explains every trial."""
     logs = trials.logs
     misses, finds = float(logs[0].max()), float(logs[1].min())
-    if misses <= finds:
+    if misses < finds:
         return finds, 0.0, "separated"
     known = logs[np.isfinite(logs)]
     x90, best = _highest(lambda x: _steepest(trials, x)[1], known.min() - _BEYOND, known.max() + _BEYOND)

@@ -109,6 +109,12 @@ def test_a_size_that_parts_finds_from_misses_is_said() -> None:
     assert found.median_mm is None
 
 
+def test_a_size_that_is_both_missed_and_found_parts_nothing() -> None:
+    """Two trials found at the largest size and six missed at it: no step, and no a90 within the sizes."""
+    found = fit_pod([0.142] * 2 + [0.16] * 6, [0.16] * 2 + [math.inf] * 6, 0.16)
+    assert (found.state, found.a90_mm, found.a90_95_mm) == ("fitted", None, None)
+
+
 def test_nothing_found_is_blind_and_few_trials_are_few() -> None:
     """No size found is blind, whatever the number of trials above the least; below it nothing is claimed."""
     assert fit_pod([0.4] * 8, [math.inf] * 8, 0.4).state == "blind"

@@ -1,8 +1,9 @@
 """H11: a library reduces another axis in its next version; everything still runs, and the maps are wrong.
 
 Guard: distances computed by hand, on features with a different length for each axis, so that no other reduction gives
-the same numbers. Checked by removal: with axis 1 instead of 3 in the reduction of `emit_group_nearest` SPADE, PatchCore
-and InReaCh fail; with a maximum instead of the mean where SPADE describes a press, SPADE does.
+the same numbers. Checked by removal: with axis 1 instead of 3 in the reduction of `emit_group_nearest` SPADE fails,
+with axis 1 instead of 2 in that of `HalvedBank.nearest` PatchCore and InReaCh do; with a maximum instead of the mean
+where SPADE describes a press, SPADE does.
 """
 
 import numpy as np

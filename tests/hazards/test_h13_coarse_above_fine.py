@@ -1,10 +1,12 @@
 """H13: four coarse values repeated four times in a row fall on the rows of a cell, not on its quadrants.
 
-Guard: `fusion="quadrants"` in `plugins/detectors/fapm`; `rows` reproduces the published layout. Checked by removal:
-with the table of `_coarse_of_fine` fixed to `rows` the first test finds the heat up to three cells away.
+Guard: `quadrant` in `plugins/detectors/fapm/steps.py`, in the corrected steps and where `fusion="quadrants"`; `rows`
+reproduces the published layout. Checked by removal: with `repeated_in_rows` in `CORRECTED` the first test fails for the
+usual parameters, with it always in `paper.steps_of` for the named ones: the heat is up to three cells away.
 """
 
 import numpy as np
+import pytest
 from heads import fit, run_head
 
 from edge.core.detector import Grid
@@ -14,7 +16,7 @@ TAPS = {"layer2": (2, 8, 8), "layer3": (3, 4, 4)}
 AT = Grid((64, 64), TAPS, 15.77)
 
 
-def heat(fusion: str, row: int, column: int) -> np.ndarray:
+def heat(fusion: str | None, row: int, column: int) -> np.ndarray:
     """The hottest cells of the raw map when one coarse sub-patch is hot."""
     nominal = {tap: np.zeros((3, *shape), np.float32) for tap, shape in TAPS.items()}
     asked = {tap: np.zeros((1, *shape), np.float32) for tap, shape in TAPS.items()}
@@ -23,18 +25,20 @@ def heat(fusion: str, row: int, column: int) -> np.ndarray:
     for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         if 0 <= row + dy < 4 and 0 <= column + dx < 4:
             asked["layer3"][0, :, row + dy, column + dx] = 4.0
-    p = fapm.parameters(layers=tuple(TAPS), pooling=3, fusion=fusion)
+    named = {} if fusion is None else {"fusion": fusion}
+    p = fapm.parameters(layers=tuple(TAPS), pooling=3, **named)
     bank = fit(fapm, p, nominal, AT)
     raw = run_head(fapm.head(AT, bank, p), asked, bank)["raw_map"][0]
     return np.argwhere(raw > 0.999 * raw.max())
 
 
-def test_one_hot_coarse_cell_heats_its_own_quadrant() -> None:
-    """Any coarse cell away from the border heats exactly the four fine cells below it."""
+@pytest.mark.parametrize("fusion", [None, "quadrants"])
+def test_one_hot_coarse_cell_heats_its_own_quadrant(fusion: str | None) -> None:
+    """Any coarse cell away from the border heats exactly the four fine cells below it, as usual and where named."""
     for row in (1, 2):
         for column in (1, 2):
             expected = [[2 * row + i, 2 * column + j] for i in (0, 1) for j in (0, 1)]
-            assert heat("quadrants", row, column).tolist() == expected
+            assert heat(fusion, row, column).tolist() == expected
 
 
 def test_the_published_layout_heats_a_row() -> None:
