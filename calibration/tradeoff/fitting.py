@@ -142,7 +142,7 @@ def _fitted(
 def _scored(
     bundle: Bundle, features: Features, threads: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Score maps (n, h, w) and scores (n,) by the bundle's head. Errors: FitError."""
+    """Score maps (n, h, w) and scores (n,) by the bundle's head. Errors: FitError, also where one is not finite."""
     head = open_session(bundle.graphs.head or b"", threads, f"head of {bundle.manifest.method}")
     wanted = {given.name for given in head.get_inputs()}
     stored = {name: array for name, array in bundle.bank.items() if name in wanted}
@@ -153,6 +153,8 @@ def _scored(
             score_map, score = head.run(["score_map", "score"], {**taps, **stored})
         except RUNTIME_ERRORS as error:
             raise FitError(f"the head does not run on press {k}: {error!s:.300}") from error
+        if not (np.isfinite(score_map).all() and np.isfinite(score).all()):
+            raise FitError(f"the head gives a score that is not finite on press {k}")
         maps.append(score_map[0])
         scores.append(float(score[0]))
     return np.stack(maps), np.array(scores)

@@ -1,9 +1,9 @@
 """H18: zero padding makes features near the border differ from the same content in the middle.
 
 Guards: PaDiM's mean and span, FAPM's prototypes and SPADE's window belong to a place; the shared banks of InReaCh,
-PatchCore and the subspace hold patches of the border. Checked by removal: with the mean and span of all of PaDiM's
-locations averaged at fit, or with a shared bank without the border's patches, the border scores 1.5 times as high as
-the middle.
+PatchCore and the subspace hold patches of the border. Checked by removal: with the mean of a cell in the middle for
+all of PaDiM's locations at fit, or with a shared bank without the border's patches, the border scores 1.5 times as high
+as the middle.
 """
 
 import numpy as np
