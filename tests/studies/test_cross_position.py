@@ -9,8 +9,13 @@ from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
-from calibration.studies.cross_position import CrossPosition, both_held_out, study_cross_position
-from calibration.studies.material import material
+from calibration.studies.cross_position import (
+    CrossPosition,
+    both_held_out,
+    cross_position_cells,
+    study_cross_position,
+)
+from calibration.studies.material import Material, material
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from edge.core.errors import DatasetError
@@ -62,28 +67,26 @@ def test_a_press_of_the_second_position_helps_there(rows: list[dict[str, Any]]) 
     assert mean(one, "pixel_auroc_source") > mean(none, "pixel_auroc_source") - 0.05
 
 
-def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(dataset: Path, tmp_path: Path) -> None:
-    """Also where the two positions hold out different ones."""
-    from calibration.studies.cross_position import cross_position_cells
-
-    asked = options(dataset, tmp_path, splits=("specimen",), held_out=3)
-    fractions = StableFractions(1.0, tmp_path)
-    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked, fractions)[0]
+def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(tmp_path: Path) -> None:
+    """Where the positions have other specimens, and so hold out different ones."""
+    root = study_dataset(tmp_path / "data")
+    for picture in (root / "PZ3" / "pos2" / "rgb_320x240").glob("*_s001_*"):
+        picture.unlink()
+    asked = options(root, tmp_path / "rows", splits=("specimen",))
+    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked, StableFractions(1.0, tmp_path))[0]
     evaluate = CrossPosition(asked.dataset, asked.features, asked.taps())
-    source, target = (material(place) for place in evaluate.places(cell))
-    held = both_held_out(source, target, cell)
-    tested, learnt = (
-        {
-            found.presses.specimens[row]
-            for found, one in zip((source, target), held, strict=True)
-            for row in some(one)
-        }
-        for some in (lambda one: one.test, lambda one: one.pool)
-    )
+    found = [material(place) for place in evaluate.places(cell)]
+    held = both_held_out(found[0], found[1], cell)
+    tested = [specimens(one, apart.test) for one, apart in zip(found, held, strict=True)]
+    learnt = [specimens(one, apart.pool) for one, apart in zip(found, held, strict=True)]
 
-    assert tested
-    assert learnt
-    assert tested & learnt == set()
+    assert tested[0] != tested[1]
+    assert all((*tested, *learnt))
+    assert (tested[0] | tested[1]) & (learnt[0] | learnt[1]) == set()
+
+
+def specimens(found: Material, rows: np.ndarray[Any, Any]) -> set[str | None]:
+    return {found.presses.specimens[row] for row in rows}
 
 
 def test_what_has_no_second_position_is_refused(dataset: Path, tmp_path: Path) -> None:
