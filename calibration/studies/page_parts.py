@@ -130,11 +130,15 @@ def refusals(rows: "pd.DataFrame") -> str:
 
 
 def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> str:
-    """Median seconds of a cell by its stages, and the bank, for each condition and method."""
-    lines = []
+    """Median processor seconds of a cell by its stages, and the bank, for each condition and method."""
+    lines, stages = [], [f"cpu_{stage}_s" for stage in ("fit", "score", "measure")]
     for (value, method), group in rows.groupby([condition, "method"]):
-        seconds = [f"{group[stage].median():.2f}" for stage in ("fit_s", "score_s", "measure_s")]
+        seconds = [f"{group[stage].median():.2f}" for stage in stages]
         bank = f"{group['bank_bytes'].median() / 1e6:.1f}"
         lines.append([name(value), method, len(group), int(group["presses"].median()), *seconds, bank])
     heading = [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"]
-    return f"## Cost\n\nMedians per cell, as measured while the study ran.\n\n{table(heading, lines)}"
+    spent = sum(rows[stage].sum() for stage in stages)
+    return (
+        f"## Cost\n\nProcessor seconds, medians per cell; {len(rows)} cells took {spent / 60:.0f} minutes of one core "
+        f"in all.\n\n{table(heading, lines)}"
+    )

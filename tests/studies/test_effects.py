@@ -36,7 +36,7 @@ def rows(study: str, condition: str, levels: dict[Any, float], **more: Any) -> "
     """Four methods on PZ3, ten seeds; a condition has its level, AU-PRO of seed 0 is lowest."""
     same = {"study": study, "part": "PZ3", "position": "pos1", "mode": "corrected", "backbone": "tiny"}
     same |= {"split": "press", "held_out": 20, "fraction": 0.5, "presses": 9, "bank_bytes": 1e6}
-    same |= {"weights": "random", "fit_s": 1.0, "score_s": 1.0, "measure_s": 1.0, "error": None}
+    same |= {"weights": "random", "cpu_fit_s": 1.0, "cpu_score_s": 2.0, "cpu_measure_s": 3.0, "error": None}
     measures = [f"{measure}{end}" for measure in ("aupro_001", "auprc", "pixel_auroc") for end in ENDS]
     return pd.DataFrame(
         {**same, **more, "method": method, "seed": seed, condition: value}
@@ -83,6 +83,14 @@ def test_the_cross_position_page_counts_what_agrees() -> None:
     assert "From 0 % to 5 % of the second position: 10 agree, 2 differ, 0 undecided." in text
     assert "From 5 % to 15 % of the second position: 0 agree, 0 differ, 12 undecided." in text
     assert "## tiny (random), corrected mode, split by press" in text
+
+
+def test_the_page_says_what_the_study_cost() -> None:
+    """120 cells of 6 processor seconds are 12 minutes."""
+    text = cross_position_page.page(CROSSED).markdown
+
+    assert "120 cells took 12 minutes of one core in all" in text
+    assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
 
 
 def test_the_resolution_page_separates_detail_from_tiles() -> None:

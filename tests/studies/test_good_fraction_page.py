@@ -33,8 +33,8 @@ def rows(**changed: Any) -> pd.DataFrame:
                             "position": "pos1", "method": method, "mode": "corrected", "backbone": "tiny",
                             "split": "press", "seed": seed, "fraction": fraction, "held_out": 20,
                             "aupro_001": value, "auprc": value, "pixel_auroc": value, "image_auroc": value,
-                            "presses": round(fraction * pool), "pool": pool, "fit_s": 0.5, "score_s": 0.2,
-                            "measure_s": 0.1, "bank_bytes": 1000,
+                            "presses": round(fraction * pool), "pool": pool, "cpu_fit_s": 0.5, "cpu_score_s": 0.2,
+                            "cpu_measure_s": 0.1, "bank_bytes": 1000,
                             "scores_sha256": "same" if method == "flat" and fraction == 1.0 else f"{seed}",
                         }
                         | changed
