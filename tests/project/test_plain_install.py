@@ -45,6 +45,9 @@ VERBS: list[tuple[str, int, str]] = [
     ("export backbone weights.pth", 3, "gelgate[train]"),
     ("train-backbone training", 3, "gelgate[train]"),
     ("evaluate-backbone evaluation", 3, "gelgate[benchmark]"),
+    ("study good-fraction dataset -o studies", 3, "gelgate[studies]"),
+    ("study good-fraction dataset -o studies --dask tcp://127.0.0.1:1", 3, "gelgate[cluster]"),
+    ("report studies -o report", 3, "gelgate[studies]"),
 ]
 # `make demo` runs it in an environment with the one package, a broker, that it needs where mosquitto is missing.
 ELSEWHERE = {"demo"}
