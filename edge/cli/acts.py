@@ -18,7 +18,9 @@ def acts(
     count: Annotated[int, typer.Option(help="The newest of this number.", min=1)] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
 ) -> None:
-    """Show who asked the station for what, and what became of it."""
+    """Show who asked the station for what.
+
+    Every request with its outcome, and the gel before and after."""
     import json
     from dataclasses import asdict
 

@@ -16,6 +16,7 @@ from edge.core.imaging.quality import QualitySettings
 from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.clock_guard import ClockGuard
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
@@ -26,6 +27,7 @@ from edge.gateway.summary import Summary
 from edge.messaging.publisher import Publisher
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.sink_worker import SinkCounters
+from edge.store.acts import Act
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
@@ -76,6 +78,7 @@ class StationLoop:
         self._on_press = on_press
         self._session: InspectionSession | None = None
         self._overload = OverloadRule()
+        self._clock_guard = ClockGuard(parts.clock)
         self._dropped_before = 0
         self._was_held_up = False
         self._last_stats_ns = parts.clock.monotonic_ns()
@@ -150,6 +153,7 @@ class StationLoop:
         self.summary.see(parts.acquisition.status, self._session.corrupt if self._session else 0)
         self._say_load()
         try:
+            self._note_clock_step()
             if self._session is not None:
                 self._session.see_gel(parts.store.gel(self._session.gel.serial, parts.clock.time_ns()))
             outbox = parts.publisher.outbox_status()
@@ -168,6 +172,22 @@ class StationLoop:
         parts.status.refused(outbox.refused, [c.last_refusal for c in counters.values() if c.last_refusal])
         parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])
         parts.status.counts(parts.store.findings)
+
+    def _note_clock_step(self) -> None:
+        """Into the log and the table of acts. Errors: StoreError."""
+        seconds = self._clock_guard.step()
+        if seconds is None:
+            return
+        log.warning("the clock of this machine was set by %+.0f s", seconds)
+        act = Act(
+            self._parts.clock.time_ns(),
+            "the gateway",
+            "clock_step",
+            None,
+            {"seconds": seconds},
+            outcome="done",
+        )
+        self._parts.store.begin_act(act, within_s=0)
 
     def _look_at(self, frame: CameraFrame) -> None:
         session = self._session or self._start_session()

@@ -126,7 +126,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     ),
     "no database": (garbage, 1, ("garbage.db", "file is not a database", "name another file")),
     "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),
-    "a newer database": (newer, 1, ("newer.db has schema version 99", "up to 1", "use the newer gelgate")),
+    "a newer database": (newer, 1, ("newer.db has schema version 99", "up to 2", "use the newer gelgate")),
     "another program's database": (foreign, 1, ("foreign.db belongs to another program", "name another file")),
     "no such host": (
         mqtt('host = "broker.invalid"'), 3, ("'broker.invalid' is not known", "correct sinks.0.options.host"),
@@ -180,9 +180,9 @@ def test_check_tells_every_fault_at_once(bench: Bench) -> None:
     assert ended.code == 3
     assert [line.split(":")[0] for line in ended.out.splitlines()] == [
         "ok     configuration",
-        *("FAULT  bundle", "FAULT  sensor", "FAULT  database", "FAULT  sink mqtt"),
+        *("FAULT  bundle", "FAULT  sensor", "FAULT  database", "ok     commands", "FAULT  sink mqtt"),
     ]
-    assert ended.sentence() == "4 of 4 parts cannot be used; see above"
+    assert ended.sentence() == "4 of 5 parts cannot be used; see above"
 
 
 @pytest.mark.usefixtures("no_such_host")

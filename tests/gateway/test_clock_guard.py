@@ -1,0 +1,47 @@
+"""Steps of the wall clock are written down, so that a strange time in the history has its reason."""
+
+from pathlib import Path
+
+import pytest
+from small_recordings import FakeClock
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.gateway.clock_guard import ClockGuard
+
+
+class SetClock(FakeClock):
+    """A clock whose wall time a test sets."""
+
+    set_s = 0.0
+
+    def time_ns(self) -> int:
+        return self.monotonic_ns() + round(self.set_s * 1e9)
+
+
+@pytest.mark.parametrize(("set_s", "found"), [(3600.0, 3600.0), (-31 * 86400.0, -31 * 86400.0), (0.5, None)])
+def test_a_step_is_found_once(set_s: float, found: float | None) -> None:
+    """Forward and back; what a time server corrects slowly is none."""
+    clock = SetClock()
+    guard = ClockGuard(clock)
+    clock.sleep(10)
+    assert guard.step() is None
+
+    clock.set_s = set_s
+
+    assert (guard.step(), guard.step()) == (found, None)
+
+
+def test_a_station_writes_a_step_into_the_table_of_acts(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """With the time before and after."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        clock = SetClock(station.clock.monotonic_ns())
+        station.loop._clock_guard = ClockGuard(clock)
+        clock.set_s = 86400.0
+        station.loop.publish_stats()
+        (act,) = station.parts.store.acts()
+
+    assert (act.who, act.verb, act.outcome) == ("the gateway", "clock_step", "done")
+    assert act.arguments == {"seconds": 86400.0}
