@@ -154,7 +154,7 @@ def _config() -> Iterator[str]:
         inner = schema["$defs"][model]
         yield f"## [{name}]\n\n{_paragraphs(inner['description'])}\n"
         yield from _table(inner, schema["$defs"])
-    yield "## [device] and [[sinks]]\n\nOne plugin each, chosen by name, with its own options below. Sinks have `name`.\n"
+    yield "## [device] and [[sinks]]\n\nOne plugin each, with its own options below. Sinks have `name`.\n"
     yield from _table(schema["$defs"]["SinkTable"], schema["$defs"])
 
 
