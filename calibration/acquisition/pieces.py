@@ -58,7 +58,7 @@ class Pieces:
         if name is not None:
             return self._counted(self._numbers.setdefault(name, self.next))
         if self._keys is not None:
-            is_new = self._keys.take() > 0 and self._presses.get(self._newest, 0) > 0
+            is_new = self._keys.take() > 0
             return self._counted(self.next if is_new or not self._newest else self._newest)
         if self._each is not None:
             return self._counted(self.next if self.is_waiting or not self._newest else self._newest)

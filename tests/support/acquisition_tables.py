@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.acquisition.forecast import ROUND
+from calibration.acquisition.stopping import Goal
 
 __all__ = ["ROWS", "read_rows", "tables", "write_rows"]
 
 ROWS = Path(__file__).resolve().parents[1] / "bench" / "acquisitions.jsonl"
+PROMISED = Goal().presses
 POOL = 40
 """Presses that an acquisition may take."""
 
@@ -43,9 +45,9 @@ def tables(found: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]]:
         *(promise_line(design, chosen) for design, chosen in {**of, "both": found}.items()),
     ]
     forecasts = [
-        "| design | seen | forecasts | needed, median | forecast / needed, median | within 30 % | still needed "
-        "within 30 % |",
-        "|---|---|---|---|---|---|---|",
+        "| design | seen | of the coverage | / needed, median | within 30 % | still needed within 30 % | of the end "
+        "| / needed, median | within 30 % | still needed within 30 % |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for design, chosen in of.items():
         lines = [forecast_line(design, chosen, seen) for seen in range(ROUND, POOL, ROUND)]
@@ -78,19 +80,35 @@ def _over_parts(found: Sequence[Mapping[str, Any]], values: NDArray[np.bool_]) -
 
 
 def forecast_line(design: str, found: Sequence[Mapping[str, Any]], seen: int) -> str | None:
-    """How near the forecast after so many presses is to the presses that were needed."""
-    pairs = [
-        (forecast, row["covered"])
-        for row in found
-        for count, forecast in row["forecasts"]
-        if count == seen and row["covered"]
+    """How near the forecasts after so many presses are to what was needed: of the coverage alone, and of the end."""
+    coverage = [
+        (ahead, row["covered"]) for row in found if (ahead := _ahead(row, seen)) and row["covered"] > seen
     ]
-    if not pairs:
+    end = [
+        (max(ahead, PROMISED), row["stop"])
+        for row in found
+        if (ahead := _ahead(row, seen)) and row["stop"] > seen
+    ]
+    if not end:
         return None
+    return f"| {design} | {seen} | {_nearness(coverage, seen)} | {_nearness(end, seen)} |"
+
+
+def _ahead(row: Mapping[str, Any], seen: int) -> int | None:
+    """The forecast of the coverage after so many presses; those seen, where it was reached; None where unknown."""
+    if row["covered"] is None:
+        return None
+    return next(
+        (ahead for count, ahead in row["forecasts"] if count == seen),
+        seen if row["covered"] <= seen else None,
+    )
+
+
+def _nearness(pairs: Sequence[tuple[int, int]], seen: int) -> str:
+    """Cells of the table: how many, the median of forecast / needed, and the shares within 30 %, in all and ahead."""
+    if not pairs:
+        return "0 | | |"
     forecast, needed = np.array(pairs, np.float64).T
     total, still = forecast / needed, (forecast - seen) / (needed - seen)
     near, near_still = np.mean(np.abs(total - 1) <= 0.3), np.mean(np.abs(still - 1) <= 0.3)
-    return (
-        f"| {design} | {seen} | {len(pairs)} | {np.median(needed):.0f} | {np.median(total):.2f} | {near:.0%} | "
-        f"{near_still:.0%} |"
-    )
+    return f"{len(pairs)} | {np.median(total):.2f} | {near:.0%} | {near_still:.0%}"
