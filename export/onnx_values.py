@@ -21,6 +21,7 @@ __all__ = [
     "PictureInput",
     "first_conv_input",
     "load_model",
+    "name_opset_once",
     "picture_input",
     "prune",
     "read_frames",
@@ -123,6 +124,7 @@ def read_frames(
     )
     rename(merged, {"front/frames": "frames"})
     del merged.metadata_props[:]
+    name_opset_once(merged)
     return merged
 
 
@@ -137,10 +139,15 @@ def same_versions(first: Any, second: Any) -> tuple[Any, Any]:
     ir_version = max(m.ir_version for m in models)
     for m in models:
         m.ir_version = ir_version
-        kept = [one for one in m.opset_import if one.domain in ("", "ai.onnx")]
-        del m.opset_import[:]
-        m.opset_import.extend(kept)
+        name_opset_once(m)
     return models[0], models[1]
+
+
+def name_opset_once(model: Any) -> None:
+    """Merging repeats the operator set; onnxruntime's quantiser refuses that."""
+    version = _opset(model)
+    del model.opset_import[:]
+    model.opset_import.add(domain="", version=version)
 
 
 def _opset(model: Any) -> int:

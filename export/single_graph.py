@@ -19,6 +19,7 @@ from export.onnx_values import (
     PIXELS,
     PictureInput,
     load_model,
+    name_opset_once,
     picture_input,
     read_frames,
     rename,
@@ -251,6 +252,7 @@ def _joined(body: Any, chosen: _Outputs, ending: bytes) -> bytes:
     )
     rename(merged, {f"end/{name}": name for name in (SCORE_MAP, SCORE)})
     merged.graph.name = "adapted"
+    name_opset_once(merged)
     onnx.checker.check_model(merged)
     return bytes(merged.SerializeToString())
 

@@ -81,6 +81,7 @@ def test_an_export_of_anomalib_is_known_by_its_outputs(batch: str) -> None:
     """0..1 without a question, resized to its size; map and score are its own, in the region's size."""
     ready = checked(adapted(anomalib_like(batch=batch), FRAMES))
     assert "an export of anomalib" in ready.found["input"]
+    assert [one.domain for one in onnx.load_from_string(ready.graph).opset_import] == [""]
     bundle = wrap_files(ready.graph, presses(), CONFIG, created="").bundle()
     scored = Scorer(bundle).score(np.full((32, 32, 3), 255, np.uint8))
     assert scored.score_map.shape == (32, 32)

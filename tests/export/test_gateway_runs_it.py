@@ -1,0 +1,60 @@
+"""A network of another program, wrapped, inspects presses in the running gateway; so does its int8 form."""
+
+import threading
+from pathlib import Path
+
+import onnx.parser
+import pytest
+from station import press_recording, station_config
+from typer.testing import CliRunner
+
+from edge.cli import build
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.gateway import Gateway
+from edge.gateway.recorder import PressReport
+
+NETWORK = """
+    < ir_version: 8, opset_import: ["" : 17] >
+    theirs (float[n, 3, 56, 56] input) => (float[n, 1, 56, 56] anomaly_map, float[n] pred_score)
+    <float[1, 3, 1, 1] tint = {1.0, 0.0, -1.0}>
+    {
+        colour = Conv <kernel_shape = [1, 1]> (input, tint)
+        near = AveragePool <kernel_shape = [5, 5], pads = [2, 2, 2, 2], strides = [1, 1]> (colour)
+        around = AveragePool <kernel_shape = [21, 21], pads = [10, 10, 10, 10], strides = [1, 1]> (colour)
+        apart = Sub (near, around)
+        anomaly_map = Abs (apart)
+        pred_score = ReduceMax <axes = [1, 2, 3], keepdims = 0> (anomaly_map)
+    }
+"""
+"""How far the colour of a place is from its surroundings, with the names of anomalib's exports."""
+
+
+def ran(*arguments: object) -> None:
+    done = CliRunner().invoke(build(), list(map(str, arguments)))
+    assert done.exit_code == 0, (done.output, done.exception)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The network, a recording of nominal presses, one with a damaged press, and the wrapped bundle."""
+    home = tmp_path_factory.mktemp("wrapped")
+    (home / "model.onnx").write_bytes(onnx.parser.parse_model(NETWORK).SerializeToString())
+    nominal = press_recording(home / "nominal", 12, seed=1)
+    press_recording(home / "presses", 3, dented=[1], seed=2)
+    ran("wrap", home / "model.onnx", nominal, "-o", home / "bundle", "--part", "PZ0", "--licence", "own")
+    return home
+
+
+@pytest.mark.parametrize("precision", ["float32", "int8"])
+def test_presses_are_inspected_by_the_network(folder: Path, tmp_path: Path, precision: str) -> None:
+    """Three presses of the virtual sensor: the damaged one fails, the others pass."""
+    ran(
+        *("export", "precision", folder / "bundle", folder / "nominal", "-o", tmp_path / "bundle"),
+        *("--precision", precision),
+    )
+    config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))
+    reports: list[PressReport] = []
+    with Gateway.open(config, SystemClock(), reports.append) as gateway:
+        gateway.run(threading.Event())
+    assert [report.result.verdict for report in reports] == ["pass", "fail", "pass"]
