@@ -90,8 +90,9 @@ def _index(path: Path) -> Path:
 def _checked(path: Path, table: Mapping[Any, Any]) -> tuple[str, ...]:
     """The layers. Errors: ConfigError for a setting that is computed in another way here."""
     for name, expected in EXPECTED.items():
-        if table.get(name, expected) != expected:
-            raise ConfigError(f"{path}: '{name}' is {described(table[name])}, {expected} was expected")
+        found = table.get(name, expected)
+        if type(found) is not int or found != expected:
+            raise ConfigError(f"{path}: '{name}' is {described(found)}, {expected} was expected")
     layers = table.get("layers_to_extract_from")
     if not isinstance(layers, list) or not layers or not all(isinstance(one, str) for one in layers):
         raise ConfigError(

@@ -46,7 +46,7 @@ class Anomalib:
             return None
         fields = {
             "backbone": str(found.options.get("backbone", "not stated")),
-            "layers": ", ".join(found.layers),
+            "layers": found.layer_words,
             "trained with": found.version,
         }
         return Recognised(f"{NAMES[found.method]} of anomalib ({file.form})", fields, region="full")

@@ -46,16 +46,7 @@ class AnomalibFile:
     @property
     def layers(self) -> tuple[str, ...]:
         """Errors: ConfigError."""
-        usual = {
-            "padim": ["layer1", "layer2", "layer3"],
-            "patchcore": ["layer2", "layer3"],
-            "dfkde": ["layer4"],
-        }
-        found = (
-            [self.options.get("layer", "layer3")]
-            if self.method == "dfm"
-            else self.options.get("layers", usual.get(self.method))
-        )
+        found = self._stored_layers
         if not isinstance(found, list) or not found or not all(isinstance(one, str) for one in found):
             raise ConfigError(f"{self.path}: 'layers' is {described(found)}, names of layers were expected")
         if len(set(found)) != len(found):
@@ -63,6 +54,20 @@ class AnomalibFile:
         if self.method == "dfkde" and len(found) != 1:
             raise ConfigError(f"{self.path}: DFKDE of {len(found)} layers; one was expected")
         return tuple(found)
+
+    @property
+    def layer_words(self) -> str:
+        """The layers for people, whatever the file holds there."""
+        found = self._stored_layers
+        return ", ".join(map(str, found)) if isinstance(found, list) else described(found)
+
+    @property
+    def _stored_layers(self) -> Content:
+        """As the file has them, or anomalib's defaults."""
+        if self.method == "dfm":
+            return [self.options.get("layer", "layer3")]
+        usual = {"padim": ["layer1", "layer2", "layer3"], "patchcore": ["layer2", "layer3"]}
+        return self.options.get("layers", usual.get(self.method, ["layer4"]))
 
     @property
     def backbone_state(self) -> dict[str, NDArray[Any]]:
@@ -150,8 +155,9 @@ class AnomalibFile:
     def _require_bilinear(self, found: Mapping[Any, Content]) -> None:
         kind = found.get("interpolation", "bilinear")
         kind = kind.args[0] if isinstance(kind, Record) and kind.args else kind
-        if kind != "bilinear" or found.get("max_size") is not None:
-            raise ConfigError(f"{self.path}: the pre-processor resizes by '{kind}', bilinear was expected")
+        if not isinstance(kind, str) or kind != "bilinear" or found.get("max_size") is not None:
+            words = kind if isinstance(kind, str) else described(kind)
+            raise ConfigError(f"{self.path}: the pre-processor resizes by '{words}', bilinear was expected")
 
     def _three(self, found: Mapping[Any, Content], name: str) -> tuple[float, ...]:
         values = checked_array(self.path, f"pre-processor {name}", found.get(name), 3).astype(np.float64)
@@ -308,10 +314,11 @@ def _transform(spec: Content, depth: int = 0) -> list[tuple[str, Mapping[Any, Co
         kind, found = spec.kind.rpartition(".")[2], attributes(spec)
     else:
         return None
-    table = found if isinstance(found, dict) else dict(found or {})
+    table = found if isinstance(found, dict) else {}
     if kind != "Compose":
         return [(kind, table)]
     steps: list[tuple[str, Mapping[Any, Content]]] = []
-    for one in table.get("transforms") or []:
+    listed = table.get("transforms")
+    for one in listed if isinstance(listed, list) else [None]:
         steps += _transform(one, depth + 1) or [("step of an unknown kind", {})]
     return steps

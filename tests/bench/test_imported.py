@@ -8,6 +8,7 @@ sensor.
 """
 
 import json
+import os
 import time
 from pathlib import Path
 
@@ -64,7 +65,8 @@ class Trained:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        python = interpreter()
+        cache = os.environ.get("IMPORTED_CACHE")
+        python = "" if cache else interpreter()
         done = gelgate("simulate", "small", "-o", folder / "dataset", "--workers", 2)
         assert done.code == 0, done.err
         self.files = sorted((folder / "dataset").glob("PZ3/pos1/rgb_320x240/*.png"))
@@ -79,8 +81,11 @@ class Trained:
         for k, file in enumerate(bad):
             mask = cv2.imread(str(file.parents[1] / "mask_320x240" / file.name), cv2.IMREAD_GRAYSCALE)
             self.masks[self.nominal + k] = mask > 0
-        write_weights(folder / "weights.npz")
-        self.made = made_by_anomalib(folder, WANTED, SIZE, python)
+        self.made = Path(cache) if cache else self._made(python)
+
+    def _made(self, python: str) -> Path:
+        write_weights(self.folder / "weights.npz")
+        return made_by_anomalib(self.folder, WANTED, SIZE, python)
 
     def recording(self) -> Path:
         """The presses as the virtual sensor plays them, between pictures of the untouched gel."""

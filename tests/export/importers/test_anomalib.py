@@ -66,12 +66,14 @@ def test_a_file_of_anomalib_scores_as_anomalib(file: str) -> None:
     check(SMALL / file, pictures(), np.load(SMALL / f"{kind}.npz"), prefix)
 
 
-def test_a_map_is_anomalibs_pixel_by_pixel() -> None:
-    """PaDiM's map, drawn from the model's input in the frame: every pixel, the border included."""
-    expected = np.load(SMALL / "padim.npz")
-    model = imported(SMALL / "padim.ckpt", pictures())
+@pytest.mark.parametrize("file", ["padim.ckpt", "patchcore.pt"])
+def test_a_map_is_anomalibs_pixel_by_pixel(file: str) -> None:
+    """The map, drawn from the model's input in the frame: every pixel, the border included."""
+    expected = np.load(SMALL / f"{file.partition('.')[0]}.npz")
+    maps = expected["exported_score_map" if file.endswith(".pt") else "score_map"].astype(np.float64)
+    model = imported(SMALL / file, pictures())
     raw_size = Framing((48, 64), (32, 32))
-    drawn = raw_size.back(0) @ expected["score_map"].astype(np.float64) @ raw_size.back(1).T
+    drawn = raw_size.back(0) @ maps @ raw_size.back(1).T
 
     found = scores_of(model, pictures())
 
