@@ -6,9 +6,9 @@ From Python: `from calibration.studies import good_fraction, figure`.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calibration.studies.notebook import figure, good_fraction
+    from calibration.studies.notebook import cross_position, figure, good_fraction, resolution
 
-__all__ = ["figure", "good_fraction"]
+__all__ = ["cross_position", "figure", "good_fraction", "resolution"]
 
 
 def __getattr__(name: str) -> Any:

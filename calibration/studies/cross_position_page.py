@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from calibration.studies.cross_position import STUDY
+from calibration.studies.cross_position_study import STUDY
 from calibration.studies.effects import COMPARED, effects, medians
 from calibration.studies.figures import shares_figure, svg
 from calibration.studies.page import Page

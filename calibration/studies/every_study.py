@@ -4,11 +4,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from calibration.studies.cross_position import crossed_places, study_cross_position
+from calibration.studies.cross_position_study import crossed_places, study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
 from calibration.studies.presses import opened
 from calibration.studies.report import write_report
-from calibration.studies.resolution import MOST_PRESSES, fine_places, study_resolution
+from calibration.studies.resolution_study import MOST_PRESSES, fine_places, study_resolution
 from calibration.studies.rows import Rows
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import ROWS_FILE, Options

@@ -62,7 +62,7 @@ def cross_position(
     """Accuracy at a second position, with none or few of its presses.
 
     Default parts: those with two positions. The same command continues an interrupted study."""
-    from calibration.studies.cross_position import study_cross_position
+    from calibration.studies.cross_position_study import study_cross_position
 
     options = _options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
@@ -98,7 +98,7 @@ def resolution(
     """Accuracy at 320x240 and at 1280x720, and what makes the difference.
 
     Default parts: those with both resolutions. The same command continues an interrupted study."""
-    from calibration.studies.resolution import study_resolution
+    from calibration.studies.resolution_study import study_resolution
 
     options = _options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache

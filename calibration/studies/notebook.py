@@ -2,21 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from calibration.progress import progress
 from calibration.studies.good_fraction_study import FRACTIONS, HELD_OUT, SHOTS, study_good_fraction
 from calibration.studies.page_parts import only_scored
-from calibration.studies.rows import frame
+from calibration.studies.rows import Rows, frame
 from calibration.studies.runner import Show
-from calibration.studies.study import Options, as_modes, as_splits
+from calibration.studies.stable import StableFractions
+from calibration.studies.study import ROWS_FILE, Options, as_modes, as_splits
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "good_fraction"]
+__all__ = ["cross_position", "figure", "good_fraction", "resolution"]
 
 
 def good_fraction(
@@ -62,8 +63,56 @@ def good_fraction(
         fractions=fractions,
         shots=shots,
     )
+    return _rows_of(rows, "good-fraction")
+
+
+def cross_position(
+    dataset: Path | str,
+    output: Path | str,
+    *,
+    target: str | None = None,
+    fraction: float | None = None,
+    **asked: Any,
+) -> "pd.DataFrame":
+    """Run `gelgate study cross-position`, or continue it, and give its rows.
+
+    fraction: of the first position's presses, in (0, 1]; None is each method's stable one. asked: further fields of
+    `calibration.studies.study.Options`, such as parts or seeds. Errors: as the command; TypeError for another field.
+    """
+    from calibration.studies.cross_position_study import STUDY, study_cross_position
+
+    options = Options(dataset=Path(dataset), output=Path(output), **asked)
+    return _rows_of(study_cross_position(options, _fractions(options, fraction), target), STUDY)
+
+
+def resolution(
+    dataset: Path | str,
+    output: Path | str,
+    *,
+    views: Sequence[str] = (),
+    most_presses: int = 40,
+    fraction: float | None = None,
+    **asked: Any,
+) -> "pd.DataFrame":
+    """Run `gelgate study resolution`, or continue it, and give its rows. Arguments and errors: as `cross_position`.
+
+    views: some of `calibration.studies.views.VIEWS`, all if empty. most_presses: the cap of the pool.
+    """
+    from calibration.studies.resolution_study import STUDY, study_resolution
+    from calibration.studies.views import VIEWS
+
+    options = Options(dataset=Path(dataset), output=Path(output), **asked)
+    chosen = tuple(views) or tuple(VIEWS)
+    return _rows_of(study_resolution(options, _fractions(options, fraction), chosen, most_presses), STUDY)
+
+
+def _fractions(options: Options, given: float | None) -> StableFractions:
+    return StableFractions(given, options.output / ROWS_FILE)
+
+
+def _rows_of(rows: Rows, study: str) -> "pd.DataFrame":
     every = frame(rows.path)
-    return every[every["study"] == "good-fraction"].dropna(axis=1, how="all").reset_index(drop=True)
+    return every[every["study"] == study].dropna(axis=1, how="all").reset_index(drop=True)
 
 
 def figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":

@@ -18,7 +18,7 @@ from calibration.studies.page_parts import (
     table,
 )
 from calibration.studies.published import published
-from calibration.studies.resolution import STUDY
+from calibration.studies.resolution_study import STUDY
 from calibration.studies.views import VIEWS
 
 if TYPE_CHECKING:

@@ -9,13 +9,15 @@ from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
-from calibration.studies.cross_position import (
+from calibration import studies
+from calibration.studies.cross_position_study import (
     CrossPosition,
     both_held_out,
     cross_position_cells,
     study_cross_position,
 )
 from calibration.studies.material import Material, material
+from calibration.studies.rows import read_rows
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from edge.core.errors import DatasetError
@@ -32,10 +34,29 @@ def options(dataset: Path, output: Path, **changed: Any) -> Options:
 
 
 @pytest.fixture(scope="module")
-def rows(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+def folder(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The output of the study, run twice."""
     asked = options(dataset, tmp_path_factory.mktemp("rows"), splits=("press", "specimen"))
-    study_cross_position(asked, StableFractions(1.0, asked.output))
-    return study_cross_position(asked, StableFractions(1.0, asked.output)).read()
+    for _ in range(2):
+        study_cross_position(asked, StableFractions(1.0, asked.output))
+    return asked.output
+
+
+@pytest.fixture(scope="module")
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return read_rows(folder / "rows.jsonl")
+
+
+def test_from_python_the_rows_are_a_frame(dataset: Path, folder: Path, rows: list[dict[str, Any]]) -> None:
+    """The same study continued from Python: no cell is left, and the frame has its rows."""
+    pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
+    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
+    found = studies.cross_position(dataset, folder, fraction=1.0, splits=("press", "specimen"), **asked)
+
+    assert list(found["key"]) == [row["key"] for row in rows]
+    assert list(found["aupro_001"]) == [row["aupro_001"] for row in rows]
+    with pytest.raises(TypeError, match="seed"):
+        studies.cross_position(dataset, folder, seed=2)
 
 
 def test_there_is_a_row_for_every_share_seed_and_split(rows: list[dict[str, Any]]) -> None:

@@ -10,7 +10,7 @@ from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
-from calibration.studies.resolution import ViewPlace, capped_presses, study_resolution
+from calibration.studies.resolution_study import ViewPlace, capped_presses, study_resolution
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from calibration.studies.views import COMMON, VIEWS, common_map
