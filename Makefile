@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
+.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -15,6 +15,10 @@ readme-picture: demo
 	mkdir -p docs/images
 	$(BIN)/python -c 'import cv2, glob; cv2.imwrite("docs/images/damaged_press.png", \
 	  cv2.imread(min(glob.glob("demo/heatmaps/*-fail.png"))), [cv2.IMWRITE_PNG_COMPRESSION, 9])'
+
+# The picture of accuracy against time in README.md, from the rows that `gelgate tradeoff` wrote.
+tradeoff: $(VENV)/.test
+	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest
@@ -103,17 +107,18 @@ $(VENV)-importers/.made:
 	$(VENV)-importers/bin/python -m pip install --quiet '$(ANOMALIB)' '$(TORCH)' torchvision onnx onnxscript
 	touch $@
 
-# The real broker, and the emulator of another processor, for the tests. Where apt or root is missing they fall back
+# The real broker, the emulator of another processor and a browser, for the tests. Where apt or root is missing they fall back
 # to amqtt, or skip, and say so.
 .PHONY: debian
 debian:
 	@PATH=$$PATH:/usr/sbin; missing=; \
 	command -v mosquitto >/dev/null || missing="$$missing mosquitto"; \
 	command -v qemu-x86_64 >/dev/null || missing="$$missing qemu-user"; \
+	command -v chromium >/dev/null || missing="$$missing chromium"; \
 	[ -z "$$missing" ] || \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
 	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null; }; } || \
-	  echo "cannot be installed here:$$missing; without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor"
+	  echo "cannot be installed here:$$missing; without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
 	rm -rf $(VENV) $(VENV)-importers build dist *.egg-info

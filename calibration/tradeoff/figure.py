@@ -1,11 +1,13 @@
 """The picture of a run: accuracy against milliseconds, the front marked, the floor drawn. Made from rows alone."""
 
+import argparse
 import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calibration.tradeoff.page import FIRST, METHOD_NAMES
-from calibration.tradeoff.rows import Row
+from calibration.tradeoff.rows import Row, read_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -188,3 +190,11 @@ def _legend(axes: "Axes", methods: Sequence[str]) -> None:
         fontsize=8,
         ncols=2,
     )
+
+
+if __name__ == "__main__":
+    given = argparse.ArgumentParser(description="Draw the rows of a run.")
+    given.add_argument("rows", type=Path)
+    given.add_argument("picture", type=Path)
+    paths = given.parse_args()
+    paths.picture.write_bytes(svg(read_rows(paths.rows)))

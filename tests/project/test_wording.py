@@ -15,7 +15,15 @@ ROOMS = [
     *("plugins/detectors", "docs/detectors.md", "tests/detectors", "tests/hazards"),
     *("edge/core/imaging", "edge/model", "edge/recording", "firmware_notes", "docs/decisions"),
     *("edge/cli", "edge/store", "edge/pictures", "plugins/sinks", "plugins/conformance", "export"),
-    *("calibration/dataset", "calibration/evaluate", "calibration/demo.py", "calibration/progress.py"),
+    *(
+        "calibration/dataset",
+        "calibration/evaluate",
+        "calibration/tradeoff",
+        "tests/tradeoff",
+        "docs/tradeoff.md",
+        "calibration/demo.py",
+        "calibration/progress.py",
+    ),
     *(
         "edge/config.py",
         "edge/registry.py",

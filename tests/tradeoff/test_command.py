@@ -1,0 +1,184 @@
+"""The verb: what it refuses before any work, what it writes, and that the README names it."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tradeoff_rows import row, rows_of_a_run
+
+from calibration.tradeoff.figure import svg
+from calibration.tradeoff.plan import chosen_points
+from calibration.tradeoff.rows import read_rows, write_rows
+from calibration.tradeoff.run import RunSettings, presses_of
+from edge import cli
+from edge.core.errors import ConfigError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def called(
+    *words: object, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> tuple[int, str]:
+    """The exit code and everything printed."""
+    monkeypatch.setattr(sys, "argv", ["gelgate", "tradeoff", *map(str, words)])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    said = capsys.readouterr()
+    return int(end.value.code or 0), said.out + said.err
+
+
+@pytest.fixture
+def finished(dataset: Path, tmp_path: Path) -> Path:
+    """A folder that looks like that of a finished run on the dataset with PaDiM alone."""
+    chosen = presses_of(RunSettings(dataset))
+    points = chosen_points(
+        ("tactile_resnet18",), ("padim",), has_high_resolution=False, most_presses=len(chosen.fitted)
+    )
+    rows = [
+        row(point.key, 0.6 + 0.01 * k, 15.0 + k, presses=point.presses, dataset_sha256=chosen.sha256())
+        for k, point in enumerate(points)
+    ]
+    write_rows(tmp_path / "rows.jsonl", rows)
+    return tmp_path
+
+
+def test_rows_that_are_there_are_not_measured_again(
+    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page and the picture are made from them, and the front is listed."""
+    words = (dataset, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18")
+    code, said = called(*words, "--picture", finished / "p.svg", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, said
+    assert "--overwrite measures them again" in said
+    assert (finished / "tradeoff.html").stat().st_size > 10_000
+    assert (finished / "p.svg").read_bytes() == svg(read_rows(finished / "rows.jsonl"))
+
+
+def test_a_loss_ends_with_its_own_exit_code(
+    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The point and the figure are named; without a loss the end is 0."""
+    words = (dataset, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18", "--check")
+    assert called(*words, finished / "rows.jsonl", capsys=capsys, monkeypatch=monkeypatch)[0] == 0
+    better = read_rows(finished / "rows.jsonl")
+    better[0]["accuracy"]["pixel_auprc"]["value"] += 0.1
+    write_rows(finished / "before.jsonl", better)
+    code, said = called(*words, finished / "before.jsonl", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 7
+    assert f"{better[0]['key']}: AUPRC of pixels is 0.6000, it was 0.7000" in said
+    assert "gelgate tradeoff --check" in cli.EXIT_MEANINGS[7]
+
+
+def test_limits_that_nothing_meets_are_one_sentence(
+    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 3, the nearest point, no bundle."""
+    words = (
+        dataset,
+        "-o",
+        finished,
+        "--method",
+        "padim",
+        "--backbone",
+        "tactile_resnet18",
+        "--within",
+        "1ms",
+    )
+    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 3
+    assert "points is within these limits; the nearest is padim.tactile_resnet18.lr.5" in said
+    assert not (finished / "bundle").exists()
+
+
+def test_a_choice_writes_its_bundle_with_both_cards(
+    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reasons are printed, and the manifest has accuracy and cost; the measured bank was another one, it says."""
+    words = (
+        dataset,
+        "-o",
+        finished,
+        "--method",
+        "padim",
+        "--backbone",
+        "tactile_resnet18",
+        "--presses",
+        "5",
+    )
+    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, said
+    assert "the limit on presses binds" in said
+    assert "warning: the fit gave its bank more room" in said
+    manifest = json.loads((finished / "bundle" / "manifest.json").read_text())
+    assert manifest["accuracy"]["aupro_fpr01"] > 0
+    assert manifest["facts"]["tradeoff"]["machine"]["processor"] == "Test processor"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--within", "fast"), "--within fast is not understood"),
+        (("--under", "8"), "--under 8 is not understood"),
+        (("--bundle", "b"), "--bundle needs a point"),
+        (("--point", "padim.none"), "no operating point is named 'padim.none'"),
+        (("--method", "padin"), "no detector is named 'padin'"),
+        (("--check", "absent.jsonl"), "'absent.jsonl' cannot be read"),
+        (("--part", "PZ8"), "no position that fit PZ8/*"),
+    ],
+    ids=["time", "size", "bundle", "point", "method", "check", "part"],
+)
+def test_a_wrong_option_is_one_sentence(
+    dataset: Path,
+    tmp_path: Path,
+    words: tuple[str, ...],
+    sentence: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Exit code 3 before any work."""
+    monkeypatch.chdir(tmp_path)
+    code, said = called(dataset, *words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 3
+    assert sentence in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "tradeoff" / "rows.jsonl").exists()
+
+
+def test_rows_of_another_format_are_refused(tmp_path: Path) -> None:
+    """A file of something else, too."""
+    file = tmp_path / "rows.jsonl"
+    write_rows(file, [row(format=99)])
+    with pytest.raises(ConfigError, match="rows of format 99, this program reads format 1; measure again"):
+        read_rows(file)
+    file.write_text("press,score\n1,2\n")
+    with pytest.raises(ConfigError, match=r"does not hold the rows of a trade-off .*; give the rows.jsonl"):
+        read_rows(file)
+
+
+def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
+    """Nothing is lost, and no temporary file is left."""
+    rows = rows_of_a_run()
+    write_rows(tmp_path / "rows.jsonl", rows)
+    assert json.dumps(read_rows(tmp_path / "rows.jsonl")) == json.dumps(rows)
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
+
+
+def test_the_readme_shows_the_picture_with_its_commands() -> None:
+    """The command that measures, the one that draws, and a picture below 300 kB that is that of the rows."""
+    readme = (ROOT / "README.md").read_text()
+    assert "gelgate tradeoff dataset" in readme
+    assert "make tradeoff" in readme
+    assert "docs/images/tradeoff.svg" in readme
+    picture = ROOT / "docs/images/tradeoff.svg"
+    assert 10_000 < picture.stat().st_size < 300_000
+    rows: list[dict[str, Any]] = read_rows(ROOT / "docs/studies/tradeoff.jsonl")
+    assert len(rows) >= 60
+    assert f"{len(rows)} operating points" in svg_text(rows)
+
+
+def svg_text(rows: list[dict[str, Any]]) -> str:
+    from calibration.tradeoff.figure import figure
+
+    return " ".join(text.get_text() for text in figure(rows).texts)
