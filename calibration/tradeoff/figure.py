@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from calibration.tradeoff.machine import busy
 from calibration.tradeoff.page import FIRST, METHOD_NAMES
 from calibration.tradeoff.rows import Row, read_rows
 
@@ -49,7 +50,7 @@ def figure(rows: Sequence[Row]) -> "Figure":
     drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
     made = Figure(figsize=(9, 5.2), facecolor="white")
     FigureCanvasAgg(made)
-    axes = made.add_axes((0.075, 0.11, 0.9, 0.78))
+    axes = made.add_axes((0.075, 0.165, 0.9, 0.725))
     _frame(axes, drawn)
     _floor(axes, drawn)
     methods = list(dict.fromkeys(row["method"] for row in drawn))
@@ -60,6 +61,7 @@ def figure(rows: Sequence[Row]) -> "Figure":
     first = rows[0]
     made.text(0.075, 0.945, "What accuracy costs", fontsize=13, fontweight="bold", color=INK)
     made.text(0.075, 0.908, _subtitle(first, len(drawn)), fontsize=8.5, color=SOFT)
+    made.text(0.975, 0.945, busy(first["machine"]), fontsize=8.5, color=COLOURS[1], ha="right")
     return made
 
 
@@ -183,12 +185,13 @@ def _legend(axes: "Axes", methods: Sequence[str]) -> None:
     ]
     axes.legend(
         handles=entries,
-        loc="lower right",
-        frameon=True,
-        framealpha=0.9,
-        edgecolor="none",
-        fontsize=8,
-        ncols=2,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.115),
+        frameon=False,
+        fontsize=7.5,
+        ncols=len(entries),
+        columnspacing=1.3,
+        handletextpad=0.3,
     )
 
 

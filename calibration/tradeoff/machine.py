@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.model.session import open_session
 
-__all__ = ["Peak", "best", "fingerprint", "is_same_machine", "probe"]
+__all__ = ["Peak", "best", "busy", "fingerprint", "is_same_machine", "probe"]
 
 SIDE: Final = 512
 """Of the square matrices that are multiplied: they stay in the cache, and a product is over within a time slice."""
@@ -59,6 +59,16 @@ def fingerprint(threads: int) -> dict[str, Any]:
 def is_same_machine(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Whether times of two runs can be compared: same processor, cores, flags and threads."""
     return all(one.get(key) == other.get(key) for key in ("processor", "flags", "cores", "threads"))
+
+
+def busy(machine: dict[str, Any]) -> str:
+    """A sentence where other work took the cores while a run began, otherwise nothing."""
+    load, cores = machine["load_at_start"], machine["cores"]
+    if load <= cores / 2:
+        return ""
+    return (
+        f"The machine was busy (load {load:g} on {cores} cores): milliseconds are longer than on a quiet one."
+    )
 
 
 def _cpu() -> dict[str, str]:

@@ -242,7 +242,7 @@ function drawCard(p) {
     fact(data.short[name], fixed(value), low === null ? "" : `${low.toFixed(2)} to ${high.toFixed(2)}`);
   }
   fact("a press", `${nice(p.ms[0])} ms`, `${nice(p.ms[1])} to ${nice(p.ms[2])}, p95 ${nice(p.ms[3])}`);
-  fact("to the bare trunk", nice(p.ratio[0]), `${nice(p.ratio[1])} to ${nice(p.ratio[2])}`);
+  fact("ratio to trunk", nice(p.ratio[0]), `${nice(p.ratio[1])} to ${nice(p.ratio[2])}`);
   fact("floor", `${nice(p.floor_ms)} ms`, `by ${p.binds}`);
   fact("bank", `${nice(MB(p.bank_bytes))} MB`, `${nice(MB(p.bank_bytes_unpacked))} in use`);
   fact("peak memory", p.peak_memory_bytes === null ? "not shown" : `${nice(MB(p.peak_memory_bytes))} MB`);

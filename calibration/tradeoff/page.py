@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from calibration.tradeoff.accuracy import MEASURES
 from calibration.tradeoff.front import MARGIN
+from calibration.tradeoff.machine import busy
 from calibration.tradeoff.point import VIEWS
 from calibration.tradeoff.rows import Row
 from calibration.tradeoff.timing import STAGES
@@ -66,7 +67,8 @@ def _data(rows: Sequence[Row]) -> dict[str, Any]:
         "subtitle": (
             f"{first['part']}/{first['position']}: {len(rows)} operating points scored on {scored['good']} good and "
             f"{scored['defective']} defective presses of pieces that no fit has seen, timed in {first['rounds']} "
-            f"interleaved rounds on {first['machine']['processor']}, {first['machine']['threads']} threads."
+            f"interleaved rounds on {first['machine']['processor']}, {first['machine']['threads']} threads. "
+            f"{busy(first['machine'])}"
         ),
         "first": FIRST,
         "measures": dict(MEASURES),

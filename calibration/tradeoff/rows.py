@@ -17,8 +17,16 @@ Row = dict[str, Any]
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """All rows or none. Errors: GelgateError."""
-    write_atomically(path, "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode())
+    """All rows or none; numbers with six digits. Errors: GelgateError."""
+    write_atomically(
+        path, "".join(json.dumps(_rounded(row), allow_nan=False) + "\n" for row in rows).encode()
+    )
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _rounded(one) for name, one in value.items()}
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -66,6 +66,15 @@ def test_the_table_lists_the_front_fastest_first(rows: list[dict[str, Any]]) -> 
     assert lines[1].startswith(min(front, key=lambda one: one["ms"]["median"])["key"])
 
 
+def test_a_busy_machine_is_named(rows: list[dict[str, Any]]) -> None:
+    """Milliseconds of a run next to other work are not those of the machine: page and picture say so."""
+    busy = [one | {"machine": one["machine"] | {"load_at_start": 15.5}} for one in rows]
+    sentence = "The machine was busy (load 15.5 on 2 cores)"
+    assert sentence in page(busy)
+    assert sentence in " ".join(text.get_text() for text in figure(busy).texts)
+    assert "was busy" not in page(rows)
+
+
 def test_a_view_has_a_name_for_people() -> None:
     """Size, and the overlap of tiles."""
     assert view_name("lr") == "224x224"
