@@ -57,7 +57,7 @@ class Peer:
         return profile, key, key, profile
 
     def press(self, number: int) -> tuple[float, float, float, float]:
-        """Milliseconds of decode, trunk (0: it cannot be told from the rest), model, overlay."""
+        """Milliseconds of decode, trunk (0: it is part of the model), model, overlay."""
         start = time.perf_counter()
         rgb = self.drawing.decode(number)
         decoded = time.perf_counter()
