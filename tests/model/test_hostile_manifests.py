@@ -129,7 +129,9 @@ def test_a_header_that_is_hostile_python_is_refused(folder: Path, header: bytes)
         Bundle.load(edited(folder, change))
 
 
-def test_a_gigantic_picture_in_a_small_file_is_not_decoded(folder: Path) -> None:
+def test_a_gigantic_picture_in_a_small_file_is_not_decoded(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """30000 x 30000 pixels in some bytes: the size is read from the header, and is not that of the region."""
     import hashlib
 
@@ -145,6 +147,10 @@ def test_a_gigantic_picture_in_a_small_file_is_not_decoded(folder: Path) -> None
     def change(manifest: dict[str, Any]) -> None:
         manifest["golden"][0]["image"].update(size_bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
+    def decode(*arguments: object) -> None:
+        raise AssertionError("it was decoded, which takes 2.7 GB")
+
+    monkeypatch.setattr("cv2.imdecode", decode)
     with pytest.raises(BundleCorrupt, match=r"golden/0\.png is 30000x30000, expected a PNG of 32x32"):
         Bundle.load(edited(folder, change))
 
