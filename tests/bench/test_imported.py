@@ -5,6 +5,7 @@
 trains both with the installed anomalib on simulated presses (ResNet-18 with random weights, anomalib's defaults at
 256x256; PatchCore with a coreset of 1 %), imports the checkpoints, and plays the presses to a gateway on the virtual
 sensor.
+`IMPORTED_CACHE` names a folder of files that were trained before.
 """
 
 import json
@@ -115,9 +116,9 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 
 @pytest.fixture(params=["padim", "patchcore"])
 def made(request: pytest.FixtureRequest, trained: Trained) -> tuple[str, ImportedBundle]:
-    """The bundle of one model, exact rank, the bank in int8."""
+    """The bundle of one model, exact rank, the bank in float16."""
     name = str(request.param)
-    options = ImportOptions("PZ3", "own", profile="cropped_lr", packing="int8", threshold="model")
+    options = ImportOptions("PZ3", "own", profile="cropped_lr", packing="float16", threshold="model")
     output = trained.folder / f"{name}.zip"
     presses = trained.files[: trained.nominal]
     return name, import_detector(trained.made / f"{name}.ckpt", presses, output, options, overwrite=True)
