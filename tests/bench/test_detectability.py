@@ -2,7 +2,7 @@
 
 Run with `make detectability`. Random parts on which nothing was chosen; for each 24 nominal presses of 8 pieces. The
 prediction knows these presses alone. Measured is a90 on six other pieces with damage in their geometry, rendered
-completely (gel, light, noise, wear, compression), at other spots. About a minute a part on one core; with
+completely (gel, light, noise, wear, compression), at other spots. Some minutes a part on one core; with
 DETECTABILITY_CACHE naming a folder each part's rows are kept there, and a run that was cut goes on.
 """
 
