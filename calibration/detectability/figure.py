@@ -157,7 +157,7 @@ def _legend(figure: Any, last: Any, colours: _Colours) -> None:
         Line2D([], [], color=_RIM, linewidth=1.3, label="rim of the contact"),
         Patch(
             facecolor=_DARK,
-            label="no size is shown \u2014 blind: none is found;  ?: only beyond the largest tried;  few: too few trials",
+            label="no size is shown \u2014 blind: none is found;  ?: beyond the largest tried;  few: too few trials",
         ),
     ]
     figure.legend(
