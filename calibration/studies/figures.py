@@ -61,7 +61,6 @@ def fraction_figure(rows: "pd.DataFrame", part: str, measure: str = "aupro_001")
             f"presses; all {pool:.0f} are {100 * gel_share(pool):.0f} % of a gel's rated life", fontsize=8
         )
         above.tick_params(labelsize=7)
-        axis.set_title(part, fontsize=9, loc="left", pad=26)
     return figure
 
 
