@@ -15,6 +15,7 @@ from edge import cli
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.model.bundle import Bundle, GoldenFrame, write_bundle
 from edge.model.scorer import Scorer
+from export import merge
 from export.merge import merge_bundle, merged_graph
 
 
@@ -79,22 +80,11 @@ def test_a_single_graph_has_nothing_to_merge(bundle: Bundle, tmp_path: Path) -> 
         merged_graph(Bundle.load(tmp_path / "single"))
 
 
-def test_a_graph_that_scores_otherwise_is_not_written(bundle: Bundle, tmp_path: Path) -> None:
-    """A head with unseeded noise represents any difference between the two: no file, and a sentence."""
-    model = onnx.parser.parse_model("""
-        < ir_version: 8, opset_import: ["" : 17] >
-        head (float[n, 3, 4, 4] layer1) => (float[n, H, W] score_map, float[n] score)
-        <float[4] scales = {1.0, 1.0, 8.0, 8.0}, int64[1] one = {1}>
-        {
-            cell = ReduceL2 <axes = [1], keepdims = 1> (layer1)
-            noise = RandomNormalLike (cell)
-            odd = Add (cell, noise)
-            wide = Resize <mode = "nearest"> (odd, , scales)
-            score_map = Squeeze (wide, one)
-            score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
-        }
-    """)
-    graphs = dataclasses.replace(tiny.tiny_graphs(), head=model.SerializeToString())
+def test_a_graph_that_scores_otherwise_is_not_written(
+    bundle: Bundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a limit that no graph keeps: no file, and a sentence."""
+    monkeypatch.setattr(merge, "MERGED_RELATIVE", -1.0)
     with pytest.raises(BundleCorrupt, match="nothing is written"):
-        merge_bundle(Bundle.in_memory(*tiny.tiny_files(graphs=graphs)), tmp_path / "detector.onnx")
+        merge_bundle(bundle, tmp_path / "detector.onnx")
     assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from edge.cli import build
 from edge.core.errors import BundleMismatch, ConfigError, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
-from edge.model.scorer import Scorer
+from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
 from export.precision import Measured, Precisions, chosen, in_precision, measured
 from export.quantise import halved, layers, quantised
@@ -49,7 +49,7 @@ def bundle(graph: bytes) -> Bundle:
     facts = tiny.tiny_facts(threshold=4.0, grid=None)
     plain = Bundle.in_memory(*bundle_files(facts, Graphs(detector=graph)))
     score = Scorer(plain).score(FRAMES[0])
-    golden = GoldenFrame(FRAMES[0], "a press", score.anomaly_score, ())
+    golden = GoldenFrame(FRAMES[0], "a press", score.anomaly_score, map_peaks(score.score_map))
     return Bundle.in_memory(*bundle_files(facts, Graphs(detector=graph), golden=[golden]))
 
 

@@ -50,7 +50,7 @@ def test_the_example_scores_as_the_gateway(tmp_path: Path, packing: str, name: s
     bank = tiny.tiny_bank(0.47, packing)  # type: ignore[arg-type]
     plain = Bundle.in_memory(*tiny.tiny_files(bank))
     scores = [Scorer(plain).score(smooth(seed)).anomaly_score for seed in range(3)]
-    golden = [GoldenFrame(smooth(k), f"frame {k}", score, ()) for k, score in enumerate(scores)]
+    golden = [GoldenFrame(smooth(k), f"frame {k}", score, ((0.0,),)) for k, score in enumerate(scores)]
     write_bundle(tmp_path / name, tiny.tiny_files(bank, golden=golden)[1])
     lines = ran(tmp_path / name).splitlines()
     assert lines == [f"frame {k}: score {score:.6g}, expected {score:.6g}" for k, score in enumerate(scores)]
