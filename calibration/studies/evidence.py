@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MIN_SEEDS", "Samples", "Standing", "Values", "ranking", "summarised"]
+__all__ = ["MIN_SEEDS", "Mean", "Samples", "Standing", "Values", "ranking", "summarised"]
 
 MIN_SEEDS = 3
 """With fewer there is no interval."""

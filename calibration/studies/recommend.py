@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from calibration.studies.evidence import Samples, Standing, ranking
+from calibration.studies.evidence import MIN_SEEDS, Mean, Samples, Standing, ranking
 from calibration.studies.published import no_fixture
 from edge.core.errors import ConfigError
 
@@ -55,12 +55,14 @@ class Answer:
             ]
         found, unit = self.standing, self.question.unit
         any_mean = next(iter(found.means.values()))
-        counted = f"  {any_mean.parts} part{'s' * (any_mean.parts > 1)}, at least {any_mean.seeds} seeds"
-        listed = [
-            f"  {method:<10} {mean.value:8.4f}{unit}  [{mean.low:.4f}, {mean.high:.4f}]"
-            for method, mean in found.means.items()
-        ]
+        counted = f"  parts: {any_mean.parts}; seeds: {any_mean.seeds} or more"
+        listed = [f"  {name:<10} {mean.value:8.4f}{unit}{_span(mean)}" for name, mean in found.means.items()]
         return [self.question.title, counted, *listed, f"  -> {_verdict(found)}"]
+
+
+def _span(mean: Mean) -> str:
+    """The interval; nothing where too few seeds give none."""
+    return f"  [{mean.low:.4f}, {mean.high:.4f}]" if mean.seeds >= MIN_SEEDS else ""
 
 
 def _verdict(found: Standing) -> str:

@@ -104,6 +104,15 @@ def test_a_gain_is_the_difference_of_two_conditions() -> None:
     assert gain.means["padim"].value == pytest.approx(0.4)
 
 
+def test_one_seed_has_no_interval() -> None:
+    """A single value is printed without the width of nothing."""
+    once = [row for row in covering("localisation", {"spade": 0.9, "padim": 0.1}) if row["seed"] == 0]
+    text = "\n".join(recommended(once, ["localisation"])[0].lines())
+
+    assert "  spade        0.9000\n" in text
+    assert "[0.9" not in text
+
+
 def test_cells_that_were_refused_are_no_evidence() -> None:
     """A row with an error counts as missing."""
     rows = [
