@@ -75,7 +75,9 @@ def test_no_line_of_a_verb_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_verbs_are_in_the_order_of_work() -> None:
     """From the demo to the running station, then the rest."""
-    assert list(listed())[:8] == ["demo", "devices", "record", "simulate", "fit", "evaluate", "check", "run"]
+    assert list(listed())[:9] == [
+        "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run",
+    ]  # fmt: skip
 
 
 def test_help_loads_nothing_heavy() -> None:
