@@ -34,7 +34,7 @@ from export.parity import rank_correlation
 
 pytestmark = [pytest.mark.bench, pytest.mark.importers]
 
-SIZE = (256, 256)
+SIZE = tuple(int(n) for n in os.environ.get("IMPORTED_SIZE", "256x256").split("x"))
 WANTED = {
     "padim": {"backbone": "resnet18", "formats": []},
     "patchcore": {
@@ -75,8 +75,14 @@ class Trained:
         for part, files in (("good", self.files), ("bad", bad)):
             (folder / "pictures" / part).mkdir(parents=True)
             for file in files:
-                (folder / "pictures" / part / file.name).write_bytes(file.read_bytes())
-        self.nominal, self.files = len(self.files), [*self.files, *bad]
+                # The virtual sensor sends JPEG: both programs get what is left after it.
+                shown = cv2.imencode(".jpg", cv2.imread(str(file)), [cv2.IMWRITE_JPEG_QUALITY, 95])[1]
+                file.with_suffix(".jpg").write_bytes(shown.tobytes())
+                cv2.imwrite(
+                    str(folder / "pictures" / part / file.name), cv2.imdecode(shown, cv2.IMREAD_COLOR)
+                )
+        self.nominal = len(self.files)
+        self.files = [file.with_suffix(".jpg") for file in (*self.files, *bad)]
         self.frames = np.stack([cv2.imread(str(file))[..., ::-1] for file in self.files])
         self.masks = np.zeros(self.frames.shape[:3], bool)
         for k, file in enumerate(bad):
@@ -96,13 +102,13 @@ class Trained:
             gel = Renderer(
                 LR, scene.effects, SENSORS[scene.camera.sensor], streams=named_streams(0)
             ).free_gel()
-            cv2.imwrite(str(self.folder / "free.png"), gel[..., ::-1])
+            cv2.imwrite(str(self.folder / "free.jpg"), gel[..., ::-1])
             shown = self.folder / "shown"
             shown.mkdir()
-            for k, frame in enumerate(self.frames):
-                cv2.imwrite(str(shown / f"{k:03}.png"), frame[..., ::-1])
+            for k, file in enumerate(self.files):
+                (shown / f"{k:03}.jpg").write_bytes(file.read_bytes())
             done = gelgate(
-                "record", folder, "--from-images", shown, "--reference", self.folder / "free.png",
+                "record", folder, "--from-images", shown, "--reference", self.folder / "free.jpg",
                 "--profile", "cropped_lr",
             )  # fmt: skip
             assert done.code == 0, done.err
