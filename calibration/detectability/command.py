@@ -43,7 +43,7 @@ def detectability(
     seed: Seed = 0,
     threads: Threads = 2,
 ) -> None:
-    """Measure the smallest damage that a bundle finds, by place.
+    """Measure the smallest damage found, by place.
 
     Dents, bumps and scratches of known depth are rendered into nominal presses that the judging bank has not learnt.
     The result is the probability of detection: a90/95 in mm as a map, a table and a card. An interrupted run goes on

@@ -1,4 +1,4 @@
-"""Exact binomial limits: the rate of alarms that so many trials with so few alarms still allow.
+"""Exact binomial limits: the highest rate of alarms that a number of trials with k alarms allows.
 
 Ref: Clopper and Pearson, Biometrika 26 (1934). A threshold that k of n scores exceed has the same limit: the rate above
 the (n - k)-th smallest of n exchangeable scores has the distribution Beta(k + 1, n - k), whatever the scores (Vovk,

@@ -99,7 +99,7 @@ def conformal_threshold(
 
 
 def _promised(is_alarm: NDArray[np.bool_]) -> RatePromise:
-    """What alarms among so many trials still allow. is_alarm: of each trial, (n,)."""
+    """The rates that the alarms among these trials still allow. is_alarm: of each trial, (n,)."""
     alarms, trials = int(is_alarm.sum()), len(is_alarm)
     return RatePromise(
         trials=trials, alarms=alarms, rate=upper_rate(alarms, trials, CONFIDENCE), confidence=CONFIDENCE

@@ -59,7 +59,7 @@ def cross_position(
     dask: DaskAddress = None,
     cache: Cache = None,
 ) -> None:
-    """Accuracy at a second position, with none or few of its presses.
+    """Accuracy at a second position with few of its presses.
 
     Default parts: those with two positions. The same command continues an interrupted study."""
     from calibration.studies.cross_position_study import study_cross_position
@@ -95,7 +95,7 @@ def resolution(
     dask: DaskAddress = None,
     cache: Cache = None,
 ) -> None:
-    """Accuracy at 320x240 and at 1280x720, and what makes the difference.
+    """Accuracy at 320x240 and 1280x720, and why it differs.
 
     Default parts: those with both resolutions. The same command continues an interrupted study."""
     from calibration.studies.resolution_study import study_resolution

@@ -1,4 +1,4 @@
-"""From means and dense covariances, whoever stored them, to the parts of a PaDiM bundle."""
+"""From means and dense covariances of any program to the parts of a PaDiM bundle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -195,7 +195,9 @@ def test_a_wrong_field_is_named(change: str) -> None:
 @pytest.mark.parametrize("is_antialiased", [True, False])
 def test_a_resize_is_pytorchs(pixels: int, onto: int, is_antialiased: bool) -> None:
     """The matrix of one axis against torch's interpolation."""
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip(
+        "torch", reason="SKIPPED, NOT TESTED: needs torch; `make test-train` installs it and tests that"
+    )
     line = np.random.default_rng(0).random(pixels).astype(np.float32)
     expected = torch.nn.functional.interpolate(
         torch.from_numpy(line)[None, None, None], (1, onto), mode="bilinear", antialias=is_antialiased
