@@ -56,7 +56,20 @@ def tracked_files(pattern: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "pattern", ["*.py", "*.toml", "*.onnx", "*.json", "*.jinja", "*.rules", "*.service", "py.typed"]
+    "pattern",
+    [
+        "*.py",
+        "*.toml",
+        "*.onnx",
+        "*.json",
+        "*.jinja",
+        "*.rules",
+        "*.service",
+        "*.js",
+        "*.css",
+        "*.html",
+        "py.typed",
+    ],
 )
 def test_every_file_of_the_packages_is_in_the_wheel(wheel_names: set[str], pattern: str) -> None:
     """A module or a data file that works from the tree also works when installed."""
@@ -81,7 +94,7 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
     """Every page and picture is below `share/doc/gelgate` of the environment, in the folders that links name."""
     found = [
         *(ROOT / "docs").rglob("*.md"),
-        *(ROOT / "docs").rglob("*.png"),
+        *(ROOT / "docs" / "images").iterdir(),
         *(ROOT / "firmware_notes").glob("*.md"),
     ]
     pages = {path.relative_to(ROOT).as_posix() for path in found} | {"README.md", "CHANGELOG.md"}
