@@ -39,7 +39,7 @@ def on_cluster(
         futures = client.map(partial(evaluated, evaluate), list(cells), key=keys, pure=False)
         try:
             for future in _as_done(client, futures):
-                yield future.result(timeout=ANSWER_WITHIN_S)
+                yield _result(client, future)
         except (CancelledError, OSError, TimeoutError) as error:
             raise StoreError(
                 f"the Dask scheduler at '{address}' is lost; the rows so far are kept; "
@@ -68,6 +68,21 @@ def _as_done(client: Any, futures: Sequence[Any]) -> Iterator[Any]:
         else:
             left -= 1
             yield future
+
+
+def _result(client: Any, future: Any) -> Result:
+    """The result of a future that was done. A worker that dies with it has it computed again, which may take as long.
+
+    Errors: those of the cell; TimeoutError where the scheduler is lost.
+    """
+    silent = 0
+    while True:
+        try:
+            return future.result(timeout=_LOOK_EVERY_S)  # type: ignore[no-any-return]
+        except TimeoutError:
+            silent = 0 if client.status == "running" else silent + 1
+            if future.status == "error" or silent * _LOOK_EVERY_S >= ANSWER_WITHIN_S:
+                raise
 
 
 def _client(address: str) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from study_cells import Counted, DiesOnce, KillsScheduler, cells, quiet, seeds_of
@@ -161,3 +162,21 @@ def test_a_cluster_with_another_version_is_refused() -> None:
 
     with pytest.raises(ConfigError, match="2 processes of the cluster at 'x' do not have gelgate"):
         cluster._check_versions(Cluster(), "x")
+
+
+def test_a_result_that_died_with_its_worker_is_waited_for() -> None:
+    """While the cluster runs, a result that has to be computed again may take longer than an answer."""
+
+    class Again:
+        """A future that is computed again: its result comes at the third look."""
+
+        status = "pending"
+        looks = 0
+
+        def result(self, timeout: float) -> str:
+            self.looks += 1
+            if self.looks < 3:
+                raise TimeoutError
+            return "row"
+
+    assert cluster._result(SimpleNamespace(status="running"), Again()) == "row"
