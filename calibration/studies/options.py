@@ -1,9 +1,12 @@
 """The options that the studies have in common, each with its help."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from calibration.studies.study import Options
 
 __all__ = [
     "Backbones",
@@ -19,6 +22,7 @@ __all__ = [
     "Position",
     "Seeds",
     "Splits",
+    "chosen_options",
 ]
 
 DatasetFolder = Annotated[Path, typer.Argument(help="The folder of presses, nominal and defective.")]
@@ -80,3 +84,38 @@ Cache = Annotated[
         help="Folder of extracted features; default: 'features' in the output folder.", show_default=False
     ),
 ]
+
+
+def chosen_options(
+    dataset: Path,
+    output: Path,
+    part: list[str] | None,
+    position: str | None,
+    method: list[str] | None,
+    mode: list[str] | None,
+    backbone: list[str] | None,
+    split: list[str] | None,
+    seeds: int,
+    held_out: int,
+    jobs: int,
+    dask: str | None,
+    cache: Path | None,
+) -> "Options":
+    """What was given on the command line. Errors: ConfigError for an unknown mode or split."""
+    from calibration.studies.study import Options, as_modes, as_splits
+
+    return Options(
+        dataset=dataset,
+        output=output,
+        cache=cache,
+        parts=tuple(part or ()),
+        position=position,
+        methods=tuple(method or ()),
+        modes=as_modes(mode or ()),
+        backbones=tuple(backbone or ()),
+        splits=as_splits(split or ()),
+        seeds=seeds,
+        held_out=held_out,
+        jobs=jobs,
+        dask=dask,
+    )
