@@ -35,10 +35,11 @@ def read_graph(path: Path) -> bytes:
 
 def _inlined(data: bytes, path: Path) -> bytes:
     import onnx
+    from google.protobuf.message import DecodeError
 
     try:
         model = onnx.load_from_string(data)
-    except Exception:  # noqa: BLE001 (protobuf raises its own classes; the sentence for that comes where it is opened)
+    except DecodeError:  # the sentence for that comes where it is opened
         return data
     outside = [
         tensor for tensor in _tensors(model.graph) if tensor.data_location == onnx.TensorProto.EXTERNAL

@@ -103,10 +103,11 @@ def is_onnx(path: Path) -> bool:
         if file.read(1) != b"\x08":
             return False
     import onnx
+    from google.protobuf.message import DecodeError
 
     try:
         return bool(onnx.load(path, load_external_data=False).graph.node)
-    except Exception:  # noqa: BLE001 (protobuf raises its own classes; then it is not ONNX)
+    except DecodeError:
         return False
 
 
