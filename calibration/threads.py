@@ -12,7 +12,7 @@ __all__ = ["one_blas_thread"]
 def one_blas_thread() -> Iterator[None]:
     """Within it, BLAS and OpenMP use one thread; also a decorator. onnxruntime has threads of its own (--threads).
 
-    Beside four busy processes the same fit of 40 presses took 22 s with one thread, and was not done after 200 s of
+    With four busy processes the same fit of 40 presses took 22 s with one thread, and was not done after 200 s of
     spinning with the default.
     """
     with threadpool_limits(limits=1):

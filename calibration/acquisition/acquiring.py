@@ -86,7 +86,7 @@ class Acquiring:
         return kept
 
     def map(self) -> Path | None:
-        """Write the map of the coverage beside the newest press; None where it is not known. Errors: StoreError."""
+        """Write the map of the coverage next to the newest press; None where it is not known. Errors: StoreError."""
         coverage = self._distances.coverage()
         if coverage is None or self._shown is None:
             return None

@@ -100,13 +100,13 @@ class Plan:
     def key(self, kind: str, place: Place, press: str) -> str:
         """What a trial depends on, as a short hash: rows of other bundles and settings are not taken for its own."""
         edited = self.presses[press]
-        told = [FORMAT, self.bundle.digest, self.by, kind, place.row, place.column, press]
-        told += [
+        facts = [FORMAT, self.bundle.digest, self.by, kind, place.row, place.column, press]
+        facts += [
             self.settings.spacing_mm,
             self.settings.seed,
             hashlib.sha256(edited.rgb.tobytes()).hexdigest(),
         ]
-        return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:24]
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:24]
 
 
 @one_blas_thread()

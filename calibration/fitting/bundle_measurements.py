@@ -219,7 +219,7 @@ def given_threshold(value: float, alpha: float) -> ThresholdEntry:
 
 
 def placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:
-    """Stand-ins for the bundle that is measured, before the one that is written."""
+    """For a bundle that is only measured: with this threshold every press fails."""
     return given_threshold(0.0, 0.5), ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0)
 
 

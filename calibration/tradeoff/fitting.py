@@ -169,7 +169,7 @@ def _facts(
     trunk: Trunk,
     seed: int,
 ) -> Facts:
-    """The manifest's facts; threshold and tolerance are stand-ins, because no verdict is asked for."""
+    """The manifest's facts; with the placeholder threshold every press fails: this bundle is only measured."""
     threshold, tolerance = placeholders()
     view = VIEWS[point.view]
     return Facts(

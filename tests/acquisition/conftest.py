@@ -13,7 +13,7 @@ PRESSES = 12
 
 @pytest.fixture(scope="session")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder `presses` with twelve pictures of six pieces, pressed twice each, and free.png beside it."""
+    """A folder `presses` with twelve pictures of six pieces, pressed twice each, and free.png next to it."""
     root = tmp_path_factory.mktemp("pictures")
     part = RandomPartPresses(99, 1, PRESSES)
     (root / "presses").mkdir()

@@ -35,7 +35,7 @@ def test_an_earlier_run_is_continued() -> None:
 
 
 def test_unknown_pieces_stay_unknown() -> None:
-    """Nobody says what is pressed."""
+    """What is pressed is not said."""
     assert Pieces(()).of(None) is None
 
 

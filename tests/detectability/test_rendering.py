@@ -69,7 +69,7 @@ def test_compression_is_seen_and_repeated(edited: EditedPress, bench: Bench) -> 
 
 
 def test_nothing_changes_where_nothing_touches(bench: Bench, station: Station) -> None:
-    """A dent beside the contact leaves the picture as it is, to a level of rounding."""
+    """A dent next to the contact leaves the picture as it is, to a level of rounding."""
     edited = EditedPress(station, np.ascontiguousarray(REGION.crop(without(bench, "jpeg").press(0))))
     corner = Damage("dent", 0.2, Spot(-2.9, -2.9, 0.0))
     assert not edited.contact[:6, :6].any()

@@ -156,7 +156,7 @@ def test_a_version_file_of_something_else_is_refused(cache: FeatureCache, text: 
 
 def test_a_folder_with_other_files_is_no_cache(tmp_path: Path) -> None:
     """Nothing is written among the user's files."""
-    (tmp_path / "letter.txt").write_text("dear")
+    (tmp_path / "letter.txt").write_text("hello")
     with pytest.raises(ConfigError, match="has other files and is no cache of features"):
         FeatureCache(tmp_path)
 
