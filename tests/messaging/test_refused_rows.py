@@ -8,13 +8,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from scripted_sink import HandClock, ScriptedSink, drain, worker
 
 from edge.core.ports import Message
 from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Store
-
-from .test_publisher import HandClock, ScriptedSink, drain, worker
 
 MakePress = Callable[..., PressRecord]
 

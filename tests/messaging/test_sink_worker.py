@@ -1,0 +1,298 @@
+"""One sink's worker: rows in order, at least once, without giving up; the retained state never goes back."""
+
+import json
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from scripted_sink import HandClock, ScriptedSink, drain, record, worker
+
+from edge.core.backoff import Backoff
+from edge.core.errors import StoreError
+from edge.core.ports import Message
+from edge.messaging.payloads import ALARMS, StatePayload, state_message
+from edge.messaging.retained_state import RetainedState
+from edge.messaging.sink_worker import IDLE_S, OFFER_REFUSED_S
+from edge.store.outbox import Outbox
+from edge.store.press_store import MakeMessages, PressRecord, Store
+
+MakePress = Callable[..., PressRecord]
+MessagesOf = Callable[..., MakeMessages]
+
+
+@pytest.fixture
+def outbox(path: Path) -> Iterator[Outbox]:
+    with Outbox(path) as opened:
+        yield opened
+
+
+def test_rows_are_sent_in_order_and_leave(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Twenty presses, more than one batch: every result, in order, and then an empty outbox."""
+    sink = ScriptedSink()
+    outbox.register(["mqtt"])
+    presses = [make_press(n) for n in range(20)]
+    record(store, messages_of, *presses)
+
+    drain(worker(outbox, sink))
+
+    assert [result["press_id"] for result in sink.results()] == [press.press_id for press in presses]
+    assert outbox.status().rows == 0
+
+
+def test_a_sink_that_is_away_loses_nothing(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Away at first, and again in between: each result arrives, in order, and each change is reported once."""
+    sink, changes = ScriptedSink(), []
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink, changes=changes)
+    sink.is_away = True
+    record(store, messages_of, make_press(1))
+    for _ in range(5):
+        assert one.step() > 0
+    sink.is_away = False
+    drain(one)
+    sink.is_away = True
+    record(store, messages_of, make_press(2), make_press(3))
+    one.step()
+    sink.is_away = False
+    drain(one)
+
+    assert [r["press_id"] for r in sink.results()] == [make_press(n).press_id for n in (1, 2, 3)]
+    assert [is_up for is_up, _ in changes] == [False, True, False, True]
+    assert one.counters.failed == 6
+
+
+class FullOutbox(Outbox):
+    """Its disk may be full: then nothing can be stored."""
+
+    is_full = False
+
+    def acknowledge(self, row_id: int, sink: str) -> None:
+        if self.is_full:
+            raise StoreError("database or disk is full")
+        super().acknowledge(row_id, sink)
+
+
+def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
+    store: Store,
+    path: Path,
+    make_press: MakePress,
+    messages_of: MessagesOf,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
+
+    Without the memory of accepted rows, a result was sent again at every attempt while the disk was full.
+    """
+    sink, changes, retained_state = ScriptedSink(), [], RetainedState()
+    with FullOutbox(path) as outbox:
+        outbox.register(["mqtt"])
+        record(store, messages_of, make_press(1), make_press(2))
+        one = worker(outbox, sink, retained_state=retained_state, changes=changes)
+        outbox.is_full = True
+        pauses = [one.step() for _ in range(8)]
+        retained_state.announce(state_message(StatePayload(time_ns=1, state="halted", reason="full")))
+        one.step()
+
+        assert len(sink.results()) == 1
+        assert sink.topics()[-1] == "state"
+        assert pauses[-1] > 10 * pauses[0]
+        assert [record.levelname for record in caplog.records] == ["ERROR"]
+        assert [is_up for is_up, _ in changes] == [True]
+
+        outbox.is_full = False
+        drain(one)
+        assert [r["press_id"] for r in sink.results()] == [make_press(n).press_id for n in (1, 2)]
+        assert outbox.status().rows == 0
+        assert one.counters.sent == len([m for m in sink.taken if m.topic != "state" and m.payload])
+
+
+def test_rows_that_waited_are_marked_as_replayed(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Recorded before the start or while the sink was away: late. Recorded while it accepts messages: not."""
+    sink = ScriptedSink()
+    outbox.register(["mqtt"])
+    record(store, messages_of, make_press(1))
+    one = worker(outbox, sink)
+    drain(one)
+    record(store, messages_of, make_press(2))
+    drain(one)
+    sink.is_away = True
+    record(store, messages_of, make_press(3))
+    one.step()
+    record(store, messages_of, make_press(4))
+    sink.is_away = False
+    drain(one)
+    record(store, messages_of, make_press(5))
+    drain(one)
+
+    assert [r["is_replayed"] for r in sink.results()] == [True, False, True, True, False]
+
+
+def test_a_lost_acknowledgement_means_the_same_press_twice(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """At least once: the repetition has the same id and, except for its mark, the same content."""
+    sink = ScriptedSink()
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink)
+    drain(one)
+    record(store, messages_of, make_press(1))
+    sink.loses_next_acknowledgement = True
+    one.step()
+    drain(one)
+
+    first, second = sink.results()
+    assert {**first, "is_replayed": True} == second
+
+
+def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+    """It is counted and kept; within a minute it is offered again."""
+    sink, clock = ScriptedSink(), HandClock()
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink, clock=clock)
+    sink.refuses = {"huge"}
+    store.record_press(make_press(1), lambda gel: [Message("huge", b"x"), Message("result", b"{}")])
+    drain(one)
+    assert sink.topics() == ["result"]
+    assert (one.counters.refused, outbox.status().refused) == (1, 1)
+
+    sink.refuses = set()
+    drain(one)
+    assert sink.topics() == ["result"]
+
+    clock.sleep(OFFER_REFUSED_S)
+    drain(one)
+    assert sink.topics() == ["result", "huge"]
+    assert outbox.status().rows == 0
+
+
+def test_each_sink_goes_at_its_own_pace(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """One sink away: the other has everything, and the rows stay for the first."""
+    away, there = ScriptedSink(), ScriptedSink()
+    outbox.register(["away", "there"])
+    workers = worker(outbox, away, "away"), worker(outbox, there, "there")
+    away.is_away = True
+    record(store, messages_of, make_press(1), make_press(2))
+    workers[0].step()
+    drain(workers[1])
+    assert (len(there.results()), len(away.results())) == (2, 0)
+
+    away.is_away = False
+    drain(workers[0])
+    assert len(away.results()) == 2
+    assert outbox.status().rows == 0
+
+
+def test_retained_topics_never_go_back_in_time(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Through an outage in the middle of a batch, `last` and `gel` only become newer."""
+    sink = ScriptedSink()
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink)
+    for n in range(0, 30, 3):
+        record(store, messages_of, *(make_press(n + k) for k in range(3)))
+        sink.loses_next_acknowledgement = n % 2 == 0
+        one.step()
+    drain(one)
+
+    lasts = [json.loads(m.payload)["time_ns"] for m in sink.taken if m.topic == "last"]
+    gels = [json.loads(m.payload)["presses"] for m in sink.taken if m.topic == "gel"]
+    assert lasts == sorted(lasts)
+    assert gels == sorted(gels)
+    assert (lasts[-1], gels[-1]) == (make_press(29).time_ns, 30)
+
+
+def test_a_new_connection_hears_the_newest_retained_messages(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """A broker that restarted without memory gets the delivered `gel`, not the one sent at the start."""
+    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink, retained_state=retained_state)
+    record(store, messages_of, make_press(1), make_press(2))
+    drain(one)
+
+    said = {m.topic: m.payload for m in retained_state.all() if m.payload}
+    said = {topic: json.loads(payload) for topic, payload in said.items() if topic != "last/heatmap"}
+
+    assert said["gel"]["presses"] == 2
+    assert said["last"]["press_id"] == make_press(2).press_id
+
+
+def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
+    """An older row delivered later by another sink does not replace a newer one."""
+    retained_state = RetainedState()
+    retained_state.remember(Message("gel", b"5", retain=True), 50)
+    retained_state.remember(Message("gel", b"3", retain=True), 30)
+
+    assert [m.payload for m in retained_state.all() if m.topic == "gel"] == [b"5"]
+
+
+def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outbox) -> None:
+    """A state that changed twice while the sink was away is published once, with its current value."""
+    retained_state, sink = RetainedState(), ScriptedSink()
+    one = worker(outbox, sink, retained_state=retained_state)
+    sink.is_away = True
+    for number, state in enumerate(("starting", "ready", "halted")):
+        retained_state.announce(state_message(StatePayload(time_ns=number, state=state)))  # type: ignore[arg-type]
+        one.step()
+    sink.is_away = False
+    drain(one)
+
+    assert [json.loads(m.payload)["state"] for m in sink.taken if m.topic == "state"] == ["halted"]
+    assert outbox.newest() == 0
+
+
+def test_every_alarm_is_cleared_at_the_start(outbox: Outbox) -> None:
+    """An alarm retained from a process that died does not outlive it."""
+    sink = ScriptedSink()
+
+    drain(worker(outbox, sink))
+
+    assert {m.topic for m in sink.taken if m.retain and not m.payload} == {f"alarm/{name}" for name in ALARMS}
+
+
+def test_a_refused_announcement_does_not_block_the_rows(
+    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """A broker that forbids the state topic still gets the results."""
+    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state.announce(state_message(StatePayload(time_ns=0, state="ready")))
+    sink.refuses = {"state"}
+    outbox.register(["mqtt"])
+    one = worker(outbox, sink, retained_state=retained_state)
+    record(store, messages_of, make_press(1))
+
+    drain(one)
+
+    assert len(sink.results()) == 1
+
+
+def test_pauses_double_up_to_a_ceiling_with_a_random_half() -> None:
+    """Between half and all of 0.1, 0.2, 0.4 ... 5 s; success starts again."""
+    backoff = Backoff(random.Random(7), 0.1, 5.0)
+    pauses = [backoff.failed() for _ in range(12)]
+
+    for n, pause in enumerate(pauses):
+        assert min(5.0, 0.1 * 2**n) / 2 <= pause <= min(5.0, 0.1 * 2**n)
+    assert len(set(pauses)) == 12
+    backoff.succeeded()
+    assert backoff.failed() <= 0.1
+
+
+def test_an_idle_lane_waits(store: Store, outbox: Outbox) -> None:
+    """Nothing to do: no busy loop."""
+    one = worker(outbox, ScriptedSink())
+    drain(one)
+
+    assert one.step() == IDLE_S

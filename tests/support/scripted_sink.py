@@ -1,0 +1,89 @@
+"""A sink that does what the test says, its worker, and a clock that the test sets."""
+
+import json
+import random
+from collections.abc import Callable
+
+from edge.core.backoff import Backoff
+from edge.core.errors import SinkRejected, SinkUnavailable
+from edge.core.ports import Message
+from edge.messaging.retained_state import RetainedState
+from edge.messaging.sink_worker import SinkWorker
+from edge.store.outbox import Outbox
+from edge.store.press_store import MakeMessages, PressRecord, Store
+
+__all__ = ["HandClock", "ScriptedSink", "drain", "record", "worker"]
+
+
+class HandClock:
+    """Time that the test sets."""
+
+    def __init__(self) -> None:
+        self.now_ns = 10**18
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += int(seconds * 1e9)
+
+
+class ScriptedSink:
+    """Accepts messages; a test can make it unreachable, lose an acknowledgement or refuse a topic."""
+
+    def __init__(self) -> None:
+        self.taken: list[Message] = []
+        self.is_away = False
+        self.refuses: set[str] = set()
+        self.loses_next_acknowledgement = False
+        self.is_closed = False
+
+    def send(self, message: Message) -> None:
+        if self.is_away:
+            raise SinkUnavailable("away")
+        if message.topic in self.refuses:
+            raise SinkRejected(f"{message.topic} is not for you")
+        self.taken.append(message)
+        if self.loses_next_acknowledgement:
+            self.loses_next_acknowledgement = False
+            raise SinkUnavailable("no acknowledgement in time")
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def results(self) -> list[dict[str, object]]:
+        return [json.loads(m.payload) for m in self.taken if m.topic == "result"]
+
+    def topics(self) -> list[str]:
+        return [m.topic for m in self.taken if not m.topic.startswith("alarm/")]
+
+
+def worker(
+    outbox: Outbox,
+    sink: ScriptedSink,
+    name: str = "mqtt",
+    retained_state: RetainedState | None = None,
+    clock: HandClock | None = None,
+    changes: list[tuple[bool, str]] | None = None,
+) -> SinkWorker:
+    def note(name: str, is_up: bool, sentence: str) -> None:
+        if changes is not None:
+            changes.append((is_up, sentence))
+
+    backoff = Backoff(random.Random(1), 0.1, 5.0)
+    return SinkWorker(
+        name, sink, outbox, retained_state or RetainedState(), clock or HandClock(), backoff, note
+    )
+
+
+def record(store: Store, messages_of: Callable[..., MakeMessages], *presses: PressRecord) -> None:
+    for press in presses:
+        store.record_press(press, messages_of(press))
+
+
+def drain(worker: SinkWorker) -> None:
+    while worker.step() == 0.0:
+        pass
