@@ -76,7 +76,10 @@ def evaluate_backbone(
 def _chosen_sets(
     tactile: Path | None, screws: Path | None, only: list[str], trials: int
 ) -> dict[str, "EvaluationSet"]:
-    """The sets to compare on; a set that is named is run for every trunk. Errors: ConfigError for an unknown set."""
+    """The sets to compare on; a set that is named is run for every trunk, one on request only then.
+
+    Errors: ConfigError for an unknown set.
+    """
     from dataclasses import replace
 
     from calibration.benchmark.sets import SETS, evaluation_sets
@@ -86,7 +89,11 @@ def _chosen_sets(
     for name in only:
         if name not in SETS:
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
-    sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
+    sets = {
+        name: of
+        for name, of in evaluation_sets(tactile, screws).items()
+        if (name in only if only else not of.is_on_request)
+    }
     return {
         name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
