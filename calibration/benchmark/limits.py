@@ -61,8 +61,9 @@ def limit_columns(
     another object against the held-out ones, are added where there are some. Without weights of their own, the last
     three have no interval.
     """
-    is_fail = np.array([decide(float(score), limit).kind is Kind.FAIL for score in scores])
-    own, damaged = trial.is_own, trial.masks.any(axis=(1, 2))[trial.is_own]
+    is_fail: Mask = np.array([decide(float(score), limit).kind is Kind.FAIL for score in scores], np.bool_)
+    own = trial.is_own
+    damaged: Mask = np.asarray(trial.masks[own].any(axis=(1, 2)), np.bool_)
     columns = {
         "detected": _share(is_fail[own], damaged, weights),
         "peak_found": _share(is_on_damage(maps[own], trial.masks[own]), damaged, weights),

@@ -152,13 +152,15 @@ def _cuts(pictures: Sequence[U8], free: U8, is_registered: bool) -> list[_Cut]:
 def _spots(cut: _Cut, free: U8) -> NDArray[np.bool_]:
     """Where an edit's centre may lie, bool (240, 320): in the contact, away from the region's border."""
     touched = cv2.blur(np.abs(touch_edits.relief(cut.rgb, free)).sum(axis=2), (9, 9)) > _TOUCHED_LEVELS
-    inside = np.zeros_like(touched)
-    region = cut.region
-    inside[
-        region.y + _MARGIN_PX : region.y + region.height - _MARGIN_PX,
-        region.x + _MARGIN_PX : region.x + region.width - _MARGIN_PX,
-    ] = True
-    return np.asarray(touched & inside)
+    return np.asarray(touched & _inside(cut))
+
+
+def _inside(cut: _Cut) -> NDArray[np.bool_]:
+    """The region without its border, bool (240, 320)."""
+    inside = np.zeros(cut.rgb.shape[:2], np.bool_)
+    x, y, width, height = cut.region.x, cut.region.y, cut.region.width, cut.region.height
+    inside[y + _MARGIN_PX : y + height - _MARGIN_PX, x + _MARGIN_PX : x + width - _MARGIN_PX] = True
+    return inside
 
 
 def _edits(
@@ -175,29 +177,27 @@ def _edits(
             edited = _dot_edit(cut, turn == 1, rng)
         else:
             others = [donor for k, donor in enumerate(donors) if k != at]
-            edited = touch_edits.add_relief(cut.rgb, others, _spots(cut, presses.free), rng)
+            edited = touch_edits.add_relief(cut.rgb, others, _relief_spots(cut, presses), rng)
         found.append((cut.region.crop(edited.rgb), cut.region.crop(edited.mask)))
     return found
 
 
 def _donor(rgb: U8, presses: Presses) -> F32:
     """The relief of a press, without marker dots."""
-    if not presses.has_dots:
-        return touch_edits.relief(rgb, presses.free)
-    bare, free = (
-        touch_edits.without_dots(picture, touch_edits.dots(picture) > 0) for picture in (rgb, presses.free)
-    )
-    return touch_edits.relief(bare, free)
+    found = touch_edits.relief(rgb, presses.free)
+    return touch_edits.between_dots(found, rgb, presses.free) if presses.has_dots else found
 
 
 def _dot_edit(cut: _Cut, is_removed: bool, rng: np.random.Generator) -> Edited:
     """Dots are printed all over the gel, so the edit may lie outside the contact."""
-    spots = np.zeros(cut.rgb.shape[:2], np.bool_)
-    region = cut.region
-    spots[region.y : region.y + region.height, region.x : region.x + region.width] = True
-    spots[:_MARGIN_PX], spots[-_MARGIN_PX:] = False, False
     change = touch_edits.remove_dot if is_removed else touch_edits.add_dot
-    return change(cut.rgb, spots, rng)
+    return change(cut.rgb, _inside(cut), rng)
+
+
+def _relief_spots(cut: _Cut, presses: Presses) -> NDArray[np.bool_]:
+    """Where a piece's centre may lie: in the contact, and not on a marker dot, which would hide it."""
+    spots = _spots(cut, presses.free)
+    return spots & ~touch_edits.near_dots(cut.rgb) if presses.has_dots else spots
 
 
 def _balls(folder: str, pattern: str, free: str, other: str, data: Path) -> Presses:

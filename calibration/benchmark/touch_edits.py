@@ -19,7 +19,9 @@ __all__ = [
     "Edited",
     "add_dot",
     "add_relief",
+    "between_dots",
     "dots",
+    "near_dots",
     "relief",
     "relit",
     "remove_dot",
@@ -47,7 +49,7 @@ _RELIEF_LEVELS = 30.0
 # A marker dot: darker than its surroundings of 17 pixels by this much, of so many pixels, this far from the next.
 _DOT_LEVELS, _SURROUNDINGS_PX = 25, 17
 _DOT_AREA_PX = (12, 200)
-_RIM_PX = 2
+_RIM_PX, _NEAR_PX = 2, 4
 _APART_PX = 10
 
 # Another light: gains of each colour and their slope from edge to edge of the picture. A choice; automatic exposure
@@ -165,6 +167,20 @@ def dots(rgb: U8) -> NDArray[np.int32]:
     return np.asarray(numbers[labels], np.int32)
 
 
+def near_dots(rgb: U8) -> Mask:
+    """On a marker dot or its rim, bool (h, w)."""
+    return _grown(dots(rgb) > 0, _NEAR_PX)
+
+
+def between_dots(relief: F32, rgb: U8, free: U8) -> F32:
+    """A relief, filled from its surroundings where the press or the free gel has a marker dot; the dots move."""
+    marked = (_grown(dots(rgb) > 0, _RIM_PX) | _grown(dots(free) > 0, _RIM_PX)).astype(np.uint8)
+    planes = (np.ascontiguousarray(relief[..., k]) for k in range(3))
+    return np.asarray(
+        np.dstack([cv2.inpaint(one, marked, 3, cv2.INPAINT_TELEA) for one in planes]), np.float32
+    )
+
+
 def without_dots(rgb: U8, marked: Mask) -> U8:
     """The picture with the marked dots filled from their surroundings."""
     return np.asarray(cv2.inpaint(rgb, _grown(marked, _RIM_PX).astype(np.uint8), 3, cv2.INPAINT_TELEA))
@@ -194,15 +210,15 @@ def add_dot(rgb: U8, spots: Mask, rng: np.random.Generator) -> Edited:
     if not count:
         raise DatasetError("the press has no marker dot to copy; leave it out")
     shape = _grown(numbers == 1 + rng.integers(count), _RIM_PX)
-    # The dot darkens the place where it is added by the same share.
-    share = (rgb + 1.0) / (without_dots(rgb, shape) + 1.0)
+    # The dot darkens the place where it is added by the same share, in all colours: a dark colour alone is noise.
+    share = (rgb.sum(axis=2) + 1.0) / (without_dots(rgb, shape).sum(axis=2) + 1.0)
     rows, columns = np.nonzero(shape)
     row, column = room[rng.integers(len(room))]
     rows_to, columns_to = rows - int(rows.mean()) + row, columns - int(columns.mean()) + column
     added, mask = rgb.copy(), np.zeros(shape.shape, np.bool_)
     is_in = (rows_to >= 0) & (rows_to < len(rgb)) & (columns_to >= 0) & (columns_to < rgb.shape[1])
     to, source = (rows_to[is_in], columns_to[is_in]), (rows[is_in], columns[is_in])
-    added[to] = np.clip(np.round(rgb[to] * np.minimum(share[source], 1)), 0, 255).astype(np.uint8)
+    added[to] = np.clip(np.round(rgb[to] * np.minimum(share[source], 1)[:, None]), 0, 255).astype(np.uint8)
     mask[to] = True
     return Edited(added, mask)
 

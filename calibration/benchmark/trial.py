@@ -41,4 +41,4 @@ class Trial:
     def is_own(self) -> NDArray[np.bool_]:
         """The sound and the damaged presses of the learnt object under its light, bool (n,)."""
         apart = [kind for kind in (self.is_foreign, self.is_other, self.is_relit) if kind is not None]
-        return ~np.logical_or.reduce(apart)
+        return np.asarray(~np.logical_or.reduce(apart), np.bool_)
