@@ -89,13 +89,11 @@ def _chosen_sets(
     for name in only:
         if name not in SETS:
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
-    sets = {
-        name: of
-        for name, of in evaluation_sets(tactile, screws).items()
-        if (name in only if only else not of.is_on_request)
-    }
+    sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
     return {
-        name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
+        name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
+        if chosen.is_on_request and not only
+        else replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
     }
 

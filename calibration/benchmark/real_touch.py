@@ -270,9 +270,9 @@ def _frames(path: Path) -> list[U8]:
 def _ball_objects(
     name: str, sensor: str, folder: str, pattern: str, free: str, other: str = ""
 ) -> list[Object]:
-    """The same presses anywhere, in complete pictures, and registered."""
+    """The same presses registered, and anywhere in complete pictures."""
     read = partial(_balls, f"{sensor}/{folder}", pattern, free, f"{sensor}/{other}" if other else "")
-    return [Object(f"{name}, anywhere", sensor, read), Object(f"{name}, registered", sensor, read, True)]
+    return [Object(f"{name}, registered", sensor, read, True), Object(f"{name}, anywhere", sensor, read)]
 
 
 _FOLDERS = "*/gelsight.png"
