@@ -1,5 +1,6 @@
 """Edits of real presses: small, connected, seen, away from what they must not change, and the same for one seed."""
 
+import cv2
 import numpy as np
 import pytest
 
