@@ -74,8 +74,6 @@ def test_a_seed_gives_one_edit() -> None:
 
 def test_the_damage_is_one_region() -> None:
     """A piece with bright and dark stripes has a mask without a gap between them: AU-PRO counts it once."""
-    import cv2
-
     for seed in range(8):
         count, _ = cv2.connectedComponents(edit(seed).mask.astype(np.uint8))
         assert count == 2
