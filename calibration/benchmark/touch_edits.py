@@ -38,7 +38,7 @@ _SHRUNK = (0.5, 0.8)
 # The share of the radius over which the piece fades out.
 _FADING = 0.5
 MIN_PEAK_LEVELS = 20.0
-"""A piece that changes no pixel by this much is drawn again: it would be an edit that nobody can see."""
+"""A piece that changes no pixel by this much is drawn again: it could not be seen."""
 # Of this share of the largest change is an edit's damage; below it the piece has faded out.
 _VISIBLE = 0.25
 # Of each donor.
@@ -46,7 +46,8 @@ _DRAWS = 50
 # Sum over the channels of the difference to the free gel where there is relief to cut from.
 _RELIEF_LEVELS = 30.0
 
-# A marker dot: darker than its surroundings of 17 pixels by this much, of so many pixels, this far from the next.
+# A marker dot: darker than its surroundings of 17 pixels by this much, with an area in this range. An added dot keeps a
+# distance from the next one.
 _DOT_LEVELS, _SURROUNDINGS_PX = 25, 17
 _DOT_AREA_PX = (12, 200)
 _RIM_PX, _NEAR_PX = 2, 4
