@@ -48,7 +48,7 @@ def is_on_damage(maps: NDArray[np.float32], masks: Mask) -> Mask:
 def _is_near(one: NDArray[np.float32], mask: Mask) -> bool:
     row, column = np.unravel_index(int(one.argmax()), one.shape)
     away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return bool(mask.any() and away[row, column] <= PEAK_PX)
+    return bool(away[row, column] <= PEAK_PX)
 
 
 def limit_columns(

@@ -11,6 +11,7 @@ from calibration.benchmark import command, edit_sheet
 from calibration.benchmark.pictures import BALLS
 from calibration.benchmark.real_touch import EDITS, real_touch_trial
 from calibration.benchmark.sets import SENSORS, SETS, evaluation_sets
+from calibration.benchmark.touch_edits import dots
 from calibration.benchmark.touch_presses import OBJECTS
 from edge.cli import build
 from edge.core.errors import DatasetError
@@ -94,6 +95,15 @@ def test_a_trial_is_the_same_every_time(real_tactile: Path) -> None:
     assert one.is_other is not None
     assert one.is_other.sum() == 10
     assert one.alpha == 0.05
+
+
+def test_relief_on_a_marker_gel_lies_between_the_dots(real_tactile: Path) -> None:
+    """No piece is centred on a dot, which would hide it; every second edit is a piece, the others are of dots."""
+    found = real_touch_trial(real_tactile, "finger on a marker gel", edits=12)
+    sound, edits = found.frames[:12], slice(12, 24)
+    assert found.masks[edits].any(axis=(1, 2)).all()
+    for frame, mask in list(zip(sound, found.masks[edits], strict=True))[::2]:
+        assert (dots(frame)[mask] > 0).mean() < 0.5
 
 
 def test_presses_with_a_cut_of_the_gel_are_no_registered_ones(real_tactile: Path) -> None:

@@ -79,12 +79,12 @@ def test_the_damage_is_one_region() -> None:
         assert count == 2
 
 
-def test_a_flat_donor_is_refused() -> None:
-    """No relief, no invisible edit: one sentence with the number of presses and the levels."""
+@pytest.mark.parametrize("share", [0, 0.25])
+def test_a_flat_or_faint_donor_is_refused(share: float) -> None:
+    """No relief, or waves of 15 levels, are no edit: one sentence with the number of presses and the levels."""
+    faint = np.asarray(share * touch_edits.relief(press(), FREE), np.float32)
     with pytest.raises(DatasetError, match="no piece of 2 presses' relief changes a press by 20 levels"):
-        touch_edits.add_relief(
-            FREE, [np.zeros((240, 320, 3), np.float32)] * 2, SPOTS, np.random.default_rng(0)
-        )
+        touch_edits.add_relief(FREE, [faint] * 2, SPOTS, np.random.default_rng(0))
 
 
 def test_another_light_is_no_relief() -> None:
