@@ -31,8 +31,9 @@ ALPHA = 0.05
 EDITS = 48
 """Edited presses of each trial; with fewer, differences of detection between backbones are chance."""
 _SEED = 0
-# Sum over the channels, and the pixels that differ by it: fewer, and the contact is outside the inspected region.
-_TOUCHED_LEVELS, _MIN_TOUCHED_PX = 30.0, 150
+# Sum over the channels, and the share of the largest, which leaves out the glow around a contact. With fewer pixels the
+# contact is outside the inspected region.
+_TOUCHED_LEVELS, _TOUCHED_SHARE, _MIN_TOUCHED_PX = 30.0, 0.3, 150
 # An edit's centre keeps this distance from the region's border: a detector sees the border cells less well.
 _MARGIN_PX = 16
 
@@ -129,7 +130,8 @@ def _cuts(pictures: Sequence[U8], free: U8, is_registered: bool) -> list[_Cut]:
 
 def _spots(cut: _Cut, free: U8) -> NDArray[np.bool_]:
     """Where an edit's centre may lie, bool (240, 320): in the contact, away from the region's border."""
-    touched = cv2.blur(np.abs(touch_edits.relief(cut.rgb, free)).sum(axis=2), (9, 9)) > _TOUCHED_LEVELS
+    levels = cv2.blur(np.abs(touch_edits.relief(cut.rgb, free)).sum(axis=2), (9, 9))
+    touched = levels > max(_TOUCHED_LEVELS, _TOUCHED_SHARE * float(levels.max()))
     return np.asarray(touched & _inside(cut))
 
 

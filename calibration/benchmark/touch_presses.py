@@ -162,8 +162,9 @@ OBJECTS = (
     ),
     Object("finger on a marker gel", "gelsightinc__gsrobotics", _film),
     *_ball_objects("ball 5.00 mm", "FabPrez__Taxim", "gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg"),
-    *_ball_objects(
+    # Not registered: the ball is larger than a registered cut, and its light on the gel moves the contact's centre.
+    _ball_objects(
         "ball 4.70 mm", "Rancho-zhao__FOTS", "gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"
-    ),
+    )[1],
 )
 """Every object of both sets."""
