@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calibration.benchmark import command, edit_sheet
+from calibration.benchmark import command, edit_sheet, real_touch
 from calibration.benchmark.pictures import BALLS
 from calibration.benchmark.real_touch import EDITS, real_touch_trial
 from calibration.benchmark.sets import SENSORS, SETS, evaluation_sets
 from calibration.benchmark.touch_edits import dots
 from calibration.benchmark.touch_presses import OBJECTS
+from calibration.benchmark.trial import REGION
 from edge.cli import build
 from edge.core.errors import DatasetError
 
@@ -104,6 +105,16 @@ def test_relief_on_a_marker_gel_lies_between_the_dots(real_tactile: Path) -> Non
     assert found.masks[edits].any(axis=(1, 2)).all()
     for frame, mask in list(zip(sound, found.masks[edits], strict=True))[::2]:
         assert (dots(frame)[mask] > 0).mean() < 0.5
+
+
+def test_edits_lie_in_the_contact_and_not_in_its_glow() -> None:
+    """A contact of 90 levels in a glow of 12: the spots end with the contact, a blur's width apart."""
+    rows, columns = np.mgrid[:240, :320]
+    radius, free = np.hypot(rows - 120, columns - 160), np.full((240, 320, 3), 100, np.uint8)
+    rgb = free + np.where(radius < 30, 90, np.where(radius < 60, 12, 0)).astype(np.uint8)[..., None]
+    spots = real_touch._spots(real_touch._Cut(rgb, REGION), free)
+    assert spots[radius < 25].all()
+    assert not spots[radius > 36].any()
 
 
 def test_presses_with_a_cut_of_the_gel_are_no_registered_ones(real_tactile: Path) -> None:
