@@ -76,7 +76,10 @@ def evaluate_backbone(
 def _chosen_sets(
     tactile: Path | None, screws: Path | None, only: list[str], trials: int
 ) -> dict[str, "EvaluationSet"]:
-    """The sets to compare on; a set that is named is run for every trunk. Errors: ConfigError for an unknown set."""
+    """The sets to compare on; a set that is named is run for every trunk, one on request only then.
+
+    Errors: ConfigError for an unknown set.
+    """
     from dataclasses import replace
 
     from calibration.benchmark.sets import SETS, evaluation_sets
@@ -88,7 +91,9 @@ def _chosen_sets(
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
     sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
     return {
-        name: replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
+        name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
+        if chosen.is_on_request and not only
+        else replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
     }
 

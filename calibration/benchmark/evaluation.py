@@ -8,10 +8,11 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from calibration.benchmark.limits import fitted_limit, limit_columns
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import FORMAT, Trial
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.heads import head_of
+from calibration.fitting.held_out import Learner
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.simulator.workers import in_order
 from edge import registry
@@ -38,7 +39,7 @@ RANDOM = "random"
 """The name of the column with random weights."""
 
 _MEASURES = ("image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01")
-_FALSE_ALARMS = 0.01
+_FALSE_ALARMS, _MORE_FALSE_ALARMS = 0.01, 0.05
 _THREADS = 1
 
 Column = NDArray[np.float64]
@@ -203,10 +204,11 @@ def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
 
 def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
     """The measures of one detector on one trial. `foreign_out` is added where the trial has foreign frames: the share
-    of them that score above every sound held-out press.
+    of them that score above every sound held-out press. Where the trial states a false-alarm rate, AU-PRO up to 5 % and
+    the measures at the fitted limit are added (`calibration.benchmark.limits`).
     """
     maps, scores = _scored(detector, taken)
-    own = ~trial.is_foreign
+    own = trial.is_own
     masks = trial.masks[own]
     label = np.array([bool(mask.any()) for mask in masks])
     drawn = image_weights(label, replicates, np.random.default_rng(0))
@@ -223,16 +225,19 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
         share = (scores[trial.is_foreign] > scores[own][~label].max()).mean()
         # The few foreign frames were selected, not sampled: an interval would be misleading.
         columns["foreign_out"] = np.concatenate([[share], np.full(replicates, np.nan)])
+    if trial.alpha is not None:
+        more = pixel_measures(maps[own], masks, weights, _MORE_FALSE_ALARMS)
+        columns["aupro_fpr05"] = more.aupro
+        limit = fitted_limit(_learner(detector, taken.grid), taken.nominal, trial)
+        columns |= limit_columns(limit, trial, maps, scores, weights)
     return columns
 
 
 def _scored(detector: Detector, taken: _Taken) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Score maps (n, h, w) and anomaly scores (n,) by the detector's own graph."""
-    parameters = detector.parameters("corrected")
-    taps = detector.taps(parameters)
-    grid = Grid(taken.grid.frame, {t: taken.grid.taps[t] for t in taps}, taken.grid.pixels_per_mm)
-    bank = detector.fit(taken.nominal, grid, parameters, np.random.default_rng(0), lambda fraction: None)
-    head = open_session(head_of(detector, grid, bank, parameters), _THREADS, f"head of {detector.name}")
+    learner = _learner(detector, taken.grid)
+    bank = learner.bank(taken.nominal)
+    head = open_session(learner.head(bank), _THREADS, f"head of {detector.name}")
     wanted = {given.name for given in head.get_inputs()}
     stored = {
         name: unpack(pack(array, packing), packing)
@@ -240,8 +245,16 @@ def _scored(detector: Detector, taken: _Taken) -> tuple[NDArray[np.float32], NDA
         if name in wanted
         for packing in [bank.packing.get(name, "none")]
     }
-    answers = [_one(head, stored, taken.scored, wanted, k) for k in range(len(taken.scored[taps[0]]))]
+    frames = len(next(iter(taken.scored.values())))
+    answers = [_one(head, stored, taken.scored, wanted, k) for k in range(frames)]
     return np.stack([m for m, _ in answers]), np.array([s for _, s in answers])
+
+
+def _learner(detector: Detector, grid: Grid) -> Learner:
+    """The detector with its defaults, on the taps that it reads."""
+    parameters = detector.parameters("corrected")
+    read = Grid(grid.frame, {tap: grid.taps[tap] for tap in detector.taps(parameters)}, grid.pixels_per_mm)
+    return Learner(detector, read, parameters, seed=0, threads=_THREADS)
 
 
 def _one(

@@ -21,7 +21,17 @@ from edge.core.contact.mask import Touch
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
 
-__all__ = ["BALLS", "REGISTERED_BALLS", "ball_trial", "registered_ball_trial", "screw_trial"]
+__all__ = [
+    "BALLS",
+    "REGISTERED_BALLS",
+    "ball_trial",
+    "contact_square",
+    "read_picture",
+    "registered_ball_trial",
+    "screw_trial",
+    "specks",
+    "together",
+]
 
 U8 = NDArray[np.uint8]
 
@@ -74,12 +84,12 @@ def registered_ball_trial(data: Path, ball: str) -> Trial:
     """
     pictures, background = _ball(data, ball)
     whole = named_presses(pictures, PROFILE, Region(0, 0, *PROFILE.size), no_contact=[background])
-    squares = [_contact_square(touch) for touch in whole.touches]
-    specks = _specks(background)
+    squares = [contact_square(touch) for touch in whole.touches]
+    dirt = specks(background)
     kept = [
         (rgb, place)
         for rgb, place in zip(pictures.values(), squares, strict=True)
-        if place is not None and not place.crop(specks).any()
+        if place is not None and not place.crop(dirt).any()
     ]
     held, rng = kept[2::3], _rng(ball)
     sound = [place.crop(rgb) for rgb, place in held]
@@ -87,7 +97,7 @@ def registered_ball_trial(data: Path, ball: str) -> Trial:
     masks = [place.crop(mask) for _, mask, place in edits]
     return Trial(
         _title(ball),
-        _together(
+        together(
             [
                 named_presses({f"{number}": rgb}, PROFILE, place, no_contact=[background])
                 for number, (rgb, place) in enumerate(kept)
@@ -100,13 +110,13 @@ def registered_ball_trial(data: Path, ball: str) -> Trial:
     )
 
 
-def _specks(background: U8) -> NDArray[np.bool_]:
+def specks(background: U8) -> NDArray[np.bool_]:
     """Where the free gel differs from its surroundings of half a millimetre."""
     near, around = (cv2.GaussianBlur(background.astype(np.float32), (0, 0), sigma) for sigma in (1, 5))
     return np.asarray(np.abs(near - around).sum(axis=2) > _SPECK_LEVELS)
 
 
-def _together(presses: Sequence[NominalPresses]) -> NominalPresses:
+def together(presses: Sequence[NominalPresses]) -> NominalPresses:
     """Presses of one position, each cut at a different place, with the free gel there."""
     touched = [press.touched for press in presses if press.touched is not None]
     free = [press.no_contact for press in presses if press.no_contact is not None]
@@ -125,8 +135,8 @@ def _ball(data: Path, ball: str) -> tuple[dict[str, U8], U8]:
         raise DatasetError(
             f"{data / ball} holds {len(files)} presses, at least 3 are needed; fetch them again"
         )
-    background = _read_rgb((data / ball).parent / "background.png")
-    return {path.parent.name: _read_rgb(path) for path in files}, background
+    background = read_picture((data / ball).parent / "background.png")
+    return {path.parent.name: read_picture(path) for path in files}, background
 
 
 def _title(ball: str) -> str:
@@ -137,7 +147,7 @@ def _rng(ball: str) -> np.random.Generator:
     return np.random.default_rng([_SEED, int(Path(ball).name.replace(".", "").rstrip("m"))])
 
 
-def _contact_square(touch: Touch) -> Region | None:
+def contact_square(touch: Touch) -> Region | None:
     """The square around the centre of the touched area, None where it would leave the picture."""
     width, height = PROFILE.size
     x, y = round(touch.x * width) - _SIDE_PX // 2, round(touch.y * height) - _SIDE_PX // 2
@@ -160,7 +170,7 @@ def screw_trial(data: Path) -> Trial:
     side = (REGION.width, REGION.height)
     masks = [np.zeros(side[::-1], np.bool_)] * len(sound)
     for path in damaged:
-        mask = _read_rgb(data / "ground_truth" / path.parent.name / f"{path.stem}_mask.png")[..., 0]
+        mask = read_picture(data / "ground_truth" / path.parent.name / f"{path.stem}_mask.png")[..., 0]
         masks.append(np.asarray(cv2.resize(mask, side, interpolation=cv2.INTER_AREA)) > 127)
     return Trial(
         "screws",
@@ -175,13 +185,14 @@ def _scaled(paths: Sequence[Path]) -> U8:
     side = (REGION.width, REGION.height)
     return np.stack(
         [
-            np.asarray(cv2.resize(_read_rgb(path), side, interpolation=cv2.INTER_AREA), np.uint8)
+            np.asarray(cv2.resize(read_picture(path), side, interpolation=cv2.INTER_AREA), np.uint8)
             for path in paths
         ]
     )
 
 
-def _read_rgb(path: Path) -> U8:
+def read_picture(path: Path) -> U8:
+    """A picture as uint8 (h, w, 3) RGB. Errors: DatasetError."""
     bgr = cv2.imread(str(path))
     if bgr is None:
         raise DatasetError(f"'{path}' is not a picture; fetch the real frames again")
@@ -189,7 +200,7 @@ def _read_rgb(path: Path) -> U8:
 
 
 def _resized(path: Path) -> U8:
-    return np.asarray(cv2.resize(_read_rgb(path), PROFILE.size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(read_picture(path), PROFILE.size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _edited(

@@ -6,7 +6,7 @@ it cannot show, is in `calibration/benchmark/sets.toml`.
 """
 
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -20,9 +20,10 @@ from calibration.benchmark.pictures import (
     screw_trial,
 )
 from calibration.benchmark.presses import PARTS, development_trial, part_trial
+from calibration.benchmark.real_touch import missing_sensors, trials_of
 from calibration.benchmark.trial import Trial
 
-__all__ = ["SETS", "EvaluationSet", "evaluation_sets"]
+__all__ = ["SENSORS", "SETS", "EvaluationSet", "evaluation_sets"]
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,15 @@ class EvaluationSet:
     """Trials whose measures are averaged.
 
     text: what they show, and what they cannot show. is_brief: only the first backbone and random weights are compared
-    on it. missing: why there are no trials, empty when there are some.
+    on it. is_on_request: it is opened only where it is named. missing: why there are no trials, empty when there are
+    some.
     """
 
     title: str
     text: str
     trials: tuple[Callable[[], Trial], ...]
     is_brief: bool = False
+    is_on_request: bool = False
     missing: str = ""
 
     def __post_init__(self) -> None:
@@ -47,6 +50,11 @@ class EvaluationSet:
 _DESCRIPTIONS = tomllib.loads(
     files("calibration.benchmark").joinpath("sets.toml").read_text(encoding="utf-8")
 )
+
+SENSORS: Mapping[str, Mapping[str, str]] = {
+    name: about.pop("sensors") for name, about in _DESCRIPTIONS.items() if "sensors" in about
+}
+"""Of each set of real touch, the folder of each sensor with the licence of its frames. No sensor is in two sets."""
 
 SETS = tuple(_DESCRIPTIONS)
 """The names of the sets, in the order of the tables."""
@@ -74,6 +82,11 @@ def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str,
             partial(registered_ball_trial, real_tactile, ball) for ball in REGISTERED_BALLS
         ]
         trials["real-presses"] = [partial(ball_trial, real_tactile, ball) for ball in BALLS]
+    for name, sensors in SENSORS.items():
+        missing[name] = no_balls
+        if real_tactile is not None and not no_balls:
+            missing[name] = missing_sensors(real_tactile, list(sensors))
+            trials[name] = [] if missing[name] else trials_of(real_tactile, list(sensors))
     if screws is not None and not no_screws:
         trials["screws"] = [partial(screw_trial, screws)]
     return {
