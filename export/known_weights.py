@@ -29,7 +29,6 @@ RELEASES: Mapping[str, Release] = {
     "19c8e357": Release("resnet50", "V1", "torchvision resnet50 IMAGENET1K_V1, first file"),
     "11ad3fa6": Release("resnet50", "V2", "torchvision resnet50 IMAGENET1K_V2"),
     "95faca4d": Release("wide_resnet50_2", "V1", "torchvision wide_resnet50_2 IMAGENET1K_V1"),
-    "32ee1156": Release("wide_resnet50_2", "V1", "torchvision wide_resnet50_2 IMAGENET1K_V1, first file"),
     "9ba9bcbe": Release("wide_resnet50_2", "V2", "torchvision wide_resnet50_2 IMAGENET1K_V2"),
 }
 """By the first eight digits of the file's SHA-256."""

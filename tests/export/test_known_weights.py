@@ -30,6 +30,23 @@ def test_every_release_is_a_network_that_can_be_exported() -> None:
     assert all(len(key) == 8 and release_of(key + "0" * 56) == one for key, one in RELEASES.items())
 
 
+PUBLISHED = {
+    "resnet18": {"f37072fd": "V1", "5c106cde": "V1"},
+    "resnet50": {"0676ba61": "V1", "19c8e357": "V1", "11ad3fa6": "V2"},
+    "wide_resnet50_2": {"95faca4d": "V1", "9ba9bcbe": "V2"},
+}
+"""The names of torchvision's files, `<network>-<digits>.pth`, of release 0.28 and of those before 0.10."""
+
+
+def test_releases_are_those_that_torchvision_publishes() -> None:
+    """Every file of the three networks and no other, such as wide_resnet101_2-32ee1156."""
+    found: dict[str, dict[str, str]] = {name: {} for name in PUBLISHED}
+    for digits, release in RELEASES.items():
+        found[release.topology][digits] = release.version
+    assert found == PUBLISHED
+    assert release_of("32ee1156" + 56 * "0") is None
+
+
 def test_encoders_have_licences() -> None:
     """Sparsh's is not for commercial use, the others are."""
     assert {name: is_non_commercial(one.licence) for name, one in ENCODERS.items()} == {
