@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from edge.model.scorer import FRAMES, SCORE, SCORE_MAP
+from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
 from export.onnx_values import (
     PIXELS,
     PictureInput,
@@ -27,7 +28,6 @@ from export.onnx_values import (
     run_each,
     same_versions,
 )
-from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
 from export.parity import ParityReport, Stage, compare, order_stage
 from plugins.backbones.input_steps import IMAGENET, InputSteps, applied, linear_matrix
 from plugins.onnx_builder import Graph

@@ -5,8 +5,8 @@ It runs under an interpreter that has anomalib (`make test-importers` makes one)
     python make_anomalib_files.py PICTURES WEIGHTS.npz OUT '{"padim": {"backbone": "resnet18"}}' 224x224
 
 PICTURES has the folders `good` and `bad`. Per model: `OUT/<name>.ckpt`, `.pt`, `<name>_onnx/model.onnx` with its
-`model.onnx.data`, OpenVINO's `.xml` and `.bin`, and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every picture of `good`, then `bad`, before
-normalisation.
+`model.onnx.data`, OpenVINO's `.xml` and `.bin`, and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every
+picture of `good`, then `bad`, before normalisation.
 """
 
 import json
