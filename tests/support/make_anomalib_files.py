@@ -35,6 +35,15 @@ from anomalib.deploy import ExportType
 from anomalib.engine import Engine
 from anomalib.models import Dfkde, Dfm, Padim, Patchcore
 
+_mean = torch.mean
+
+
+def mean(values, *args, device=None, **options):
+    """anomalib 2.7.0 gives torch.mean a device, which it refuses, so its DFM of `nll` cannot be fitted as it is."""
+    return _mean(values, *args, **options)
+
+
+torch.mean = mean
 MODELS = {"padim": Padim, "patchcore": Patchcore, "dfm": Dfm, "dfkde": Dfkde}
 
 

@@ -232,7 +232,7 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     wanted = {
         "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch"]},
         "patchcore": {"backbone": "resnet18", "center_crop_size": [32, 32], "formats": ["torch"]},
-        "dfm": {**WANTED["dfm"], "layer": "layer3", "score_type": "nll"},
+        "dfm": {**WANTED["dfm"], "layer": "layer2", "score_type": "nll"},
         "dfkde": {**WANTED["dfkde"], "layers": ["layer4"]},
     }
     wanted["dfm"]["pca_level"] = 0.9

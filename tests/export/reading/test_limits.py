@@ -1,6 +1,7 @@
 """The process that opens foreign files has limits, and refuses what reading never needs."""
 
 import json
+import os
 import pickle
 import signal
 import subprocess
@@ -14,6 +15,8 @@ from edge.core.errors import ConfigError
 from export.reading.isolated import read_foreign
 
 MEMORY, CPU_S, DISK = 4 << 30, 60, 64 << 20
+# A process of one thread, as `read_foreign` starts it, may have a namespace of its own.
+SINGLE = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def child(
@@ -22,7 +25,7 @@ def child(
     """The reader's process on `model.pkl`, with these limits."""
     limits = [str(memory), str(cpu_s), str(disk)]
     command = [sys.executable, "-m", "export.reading.child", str(folder / "model.pkl"), str(folder / "out")]
-    return subprocess.run([*command, *limits], capture_output=True, text=True)
+    return subprocess.run([*command, *limits], capture_output=True, text=True, env=SINGLE)
 
 
 def answer(folder: Path) -> dict[str, str]:
@@ -88,7 +91,7 @@ child.main(Path(sys.argv[1]), Path(sys.argv[2]), 4 << 30, 60, 1 << 20)
 def breach(folder: Path, action: str) -> dict[str, str]:
     (folder / "model.pkl").write_bytes(b"N.")
     command = [sys.executable, "-c", BREACH.format(action=action)]
-    subprocess.run([*command, str(folder / "model.pkl"), str(folder / "out")], check=True)
+    subprocess.run([*command, str(folder / "model.pkl"), str(folder / "out")], check=True, env=SINGLE)
     return answer(folder)
 
 
