@@ -191,12 +191,12 @@ def test_a_wrong_field_is_named(change: str) -> None:
     assert "padim.ckpt" in str(refused.value)
 
 
-def nll(sigma: NDArray[np.float32], rows: int = 0) -> Change:
-    """Make a DFM of `fre` one of `nll`, with these singular values and `rows` of vectors too few."""
+def nll(sigma: NDArray[np.float32], rows: int = 0, columns: int = 0) -> Change:
+    """Make a DFM of `fre` one of `nll`, with these singular values; its vectors lack `rows` and `columns`."""
 
     def edit(content: dict[Any, Any]) -> None:
         count = content["state_dict"]["model.pca_model.singular_vectors"].shape[1]
-        u = np.eye(count, len(sigma), dtype=np.float32)[: count - rows]
+        u = np.eye(count, len(sigma), dtype=np.float32)[: count - rows, columns:]
         arrays = {"u_mat": u, "sigma_mat": sigma, "mean_vec": np.zeros(count, np.float32)}
         content["state_dict"].update({f"model.gaussian_model.{key}": value for key, value in arrays.items()})
         content["hyper_parameters"]["score_type"] = "nll"
@@ -219,13 +219,17 @@ OPTIONS: dict[str, tuple[str, Change, str]] = {
         "dfm.ckpt", lambda c: c["hyper_parameters"].update(score_type="mse"), "'score_type' is mse, fre or nll was",
     ),
     "nll without its Gaussian": (
-        "dfm.ckpt", lambda c: c["hyper_parameters"].update(score_type="nll"), r"gaussian_model\.sigma_mat' is (missing|empty)",
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(score_type="nll"),
+        r"gaussian_model\.sigma_mat' is (missing|empty)",
     ),
     "a Gaussian without width": (
         "dfm.ckpt", nll(np.array([1, 0], np.float32)), r"'model\.gaussian_model\.sigma_mat' goes down to 0, positive",
     ),
     "a Gaussian of another width": (
         "dfm.ckpt", nll(np.ones(2, np.float32), rows=1), r"gaussian_model\.u_mat' ",
+    ),
+    "a Gaussian of another depth": (
+        "dfm.ckpt", nll(np.ones(2, np.float32), columns=1), r"gaussian_model\.u_mat' ",
     ),
     "no neighbours": (
         "patchcore.pt", lambda c: c["model"].state["_hparams"].state.append(["num_neighbors", 0]),
