@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 from toy_trunk import features_of, toy_trunk
 
 from edge.core.errors import ConfigError
+from export.graph_file import read_graph
 from export.importers.anomalib import anomalib
 from export.importers.contract import Imported, Settings
 from export.importers.framing import Framing, framed_trunk, resizing_matrix
+from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
 from export.reading.files import read_here
 from export.reading.foreign import Foreign
+from export.single_graph import adapted
 
 PIXELS_PER_MM = 15.77
 # Scores of float32 graphs in another order of sums, relative to the largest: measured 2e-6 to 2e-5.
@@ -291,7 +294,7 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     write_pictures(tmp_path / "pictures", frames, 3)
     write_weights(tmp_path / "weights.npz")
     wanted = {
-        "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch"]},
+        "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch", "onnx"]},
         "patchcore": {"backbone": "resnet18", "center_crop_size": [32, 32], "formats": ["torch"]},
         "dfm": {**WANTED["dfm"], "layer": "layer2", "score_type": "nll"},
         "dfkde": {**WANTED["dfkde"], "layers": ["layer4"]},
@@ -310,3 +313,8 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
                 {k: v for k, v in expected.items() if "map" not in k},
                 "exported_",
             )
+    wrapped = adapted(read_graph(made / "padim_onnx" / "model.onnx"), frames)
+    (score,) = run_values(wrapped.graph, ["score"], {"frames": frames}, "the adapted graph")
+    expected = np.load(made / "padim.npz")["exported_score"].astype(np.float64)
+    compare([Stage("score", expected, score, "score", ALIKE)]).raise_if_different()
+    assert "limited to 0..1" in wrapped.found["normalisation"]
