@@ -1,6 +1,6 @@
 """Mutated files never give a traceback: each is read, or refused in one sentence of our own.
 
-`make test-fuzz` runs two thousand; a normal run a few of each kind.
+`make test-fuzz` runs 400 of each kind; a normal run a few.
 """
 
 import os
