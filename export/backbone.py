@@ -1,4 +1,4 @@
-"""`export backbone`: weights of a ResNet or a vision transformer, or an ONNX network, become a trunk of the gateway.
+"""`export backbone`: weights of a ResNet, a vision transformer or a VQGAN, or an ONNX network, become a trunk.
 
 Before anything is written, the trunk is compared with a NumPy reference of the same network (or with the ONNX network
 itself) at its input and at every tap. The licence of the weights is in the trunk's metadata, and so in every bundle
@@ -31,6 +31,9 @@ from plugins.backbones.topology import State, check_state, expected_shapes, topo
 from plugins.backbones.vit import known_vit_taps, vit_shape
 from plugins.backbones.vit_reference import vit_forward
 from plugins.backbones.vit_trunk import build_vit_trunk
+from plugins.backbones.vqgan import FIRST, vqgan_layers
+from plugins.backbones.vqgan_reference import vqgan_forward
+from plugins.backbones.vqgan_trunk import build_vqgan_trunk
 
 __all__ = ["BackboneExport", "BackboneOptions", "export_backbone", "read_checkpoint", "weights_sha256"]
 
@@ -161,7 +164,8 @@ def _from_weights(
     state = _selected(read_weights(source), options.prefix, source)
     if options.second is not None:
         state = _continued(state, read_weights(options.second), options.second)
-    return (_vit if PATCHES in state else _resnet)(state, source, options, steps, facts)
+    network = _vit if PATCHES in state else _vqgan if FIRST in state else _resnet
+    return network(state, source, options, steps, facts)
 
 
 def _resnet(
@@ -199,6 +203,22 @@ def _vit(
     )
 
 
+def _vqgan(
+    state: State, source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
+) -> BackboneExport:
+    layers = vqgan_layers(state, options.taps, f"the weights in {source}")
+    known = [layer.tap for layer in layers if layer.tap]
+    # The latent has three channels, too few to tell patches apart; the deeper levels have hundreds.
+    taps = options.taps or tuple(tap for tap in known if tap.startswith("level"))[-2:]
+    used = sorted({key for layer in vqgan_layers(state, taps) for key in layer.shapes})
+    facts = {**facts, "weights_sha256": _sha256_of(state, used)}
+    trunk = build_vqgan_trunk(state, taps, steps, options.frame, weights=options.weights, facts=facts)
+    frames = _probe(options.frame)
+    planes = applied(steps, frames)
+    expected = vqgan_forward(state, planes, taps)
+    return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
+
+
 def _exported(
     trunk: bytes,
     taps: Sequence[str],
@@ -234,7 +254,7 @@ def _probe(frame: tuple[int, int]) -> NDArray[np.uint8]:
 def _selected(state: State, prefix: str | None, source: Path) -> State:
     """The weights of one network, without the prefix of their names. Errors: ConfigError where there are several."""
     if prefix is None:
-        ends = ("patch_embed.proj.weight", "layer1.0.conv1.weight")
+        ends = (PATCHES, "layer1.0.conv1.weight", FIRST)
         found = sorted({key.removesuffix(end) for key in state for end in ends if key.endswith(end)})
         if len(found) > 1:
             raise ConfigError(

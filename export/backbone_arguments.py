@@ -39,10 +39,13 @@ Topology = Annotated[str, typer.Option(help="Of a ResNet: resnet18, resnet50 or 
 Taps = Annotated[
     str,
     typer.Option(
-        help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, NAME=VALUE of a graph."
+        help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, level2,latent of a VQGAN, "
+        "NAME=VALUE of a graph."
     ),
 ]
-Encoder = Annotated[str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3 or sparsh.")]
+Encoder = Annotated[
+    str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3, sparsh or unit.")
+]
 Mean = Annotated[str, typer.Option(help="Subtracted from RGB in 0..1; default: ImageNet's.")]
 Std = Annotated[str, typer.Option(help="Then RGB is divided by this; default: ImageNet's.")]
 Size = Annotated[str, typer.Option(help="Resize frames to HEIGHTxWIDTH before the network.")]

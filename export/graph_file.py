@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import ConfigError
+from export.reading.files import OPENVINO, OTHERS, form_of
 
 __all__ = ["MOST_BYTES", "read_graph"]
 
@@ -30,6 +31,8 @@ def read_graph(path: Path) -> bytes:
         raise ConfigError(
             f"{path} cannot be read: {error.strerror}; give the detector's ONNX file"
         ) from error
+    if form_of(data[:256]) == OPENVINO:
+        raise ConfigError(f"{path} cannot be used: {OTHERS[OPENVINO]}")
     return _inlined(data, path) if b"location" in data else data
 
 

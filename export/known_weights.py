@@ -91,6 +91,13 @@ ENCODERS: Mapping[str, Encoder] = {
             InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (224, 224), None, 0.5, 2),
             needs_background=True,
         ),
+        # Levels in 0..1, resized by OpenCV's linear interpolation: tactile_representation_dataset.py and its config.
+        Encoder(
+            "unit",
+            "MIT",
+            "github.com/ZhengtongXu/UniT",
+            InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (128, 160), is_antialiased=False),
+        ),
     )
 }
 

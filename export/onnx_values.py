@@ -19,6 +19,7 @@ from plugins.onnx_builder import Graph
 __all__ = [
     "PIXELS",
     "PictureInput",
+    "drop_traces",
     "first_conv_input",
     "load_model",
     "name_opset_once",
@@ -123,9 +124,27 @@ def read_frames(
         io_map=[(f"front/{PIXELS}", f"model/{picture.name}")],
     )
     rename(merged, {"front/frames": "frames"})
-    del merged.metadata_props[:]
+    drop_traces(merged)
     name_opset_once(merged)
     return merged
+
+
+def drop_traces(model: Any) -> None:
+    """Remove what exporters note of their own run: stack traces with the folders and names of the machine."""
+    graph = model.graph
+    del model.metadata_props[:]
+    for one in (
+        model,
+        graph,
+        *graph.node,
+        *graph.initializer,
+        *graph.value_info,
+        *graph.input,
+        *graph.output,
+    ):
+        one.doc_string = ""
+        if one is not model:
+            del one.metadata_props[:]
 
 
 def same_versions(first: Any, second: Any) -> tuple[Any, Any]:

@@ -3,7 +3,8 @@
     frames uint8 (n, h, w, 3) -> steps -> the graph -> score_map float32 (n, h, w) of the region, score float32 (n,)
 
 What the file shows is found: layout, type, size, a normalisation at its start, anomalib's export by its names. What it
-does not show is asked for. The adapted graph is compared with the original at its input, map and score.
+does not show is asked for. Scores that anomalib limits to 0..1 are taken before that. The adapted graph is compared
+with the original at its input, map and score.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from edge.model.scorer import FRAMES, SCORE, SCORE_MAP
+from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
 from export.onnx_values import (
     PIXELS,
     PictureInput,
@@ -33,7 +35,8 @@ from plugins.onnx_builder import Graph
 __all__ = ["Adapted", "GraphInput", "adapted"]
 
 PLAIN = InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-ANOMALIB = frozenset({"anomaly_map", "pred_score"})
+ANOMALIB = frozenset({"anomaly_map", "pred_score"}), frozenset({"pred_label", "pred_score"})
+LABELS = {"pred_score": "pred_label", "anomaly_map": "pred_mask"}
 MAP_NAMES = ("score_map", "anomaly_map", "anomaly_maps", "map", "heatmap")
 SCORE_NAMES = ("score", "pred_score", "anomaly_score", "image_score")
 MOST_COMPARED = 4
@@ -83,6 +86,8 @@ def adapted(
         steps = replace(steps, size=picture.size)
     shown = frames[:: max(1, len(frames) // MOST_COMPARED)][:MOST_COMPARED]
     pixels = _pixels(shown, steps, high, picture)
+    model, normalised = raw_scores(model, LABELS)
+    data = bytes(model.SerializeToString()) if normalised else data
     names = [output.name for output in model.graph.output]
     outputs = dict(zip(names, run_each(data, names, picture.name, pixels, picture.batch, where), strict=True))
     chosen = _Outputs.of(outputs, given, where)
@@ -93,9 +98,29 @@ def adapted(
         "input": f"{picture.name}, {picture.layout}, {'uint8' if picture.is_bytes else 'float32'}, {why}",
         "preprocessing": steps.words,
         "outputs": f"map {chosen.map}, score {chosen.score or 'the largest value of the map'}",
+        **_said(normalised, sign),
     }
     expected = sign * chosen.maps(outputs, frame), sign * chosen.scores(outputs, sign)
-    return Adapted(graph, found, _compared(graph, shown, pixels, expected, found, picture, where))
+    before = [_undone(one, outputs) for one in normalised.values()]
+    return Adapted(graph, found, _compared(graph, shown, pixels, expected, found, picture, where, before))
+
+
+def _said(normalised: Mapping[str, Normalisation], sign: float) -> dict[str, str]:
+    """What is stated of normalised outputs that are taken raw."""
+    said = {}
+    if normalised:
+        said["normalisation"] = f"left out: {'; '.join(one.words for one in normalised.values())}"
+    own = normalised["pred_score"].own_threshold if "pred_score" in normalised else None
+    if own is not None:
+        value = f"{sign * own:.7g}"
+        said["threshold of the model"] = f"{value} of raw scores; --threshold {value} takes it"
+    return said
+
+
+def _undone(one: Normalisation, outputs: Mapping[str, NDArray[Any]]) -> Stage:
+    """The original output against the raw one, normalised by the stated formula."""
+    original = outputs[one.output + SUFFIX]
+    return Stage(f"normalised {one.output}", original, one.applied(outputs[one.output]), "score")
 
 
 def _meets_contract(model: Any) -> bool:
@@ -112,7 +137,8 @@ def _scaling(
         return _stated(given)
     if picture.is_bytes:
         return PLAIN, 255.0, "levels 0 to 255 (its type)"
-    if {output.name for output in model.graph.output} >= ANOMALIB:
+    names = {output.name for output in model.graph.output}
+    if any(names >= usual for usual in ANOMALIB):
         return PLAIN, 1.0, "0..1 (an export of anomalib, which normalises inside)"
     inside = _normalisation(model, picture.name)
     if inside is not None:
@@ -141,19 +167,13 @@ def _stated(given: GraphInput) -> tuple[InputSteps, float, str]:
 
 def _normalisation(model: Any, start: str) -> float | None:
     """The largest constant of three colours that is subtracted or divided right behind the input, None without one."""
-    from onnx import numpy_helper
-
-    constants = {one.name: one for one in model.graph.initializer}
-    for node in model.graph.node:
-        if node.op_type == "Constant" and node.attribute:
-            constants[node.output[0]] = node.attribute[0].t
-    at = start
+    stored, at = constants(model), start
     for _ in range(4):
         readers = [node for node in model.graph.node if at in node.input]
         if len(readers) != 1:
             return None
         if readers[0].op_type in ("Sub", "Div", "Mul", "Add"):
-            others = [numpy_helper.to_array(constants[i]) for i in readers[0].input if i in constants]
+            others = [stored[name] for name in readers[0].input if name in stored]
             if others and others[0].size == 3:
                 return float(np.abs(others[0]).max())
         elif readers[0].op_type not in ("Identity", "Cast", "Resize", "Transpose"):
@@ -288,6 +308,7 @@ def _compared(
     facts: dict[str, str],
     picture: PictureInput,
     where: str,
+    before: Sequence[Stage],
 ) -> ParityReport:
     values = [f"front/{PIXELS}", SCORE_MAP, SCORE]
     found = run_each(graph, values, FRAMES, frames, picture.batch, where)
@@ -295,6 +316,7 @@ def _compared(
     level = 2 / 255 if picture.is_bytes else None
     stages = [
         Stage("input", pixels, found[0], "input", level),
+        *before,
         Stage("map", expected[0], found[1], "map", level),
         Stage("score", expected[1], found[2], "score", level),
         order_stage(expected[1], found[2]),

@@ -31,6 +31,7 @@ __all__ = ["anomalib"]
 
 # anomalib's maps: a Gaussian of four pixels, with torch's `reflect` border.
 SIGMA_PX = 4.0
+MOST_NEIGHBOURS = 1000
 NAMES = {"padim": "PaDiM", "patchcore": "PatchCore", "dfm": "DFM", "dfkde": "DFKDE"}
 
 
@@ -178,7 +179,7 @@ def _padim(model: _Model) -> Imported:
 def _patchcore(model: _Model) -> Imported:
     descriptor = Descriptor(model.found.layers, model.found.layers[0], "means", False)
     rows = float32(model.array("model.memory_bank", None, descriptor.width(model.grid)))
-    neighbours = int(model.found.options.get("num_neighbors", 9))
+    neighbours = model.found.option_count("num_neighbors", 9, MOST_NEIGHBOURS)
     mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
     head = patchcore_head(
         descriptor, model.grid, len(rows), neighbours, False, model.steps(upsampling="nearest")
@@ -194,7 +195,7 @@ def _patchcore(model: _Model) -> Imported:
 def _dfm(model: _Model) -> Imported:
     (tap,) = model.found.layers
     c, h, w = model.grid.taps[tap]
-    pool = int(model.found.options.get("pooling_kernel_size", 4))
+    pool = model.found.option_count("pooling_kernel_size", 4, min(h, w))
     kind = str(model.found.options.get("score_type", "fre"))
     if kind not in ("fre", "nll"):
         raise ConfigError(f"{model.path}: 'score_type' is {kind}, fre or nll was expected")
@@ -202,7 +203,13 @@ def _dfm(model: _Model) -> Imported:
     vectors = model.array("model.pca_model.singular_vectors", width, None)
     arrays = {"mean": model.array("model.pca_model.mean", width), "vectors": vectors.T}
     if kind == "nll":
-        u, sigma = (model.array(f"model.gaussian_model.{name}") for name in ("u_mat", "sigma_mat"))
+        sigma = model.array("model.gaussian_model.sigma_mat", None)
+        u = model.array("model.gaussian_model.u_mat", vectors.shape[1], len(sigma))
+        if not (sigma > 0).all():
+            raise ConfigError(
+                f"{model.path}: 'model.gaussian_model.sigma_mat' goes down to {sigma.min():.3g}, positive values were "
+                "expected; train with fewer components (pca_level)"
+            )
         arrays["centre"] = model.array("model.gaussian_model.mean_vec", vectors.shape[1])
         arrays["whitening"] = u / sigma
         arrays["offset"] = np.array([2 * np.log(sigma.astype(np.float64)).sum()])

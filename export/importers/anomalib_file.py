@@ -83,6 +83,15 @@ class AnomalibFile:
         found = self.options.get(name, usual)
         return str(found.args[0]) if isinstance(found, Record) and found.args else str(found)
 
+    def option_count(self, name: str, usual: int, most: int) -> int:
+        """An option that counts something. Errors: ConfigError for anything but a number of 1 to `most`."""
+        found = self.options.get(name, usual)
+        if type(found) is not int or not 1 <= found <= most:
+            raise ConfigError(
+                f"{self.path}: '{name}' is {described(found)}, a number of 1 to {most} was expected"
+            )
+        return found
+
     def plain_options(self) -> dict[str, Any]:
         """The options as JSON can hold them."""
         kinds = str | int | float | bool

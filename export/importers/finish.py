@@ -27,8 +27,8 @@ from calibration.fitting.self_check import apart_warnings, black_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
-from edge.core.detector import Bank
-from edge.core.errors import ConfigError
+from edge.core.detector import Bank, ScoreMaps
+from edge.core.errors import BundleCorrupt, ConfigError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Graphs, bundle_files
@@ -45,7 +45,7 @@ __all__ = ["ImportConfig", "Losses", "import_files"]
 
 # Presses on which the full form of the model is compared with the stored one.
 COMPARED_PRESSES = 8
-# What packing may change: scores, of the largest; the order of the presses is not checked where all are alike.
+# What packing may change: maps and scores, of the largest; the order of the presses is not checked where all are alike.
 PACKED_MOST = 0.05
 
 
@@ -71,11 +71,12 @@ class ImportConfig:
 @dataclass(frozen=True)
 class Losses:
     """What making the bank smaller costs, on the caller's presses, relative to the largest value. reduction: of raw
-    distances, thin form against the file's own; None where nothing was reduced. packing: of scores, and order: the rank
-    correlation of the scores of packed and unpacked bank."""
+    distances, thin form against the file's own; None where nothing was reduced. packing: of scores, packing_map: of
+    maps, and order: the rank correlation of the scores of packed and unpacked bank."""
 
     reduction: float | None
     packing: float
+    packing_map: float
     order: float
     bytes_stored: int
     bytes_unpacked: int
@@ -88,8 +89,8 @@ class Losses:
             else f"the reduction changes distances by at most {self.reduction:.2g} of the largest; "
         )
         return (
-            f"{first}packing changes scores by at most {self.packing:.2g} of the largest (rank correlation "
-            f"{self.order:.4f}); "
+            f"{first}packing changes scores by at most {self.packing:.2g} and maps by {self.packing_map:.2g} of the "
+            f"largest (rank correlation {self.order:.4f}); "
             f"the bank has {self.bytes_stored / 1e6:.2f} MB stored, {self.bytes_unpacked / 1e6:.2f} MB in use"
         )
 
@@ -136,7 +137,7 @@ class _Import:
         bare = self._fitted(self._facts(*placeholders(), None), ())
         scorer = Scorer(bare.bundle(), self.config.threads)
         scores = self._scores(scorer)
-        losses = self._losses(scores)
+        losses = self._losses(scorer)
         golden = golden_frames(scorer, self.presses.frames)
         tolerance = measured_tolerance(scorer, golden, self.config.threads)
         threshold = self._threshold(scores, tolerance)
@@ -161,24 +162,38 @@ class _Import:
             self.report("score", (k + 1) / len(self.presses))
         return scores
 
-    def _losses(self, scores: NDArray[np.float64]) -> Losses:
-        """Errors: BundleCorrupt where packing changes scores too much."""
+    def _losses(self, scorer: Scorer) -> Losses:
+        """Errors: BundleCorrupt where packing changes maps or scores too much."""
         stored = sum(self._stored_bytes(name) for name in self.model.bank.arrays)
         used = sum(array.nbytes for array in self.model.bank.arrays.values())
         if not self.model.bank.packing:
-            return Losses(self._reduction(), 0.0, 1.0, stored, used)
+            return Losses(self._reduction(), 0.0, 0.0, 1.0, stored, used)
         whole = replace(self.model, bank=Bank(self.model.bank.arrays))
         files = bundle_files(
             self._facts(*placeholders(), None), self.graphs, whole.bank, (), backbone=self.model.trunk.id
         )
-        scorer = Scorer(Fitted(*files).bundle(), self.config.threads)
-        frames = self.presses.frames[:COMPARED_PRESSES]
-        full = np.array([scorer.score(frame).anomaly_score for frame in frames])
-        packed = scores[: len(frames)]
-        report = compare([Stage("score of the packed bank", full, packed, "score", PACKED_MOST)])
-        report.raise_if_different()
-        return Losses(
-            self._reduction(), report.results[0].difference, rank_correlation(full, packed), stored, used
+        full = self._compared(Scorer(Fitted(*files).bundle(), self.config.threads))
+        packed = self._compared(scorer)
+        stages = [
+            Stage("map of the packed bank", full.score_map, packed.score_map, "map", PACKED_MOST),
+            Stage("score of the packed bank", full.score, packed.score, "score", PACKED_MOST),
+        ]
+        report = compare(stages)
+        if report.first_different is not None:
+            raise BundleCorrupt(
+                f"the packed bank of {self.source} differs from the full one: {report.first_different.sentence()}; "
+                "store it with --packing none, or float16 in place of int8; nothing is imported"
+            )
+        of_map, of_score = (result.difference for result in report.results)
+        order = rank_correlation(full.score, packed.score)
+        return Losses(self._reduction(), of_score, of_map, order, stored, used)
+
+    def _compared(self, scorer: Scorer) -> ScoreMaps:
+        """Maps and scores of the presses that are compared."""
+        scored = [scorer.score(frame) for frame in self.presses.frames[:COMPARED_PRESSES]]
+        return ScoreMaps(
+            np.stack([one.score_map for one in scored]).astype(np.float64),
+            np.array([one.anomaly_score for one in scored]),
         )
 
     def _stored_bytes(self, name: str) -> int:

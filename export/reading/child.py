@@ -47,6 +47,10 @@ def main(file: Path, out: Path, memory_bytes: int, cpu_s: int, disk_bytes: int) 
         written = {"form": form, "isolation": isolation, "values": encoded(content, out)}
     except MemoryError:
         written = {"error": f"reading it needs more than the {memory_bytes >> 20} MiB allowed"}
+    except OSError as error:
+        written = {
+            "error": f"it cannot be read, or an array of it exceeds the {disk_bytes >> 20} MiB allowed ({error})"
+        }
     except Exception as error:  # noqa: BLE001 (foreign bytes raise any error; its words go to the caller)
         written = {"error": _words(error)}
     (out / "content.json").write_text(json.dumps(written))

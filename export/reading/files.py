@@ -12,7 +12,9 @@ from export.reading.faiss_index import is_faiss, read_flat_index
 from export.reading.foreign import Content
 from export.reading.torch_files import is_archive, is_stream, read_archive, read_pickle, read_stream
 
-__all__ = ["MOST_BYTES", "form_of", "read_here"]
+__all__ = ["MOST_BYTES", "OPENVINO", "OTHERS", "form_of", "read_here"]
+
+OPENVINO = "OpenVINO model"
 
 MOST_BYTES = 8 << 30
 """The largest file: PaDiM of 550 channels at 224x224 has 3.8 GB."""
@@ -29,7 +31,7 @@ def form_of(start: bytes, name: str = "") -> str:
     if is_faiss(start):
         return "faiss index"
     if b"<net" in start[:200]:
-        return "OpenVINO model"
+        return OPENVINO
     if start[:1] == b"\x80" and start[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05"):
         return "pickle"
     return "ONNX model" if start[:1] == b"\x08" else ""
@@ -45,7 +47,7 @@ def read_here(path: Path) -> tuple[str, Content]:
         file.seek(0)
         reader = _READERS.get(form)
         if reader is None:
-            raise ValueError(_OTHERS.get(form, _OTHERS[""]))
+            raise ValueError(OTHERS.get(form, OTHERS[""]))
         return form, reader(file)
 
 
@@ -63,15 +65,15 @@ def _read_npz(file: Any) -> Content:
         return {name: arrays[name] for name in arrays.files}
 
 
-# Files that are not read here, and where they go.
-_OTHERS = {
+OTHERS = {
     "ONNX model": "it is an ONNX model, a finished graph: gelgate wrap takes it; the checkpoint of the same training "
     "(.ckpt) gives a smaller bundle here",
-    "OpenVINO model": "it is an OpenVINO model, whose weights are in another file: export the same training as ONNX "
-    "for gelgate wrap, or give its checkpoint (.ckpt)",
+    OPENVINO: "it is an OpenVINO model, which cannot become ONNX again: export the same training as ONNX for gelgate "
+    "wrap (anomalib: engine.export(model, ExportType.ONNX)), or give its checkpoint (.ckpt) to gelgate export import",
     "": "it is of no known kind; a PyTorch file (.ckpt, .pt, .pth), a pickle, a NumPy file or a faiss index was "
     "expected",
 }
+"""Files that are not read here, and where they go."""
 
 _READERS: dict[str, Callable[[Any], Content]] = {
     "PyTorch archive": read_archive,

@@ -23,9 +23,10 @@ __all__ = ["IMAGENET", "InputSteps", "applied", "cubic_matrix", "input_planes", 
 class InputSteps:
     """What is done to a frame, uint8 RGB (h, w, 3).
 
-    mean, std: of RGB in 0..1, after the steps before them. size: (h, w) to resize to, linear with antialiasing; None
-    keeps the frame's. background: uint8 (h, w, 3), the picture without contact, subtracted. offset: added after the
-    subtraction, with the result limited to 0..1. copies: how often the three channels are given.
+    mean, std: of RGB in 0..1, after the steps before them. size: (h, w) to resize to, linear; None keeps the frame's.
+    background: uint8 (h, w, 3), the picture without contact, subtracted. offset: added after the subtraction, with the
+    result limited to 0..1. copies: how often the three channels are given. is_antialiased: whether a smaller picture
+    averages all pixels, as most training programs do.
     """
 
     mean: tuple[float, float, float]
@@ -34,6 +35,7 @@ class InputSteps:
     background: NDArray[np.uint8] | None = None
     offset: float = 0.0
     copies: int = 1
+    is_antialiased: bool = True
 
     def __post_init__(self) -> None:
         if not (np.isfinite([*self.mean, *self.std, self.offset]).all() and min(self.std) > 0):
@@ -50,7 +52,8 @@ class InputSteps:
         if self.background is not None and self.offset:
             steps.append(f"+{self.offset:g}, limited to 0..1")
         if self.size is not None:
-            steps.append(f"resize {self.size[0]}x{self.size[1]}")
+            plainly = "" if self.is_antialiased else " without antialiasing"
+            steps.append(f"resize {self.size[0]}x{self.size[1]}{plainly}")
         steps.append(f"-{_listed(self.mean)}, /{_listed(self.std)}")
         if self.copies > 1:
             steps.append(f"the settled frame {self.copies} times")
@@ -87,15 +90,19 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
     if steps.size is not None and steps.size != frame:
         if frame is None:
             raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
-        x = _resized(graph, x, frame, steps.size)
+        x = _resized(graph, x, frame, steps.size, steps.is_antialiased)
     x = graph.op("Mul", x, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
     x = graph.op("Add", x, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
     return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
 
 
-def _resized(graph: Graph, planes: Value, frame: tuple[int, int], size: tuple[int, int]) -> Value:
+def _resized(
+    graph: Graph, planes: Value, frame: tuple[int, int], size: tuple[int, int], is_antialiased: bool
+) -> Value:
     """Two products with fixed matrices: runtimes differ in how they resize with antialiasing at the border."""
-    rows, columns = (linear_matrix(a, b).astype(np.float32) for a, b in zip(frame, size, strict=True))
+    rows, columns = (
+        linear_matrix(a, b, is_antialiased).astype(np.float32) for a, b in zip(frame, size, strict=True)
+    )
     across = graph.op("MatMul", planes, graph.constant(columns.T))
     return graph.op("MatMul", graph.constant(rows), across)
 
@@ -109,16 +116,19 @@ def applied(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]
     if steps.background is not None and steps.offset:
         x = np.clip(x + steps.offset, 0, 1)
     if steps.size is not None and steps.size != frames.shape[1:3]:
-        rows, columns = (linear_matrix(a, b) for a, b in zip(frames.shape[1:3], steps.size, strict=True))
+        rows, columns = (
+            linear_matrix(a, b, steps.is_antialiased)
+            for a, b in zip(frames.shape[1:3], steps.size, strict=True)
+        )
         x = np.einsum("yh,nhwc,xw->nyxc", rows, x, columns, optimize=True)
     x = (x - np.asarray(steps.mean)) / np.asarray(steps.std)
     planes = np.ascontiguousarray(x.transpose(0, 3, 1, 2))
     return np.concatenate([planes] * steps.copies, axis=1)
 
 
-def linear_matrix(source: int, target: int) -> NDArray[np.float64]:
-    """Linear resampling with antialiasing as a matrix (target, source)."""
-    return _resampling(source, target, lambda x: np.clip(1 - np.abs(x), 0, None))
+def linear_matrix(source: int, target: int, is_antialiased: bool = True) -> NDArray[np.float64]:
+    """Linear resampling as a matrix (target, source)."""
+    return _resampling(source, target, lambda x: np.clip(1 - np.abs(x), 0, None), is_antialiased)
 
 
 def cubic_matrix(source: int, target: int) -> NDArray[np.float64]:
@@ -134,12 +144,16 @@ def cubic_matrix(source: int, target: int) -> NDArray[np.float64]:
 
 
 def _resampling(
-    source: int, target: int, kernel: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    source: int,
+    target: int,
+    kernel: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    is_antialiased: bool = True,
 ) -> NDArray[np.float64]:
-    """The kernel is widened to an output pixel where pixels become fewer; rows sum to 1 at the border too."""
+    """With antialiasing the kernel is widened to an output pixel where pixels become fewer; rows sum to 1 at the
+    border too."""
     scale = source / target
     centres = (np.arange(target) + 0.5) * scale - 0.5
-    weights = kernel((np.arange(source) - centres[:, None]) / max(scale, 1.0))
+    weights = kernel((np.arange(source) - centres[:, None]) / (max(scale, 1.0) if is_antialiased else 1.0))
     matrix: NDArray[np.float64] = weights / weights.sum(axis=1, keepdims=True)
     return matrix
 

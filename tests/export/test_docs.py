@@ -13,8 +13,10 @@ import numpy as np
 import onnx.parser
 import pytest
 import tiny
+from anomalib_files import SMALL
 from typer.testing import CliRunner
 from vit_states import random_vit, save_safetensors
+from vqgan_states import random_vqgan
 
 from edge.cli import build
 from edge.model.bundle import Bundle, write_bundle
@@ -81,6 +83,7 @@ def encoders(folder: Path) -> None:
         for k, v in random_vit(patch=56, channels=6, registers=1).items()
     }
     save_safetensors(folder / "sparsh.safetensors", both)
+    save_safetensors(folder / "unit.safetensors", random_vqgan())
     cv2.imwrite(str(folder / "free_gel.png"), np.full((240, 320, 3), 120, np.uint8))
 
 
@@ -95,6 +98,7 @@ def networks(folder: Path) -> None:
 
 def detectors(folder: Path) -> None:
     pictures(folder)
+    shutil.copytree(SMALL / "padim_onnx", folder / "anomalib_export")
     inside = "y = Sub (input, grey)  z = Abs (y)  far = ReduceMean <axes = [1], keepdims = 1> (z)"
     for name, ending in (
         (

@@ -1,6 +1,6 @@
 """Mutated files never give a traceback: each is read, or refused in one sentence of our own.
 
-`make test-fuzz` runs two thousand; a normal run a few of each kind.
+`make test-fuzz` runs 400 of each kind; a normal run a few.
 """
 
 import os
@@ -12,6 +12,7 @@ import onnx.parser
 import pytest
 import tiny
 from vit_states import random_vit, save_safetensors
+from vqgan_states import random_vqgan
 
 from edge.core.errors import GelgateError
 from edge.model.bundle import Bundle
@@ -46,6 +47,10 @@ def write_vit(path: Path) -> None:
     save_safetensors(path, {key: value for key, value in random_vit(1).items() if "mlp" not in key})
 
 
+def write_vqgan(path: Path) -> None:
+    save_safetensors(path, random_vqgan())
+
+
 def write_stages(path: Path) -> None:
     np.savez(path, frames=FRAMES, map=np.zeros((1, 32, 32)), score=np.zeros(1))
 
@@ -57,6 +62,10 @@ def write_checkpoint(path: Path) -> None:
 
 def transformer(path: Path) -> object:
     return export_backbone(path, None, BackboneOptions("own", taps=("block0",), frame=(32, 32)))
+
+
+def vqgan(path: Path) -> object:
+    return export_backbone(path, None, BackboneOptions("own", taps=("level0",), frame=(8, 8)))
 
 
 def taps(path: Path) -> object:
@@ -73,6 +82,7 @@ def detector(path: Path) -> object:
 
 KINDS: dict[str, tuple[str, Callable[[Path], object], Importer]] = {
     "transformer": ("w.safetensors", write_vit, transformer),
+    "VQGAN": ("w.safetensors", write_vqgan, vqgan),
     "taps of a graph": ("g.onnx", lambda path: path.write_bytes(graph()), taps),
     "single graph": ("d.onnx", lambda path: path.write_bytes(graph()), detector),
     "stages": ("s.npz", write_stages, stages),

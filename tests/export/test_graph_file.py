@@ -90,3 +90,11 @@ def test_a_missing_file_is_named(split: Path) -> None:
         read_graph(split)
     with pytest.raises(ConfigError, match=r"none\.onnx cannot be read: No such file"):
         read_graph(split.with_name("none.onnx"))
+
+
+def test_an_openvino_model_is_refused_with_the_next_step(tmp_path: Path) -> None:
+    """Its graph is read by no ONNX program; the same training gives a file that is."""
+    file = tmp_path / "model.xml"
+    file.write_text('<?xml version="1.0"?>\n<net name="onnx_Frontend_IR" version="11">\n\t<layers>')
+    with pytest.raises(ConfigError, match=r"model\.xml cannot be used: it is an OpenVINO model, .* as ONNX"):
+        read_graph(file)

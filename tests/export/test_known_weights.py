@@ -53,9 +53,12 @@ def test_encoders_have_licences() -> None:
         "tvl": False,
         "t3": False,
         "sparsh": True,
+        "unit": False,
     }
-    with pytest.raises(ConfigError, match="no touch encoder is named 'unit'; known: tvl, t3, sparsh"):
-        encoder("unit")
+    with pytest.raises(
+        ConfigError, match="no touch encoder is named 'anytouch'; known: tvl, t3, sparsh, unit"
+    ):
+        encoder("anytouch")
 
 
 @pytest.mark.parametrize("text", [None, "", "  ", "two\nlines", "x" * 201])

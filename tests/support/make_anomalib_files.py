@@ -4,9 +4,9 @@ It runs under an interpreter that has anomalib (`make test-importers` makes one)
 
     python make_anomalib_files.py PICTURES WEIGHTS.npz OUT '{"padim": {"backbone": "resnet18"}}' 224x224
 
-PICTURES has the folders `good` and `bad`. Per model: `OUT/<name>.ckpt`, `.pt`, `.onnx`, OpenVINO's `.xml` and `.bin`,
-and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every picture of `good`, then `bad`, before
-normalisation.
+PICTURES has the folders `good` and `bad`. Per model: `OUT/<name>.ckpt`, `.pt`, `<name>_onnx/model.onnx` with its
+`model.onnx.data`, OpenVINO's `.xml` and `.bin`, and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every
+picture of `good`, then `bad`, before normalisation.
 """
 
 import json
@@ -35,6 +35,15 @@ from anomalib.deploy import ExportType
 from anomalib.engine import Engine
 from anomalib.models import Dfkde, Dfm, Padim, Patchcore
 
+_mean = torch.mean
+
+
+def mean(values, *args, device=None, **options):
+    """anomalib 2.7.0 gives torch.mean a device, which it refuses, so its DFM of `nll` cannot be fitted as it is."""
+    return _mean(values, *args, **options)
+
+
+torch.mean = mean
 MODELS = {"padim": Padim, "patchcore": Patchcore, "dfm": Dfm, "dfkde": Dfkde}
 
 
@@ -127,8 +136,11 @@ def main(folder: Path, weights: Path, out: Path, wanted: dict, size: tuple[int, 
             model_path = engine.export(
                 model=model, export_type=ExportType(form), export_root=out / "export" / name
             )
+            if form == "onnx":
+                # The graph names the file of its weights, so both keep their names.
+                shutil.copytree(Path(model_path).parent, out / f"{name}_onnx", dirs_exist_ok=True)
             for file in Path(model_path).parent.iterdir():
-                if file.suffix in (".pt", ".onnx", ".xml", ".bin"):
+                if file.suffix in (".pt", ".xml", ".bin"):
                     shutil.copy(file, out / f"{name}{file.suffix}")
 
 

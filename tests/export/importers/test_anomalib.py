@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 from toy_trunk import features_of, toy_trunk
 
 from edge.core.errors import ConfigError
+from export.graph_file import read_graph
 from export.importers.anomalib import anomalib
 from export.importers.contract import Imported, Settings
 from export.importers.framing import Framing, framed_trunk, resizing_matrix
+from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
 from export.reading.files import read_here
 from export.reading.foreign import Foreign
+from export.single_graph import adapted
 
 PIXELS_PER_MM = 15.77
 # Scores of float32 graphs in another order of sums, relative to the largest: measured 2e-6 to 2e-5.
@@ -191,6 +194,67 @@ def test_a_wrong_field_is_named(change: str) -> None:
     assert "padim.ckpt" in str(refused.value)
 
 
+def nll(sigma: NDArray[np.float32], rows: int = 0, columns: int = 0) -> Change:
+    """Make a DFM of `fre` one of `nll`, with these singular values; its vectors lack `rows` and `columns`."""
+
+    def edit(content: dict[Any, Any]) -> None:
+        count = content["state_dict"]["model.pca_model.singular_vectors"].shape[1]
+        u = np.eye(count, len(sigma), dtype=np.float32)[: count - rows, columns:]
+        arrays = {"u_mat": u, "sigma_mat": sigma, "mean_vec": np.zeros(count, np.float32)}
+        content["state_dict"].update({f"model.gaussian_model.{key}": value for key, value in arrays.items()})
+        content["hyper_parameters"]["score_type"] = "nll"
+
+    return edit
+
+
+OPTIONS: dict[str, tuple[str, Change, str]] = {
+    "no pooling": (
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(pooling_kernel_size=0),
+        r"'pooling_kernel_size' is int 0, a number of 1 to 8 was expected",
+    ),
+    "pooling larger than the map": (
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(pooling_kernel_size=9), "is int 9, a number of 1 to 8",
+    ),
+    "pooling that is a text": (
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(pooling_kernel_size="four"), "is str 'four', a number",
+    ),
+    "an unknown score": (
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(score_type="mse"), "'score_type' is mse, fre or nll was",
+    ),
+    "nll without its Gaussian": (
+        "dfm.ckpt", lambda c: c["hyper_parameters"].update(score_type="nll"),
+        r"gaussian_model\.sigma_mat' is (missing|empty)",
+    ),
+    "a Gaussian without width": (
+        "dfm.ckpt", nll(np.array([1, 0], np.float32)), r"'model\.gaussian_model\.sigma_mat' goes down to 0, positive",
+    ),
+    "a Gaussian of another width": (
+        "dfm.ckpt", nll(np.ones(2, np.float32), rows=1), r"gaussian_model\.u_mat' ",
+    ),
+    "a Gaussian of another depth": (
+        "dfm.ckpt", nll(np.ones(2, np.float32), columns=1), r"gaussian_model\.u_mat' ",
+    ),
+    "no neighbours": (
+        "patchcore.pt", lambda c: c["model"].state["_hparams"].state.append(["num_neighbors", 0]),
+        "'num_neighbors' is int 0, a number of 1",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", OPTIONS)
+def test_a_wrong_option_is_named(change: str) -> None:
+    """Counts that are no counts, and methods that lack their arrays."""
+    name, edit, sentence = OPTIONS[change]
+    file = opened(SMALL / name)
+    if "state_dict" in file.content:
+        file.content["state_dict"] = dict(file.content["state_dict"])
+    edit(file.content)
+
+    with pytest.raises(ConfigError, match=sentence) as refused:
+        anomalib.imported(file, Settings((48, 64), PIXELS_PER_MM))
+    assert name in str(refused.value)
+
+
 @pytest.mark.parametrize(("pixels", "onto"), [(240, 64), (48, 32), (31, 64), (64, 64)])
 @pytest.mark.parametrize("is_antialiased", [True, False])
 def test_a_resize_is_pytorchs(pixels: int, onto: int, is_antialiased: bool) -> None:
@@ -230,9 +294,9 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     write_pictures(tmp_path / "pictures", frames, 3)
     write_weights(tmp_path / "weights.npz")
     wanted = {
-        "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch"]},
+        "padim": {"backbone": "resnet18", "n_features": 30, "formats": ["torch", "onnx"]},
         "patchcore": {"backbone": "resnet18", "center_crop_size": [32, 32], "formats": ["torch"]},
-        "dfm": {**WANTED["dfm"], "layer": "layer3", "score_type": "nll"},
+        "dfm": {**WANTED["dfm"], "layer": "layer2", "score_type": "nll"},
         "dfkde": {**WANTED["dfkde"], "layers": ["layer4"]},
     }
     wanted["dfm"]["pca_level"] = 0.9
@@ -249,3 +313,8 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
                 {k: v for k, v in expected.items() if "map" not in k},
                 "exported_",
             )
+    wrapped = adapted(read_graph(made / "padim_onnx" / "model.onnx"), frames)
+    (score,) = run_values(wrapped.graph, ["score"], {"frames": frames}, "the adapted graph")
+    expected = np.load(made / "padim.npz")["exported_score"].astype(np.float64)
+    compare([Stage("score", expected, score, "score", ALIKE)]).raise_if_different()
+    assert "limited to 0..1" in wrapped.found["normalisation"]

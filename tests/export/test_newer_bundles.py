@@ -1,0 +1,60 @@
+"""A bundle that a newer program wrote is refused by name, by every verb and by the example, and nothing is written."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+from typer.testing import CliRunner
+
+from edge.cli import build
+from edge.core.errors import BundleMismatch
+from edge.model.bundle import write_bundle
+from edge.model.manifest import SCHEMA_VERSION
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "score_bundle.py"
+
+
+@pytest.fixture
+def newer(tmp_path: Path) -> Path:
+    """A bundle of the next schema, and stages next to it."""
+    folder = tmp_path / "bolt"
+    write_bundle(folder, tiny.tiny_files()[1])
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "schema_version": SCHEMA_VERSION + 1}))
+    np.savez(tmp_path / "stages.npz", frames=tiny.presses(1))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ("merge", "{bundle}", "-o", "{out}.onnx"),
+        ("parity", "{bundle}", "{stages}", "--report", "{out}"),
+        ("precision", "{bundle}", "{presses}", "-o", "{out}"),
+    ],
+)
+def test_verbs_refuse_it(newer: Path, verb: tuple[str, ...]) -> None:
+    """The sentence names both schemas."""
+    names = {name: newer.parent / name for name in ("out", "presses")}
+    names |= {"bundle": newer, "stages": newer.parent / "stages.npz"}
+    names["presses"].mkdir()
+    before = sorted(newer.parent.iterdir())
+
+    with pytest.raises(BundleMismatch, match=f"schema {SCHEMA_VERSION + 1}, this program reads up to"):
+        CliRunner().invoke(
+            build(), ["export", *(word.format(**names) for word in verb)], catch_exceptions=False
+        )
+    assert sorted(newer.parent.iterdir()) == before
+
+
+def test_the_example_refuses_it(newer: Path) -> None:
+    """Also a program that has nothing of gelgate."""
+    done = subprocess.run([sys.executable, "-I", str(EXAMPLE), str(newer)], capture_output=True, text=True)
+
+    assert done.returncode != 0
+    assert f"manifest schema {SCHEMA_VERSION + 1}, this program reads 1" in done.stderr
+    assert "Traceback" not in done.stderr
