@@ -209,6 +209,13 @@ class StationStatus:
         else:
             self.clear("receiver")
 
+    def new_bundles(self, faults: Sequence[str]) -> None:
+        """An alarm while a configured bundle cannot be used; the ones in use inspect."""
+        if faults:
+            self.alarm("bundle", "; ".join(faults))
+        else:
+            self.clear("bundle")
+
     def counts(self, findings: Sequence[str]) -> None:
         """An alarm for counts that had to be corrected; it stays until the end of this process."""
         if findings:
