@@ -8,10 +8,16 @@ from parts import parts_config, threshold, variant
 from station import Motion, press_recording
 from stepped_station import SteppedStation
 
+from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch, ConfigError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Message
+from edge.gateway.bundle_set import BundleSet
+from edge.gateway.bundle_stage import BundleStage
+from edge.gateway.opening import BundleOpener, Opened
+from edge.model.archive import open_archive
+from edge.model.session import TrunkSessions
 from edge.store.press_store import Store
 
 PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
@@ -258,6 +264,46 @@ def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, fo
         reloaded(station)
         assert "'unheard' is not known" in str(retained(station, "alarm/bundle"))
         assert station.loop.selection.part == PZ0
+
+
+def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None:
+    """A gateway that runs for months keeps the backbones of its bundles and no others."""
+    trunks = TrunkSessions()
+    opener = BundleOpener(None, 1, SystemClock())
+    opener.trunks = trunks
+    table = load_config(config).inspection
+    bundles = opener.open(table).bundles
+    digest = bundles[PZ0].bundle.trunk_sha256
+    graph = open_archive(bundles[PZ0].path).read("trunk.onnx", 1 << 20)
+    trunks.get("another", graph, "a test")
+    assert (digest in trunks, "another" in trunks) == (True, True)
+    opener.open(table, bundles)
+
+    assert (digest in trunks, "another" in trunks) == (True, False)
+
+
+def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(config: Path) -> None:
+    """The bundles' thread does not end by it: the next reload is served."""
+    with SteppedStation(config) as station:
+        outcomes: list[Opened | Exception] = [
+            RuntimeError("no such thing"),
+            Opened(station.loop.selection.bundles, {}),
+        ]
+
+        def opened(in_use: BundleSet) -> Opened:
+            outcome = outcomes.pop(0)
+            if isinstance(outcome, Exception):
+                raise outcome
+            return outcome
+
+        stage = BundleStage(opened)
+        stage.request(BundleSet())
+        stage.step()
+        assert "no such thing" in str(stage.take())
+        stage.request(BundleSet())
+        stage.step()
+        assert isinstance(stage.take(), Opened)
+        assert stage.take() is None
 
 
 def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:

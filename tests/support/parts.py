@@ -12,6 +12,7 @@ def variant(bundle: Path, path: Path, **changes: Any) -> Path:
     """A copy of the bundle whose manifest differs in these fields, written in the place of an earlier one."""
     if path.exists():
         shutil.rmtree(path)
+    path.parent.mkdir(exist_ok=True)
     shutil.copytree(bundle, path)
     manifest = json.loads((path / "manifest.json").read_text())
     (path / "manifest.json").write_text(json.dumps({**manifest, **changes}))
