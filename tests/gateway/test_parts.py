@@ -168,7 +168,7 @@ def test_two_bundles_for_one_position_are_refused(config: Path, folder: Path, bu
 def test_a_bundle_for_another_reading_of_the_sensor_is_refused(
     config: Path, folder: Path, bundle: Path
 ) -> None:
-    """A switch between presses cannot set the camera anew."""
+    """A switch between presses leaves the camera as it is."""
     profile = json.loads((bundle / "manifest.json").read_text())["profile"]
     variant(bundle, folder / "c", part="PZ3", profile={**profile, "controls": {"exposure": 7}})
     with pytest.raises(BundleMismatch, match=r"needs the sensor's controls \{'exposure': 7\}"):
@@ -319,7 +319,7 @@ def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:
 
 
 def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
-    """Neither now nor later: whoever asked has the error."""
+    """Neither now nor later: the request is answered with the error."""
     with SteppedStation(config) as station:
         station.loop.step(None)
         with station.refusing("selected"), pytest.raises(StoreError, match="no room"):
