@@ -55,8 +55,8 @@ class BundleOpener:
         self._clock = clock
 
     def open(self, table: InspectionTable, before: BundleSet | None = None) -> Opened:
-        """Every bundle of the table. A bundle of `before` is kept where it has not changed, and where the new one at
-        its path has a fault.
+        """Every bundle of the table. A bundle of `before` is kept where it has not changed and its golden frames
+        scored well, and where the new one at its path has a fault.
 
         Errors: ConfigError for the trusted keys, and for a folder without a bundle.
         """
@@ -78,7 +78,8 @@ class BundleOpener:
         self, one: BundleTable, table: InspectionTable, trust: Trust, earlier: OpenBundle | None
     ) -> OpenBundle:
         """Errors: BundleError."""
-        if earlier is not None and _digest(one.path, trust) == earlier.bundle.digest:
+        is_sound = earlier is not None and earlier.inspector.fault is None
+        if earlier is not None and is_sound and _digest(one.path, trust) == earlier.bundle.digest:
             return OpenBundle(one.path, one.names, earlier.inspector, earlier.golden_difference)
         if self._tried is not None:
             try_once(one.path, trust, table.threads, self._tried)

@@ -43,6 +43,7 @@ class PartSelection:
         self._status = status
         self._clock = clock
         self._is_recorded = False
+        self._unrecorded: Act | None = None
         self._golden = GoldenWatch(clock)
         self._golden.watch(self.inspector, is_checked=True)
 
@@ -76,9 +77,12 @@ class PartSelection:
 
     def step(self, *, is_pressed: bool) -> bool:
         """One turn: take new bundles, change the one in use, score a golden frame. Returns whether the one in use has
-        changed. Errors: StoreError, and then nothing has changed; the next turn tries again."""
+        changed. Errors: StoreError, and then it has not; the next turn tries again."""
         if (staged := self._stage.take()) is not None:
             self._take(staged)
+        if self._unrecorded is not None:
+            self._store.begin_act(self._unrecorded, within_s=0)
+            self._unrecorded = None
         if is_pressed:
             return False
         if self.is_waiting or not self._is_recorded:
@@ -120,12 +124,12 @@ class PartSelection:
         return new if new.inspector is self.inspector else self._in_use
 
     def _report(self, faults: list[str]) -> None:
-        """Into the log, the alarm and the table of acts. Errors: StoreError."""
+        """Into the log and the alarm; `step` writes it into the table of acts."""
         for fault in faults:
             log.error("%s", fault)
         self._status.new_bundles(faults)
         bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
-        act = Act(
+        self._unrecorded = Act(
             self._clock.time_ns(),
             "the gateway",
             "open_bundles",
@@ -133,7 +137,6 @@ class PartSelection:
             sentence="; ".join(faults) or None,
             after={"bundles": bundles},
         )
-        self._store.begin_act(act, within_s=0)
 
     def _report_golden(self) -> None:
         """While golden frames score otherwise, no press has a verdict."""

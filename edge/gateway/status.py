@@ -149,6 +149,7 @@ class StationStatus:
             method=manifest.method,
             backbone=manifest.backbone.id if manifest.backbone else None,
             bundle_id=bundle.digest,
+            revision=manifest.revision,
             threshold=manifest.threshold.value,
             false_alarms=promise(manifest.threshold),
             warnings=manifest.provenance.warnings,

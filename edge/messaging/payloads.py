@@ -127,6 +127,7 @@ class InfoPayload(Payload):
     method: str | None = Field(default=None, description="detector of the bundle in use")
     backbone: str | None = None
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
+    revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
     threshold: float | None = None
     false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
     warnings: tuple[str, ...] = Field(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -67,6 +68,25 @@ def test_without_a_terminal_sighup_reloads_and_does_not_end_it(bench: Bench) -> 
 
     assert running.returncode == 0, err
     assert "is not a gelgate manifest" in str(payloads(bench, "alarm/bundle")[-1])
+
+
+def test_a_closed_terminal_ends_it(bench: Bench) -> None:
+    """A person who closes the window does not leave a gateway behind."""
+    config = bench.config()
+    config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
+    ours, theirs = pty.openpty()
+    command = [GELGATE, "run", "--config", config]
+    running = subprocess.Popen(
+        command, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    assert awaited(bench, "gel", running), "no frame arrived in time"
+    running.send_signal(signal.SIGHUP)
+    _, err = running.communicate(timeout=START_TIMEOUT_S)
+    os.close(ours)
+    os.close(theirs)
+
+    assert running.returncode == 0, err
+    assert "stopped" in str(payloads(bench, "state")[-1])
 
 
 def awaited(bench: Bench, topic: str, running: "subprocess.Popen[str]") -> bool:

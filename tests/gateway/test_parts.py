@@ -318,6 +318,20 @@ def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:
     assert act.after["bundles"]["PZ0/pos1"] == digest
 
 
+def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(config: Path) -> None:
+    """The new bundles are used meanwhile; their row of the table of acts is not lost."""
+    with SteppedStation(config) as station:
+        station.loop.step(None)
+        with station.refusing("acts"):
+            reloaded(station)
+            assert station.loop.is_halted
+            assert station.parts.store.acts() == []
+        station.loop.step(None)
+
+        assert not station.loop.is_halted
+        assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
+
+
 def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
     """Neither now nor later: the request is answered with the error."""
     with SteppedStation(config) as station:
@@ -350,6 +364,10 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
         assert "golden frame 0" in str(retained(station, "alarm/golden"))
         assert (retained(station, "state") or {})["state"] == "halted"
         assert station.loop.selection.inspector.fault is not None
+
+        before = station.loop.selection.bundles
+        again = BundleOpener(None, 1, SystemClock()).open(load_config(config).inspection, before).bundles
+        assert [again[part].inspector is before[part].inspector for part in (PZ0, PZ1)] == [False, True]
 
         scorer._bank["mean"].update_inplace(mean)
         station.clock.sleep(61)
