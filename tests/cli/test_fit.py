@@ -136,3 +136,6 @@ def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_
         found.append(Bundle.load(tmp_path / "bolt").manifest.revision)
 
     assert found == [1, 2, 9, 10]
+    assert ["revision", "10"] in [
+        line.split() for line in run("inspect", tmp_path / "bolt").output.splitlines()
+    ]

@@ -326,7 +326,7 @@ def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(config
             reloaded(station)
             assert station.loop.is_halted
             assert station.parts.store.acts() == []
-        station.loop.step(None)
+        turns(station, 3)
 
         assert not station.loop.is_halted
         assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
@@ -382,6 +382,17 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
         assert "golden frame 0" in str(retained(station, "alarm/golden"))
         station.loop.select_part("PZ0")
         assert retained(station, "alarm/golden") is None
+
+
+def test_no_press_has_a_verdict_while_golden_frames_fail(config: Path) -> None:
+    """Each is an error with the reason, and is counted."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        station.loop.selection.inspector.fault = "golden frame 0 scores 9"
+        station.play()
+
+        assert [report.result.error for report in station.reports] == ["golden frame 0 scores 9"] * 3
+        assert [report.result.verdict for report in station.reports] == [None] * 3
 
 
 def turns(station: SteppedStation, count: int) -> None:
