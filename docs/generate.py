@@ -142,9 +142,10 @@ def config_page() -> str:
 def _config() -> Iterator[str]:
     yield (
         "# Configuration\n\n"
-        "One TOML file describes a station. It is read once, at the start; an unknown key is refused with the nearest\n"
-        "known name, and every fault is in one report (`gelgate check`). Relative paths, those in plugin options\n"
-        "too, are taken from the file's own folder. `gelgate check --example` prints this one:\n\n"
+        "One TOML file describes a station. It is read at the start, and its `[inspection]` again at a reload; an\n"
+        "unknown key is refused with the nearest known name, and every fault is in one report (`gelgate check`).\n"
+        "Relative paths, those in plugin options too, are taken from the file's own folder. `gelgate check --example`\n"
+        "prints this one:\n\n"
         f"```toml\n{EXAMPLE}```\n"
     )
     schema = Config.model_json_schema()
@@ -154,6 +155,10 @@ def _config() -> Iterator[str]:
         inner = schema["$defs"][model]
         yield f"## [{name}]\n\n{_paragraphs(inner['description'])}\n"
         yield from _table(inner, schema["$defs"])
+        for field, value in inner["properties"].items():
+            for listed in _table_options(value.get("items", {}), schema["$defs"]):
+                yield f"### [[{name}.{field}]]\n\n{_paragraphs(listed['description'])}\n"
+                yield from _table(listed, schema["$defs"])
     yield "## [device] and [[sinks]]\n\nOne plugin each, with its own options below. Sinks have `name`.\n"
     yield from _table(schema["$defs"]["SinkTable"], schema["$defs"])
 

@@ -27,7 +27,16 @@ from edge.core.plugins import HasIdentity
 from edge.core.sink_context import topic_level
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["Config", "PluginTable", "SinkTable", "StationTable", "load_config", "sink_names"]
+__all__ = [
+    "BundleTable",
+    "Config",
+    "InspectionTable",
+    "PluginTable",
+    "SinkTable",
+    "StationTable",
+    "load_config",
+    "sink_names",
+]
 
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T", bound="PluginTable")
@@ -72,10 +81,41 @@ class StationTable(_Table):
     )
 
 
-class InspectionTable(_Table):
-    """What is inspected."""
+class BundleTable(_Table):
+    """One bundle of a station with several, and the names that select it."""
 
-    bundle: Path = Field(description="folder or .zip made by `gelgate fit`")
+    path: Path = Field(description="folder or .zip made by `gelgate fit`")
+    names: tuple[PlainText, ...] = Field(
+        default=(),
+        description="other names of its part, such as the code on it; `part/position` selects it too",
+    )
+
+
+class InspectionTable(_Table):
+    """What is inspected. Exactly one of `bundle`, `bundles` and `bundle_folder` is given.
+
+    With several bundles, `cmd/select_part` chooses the one that inspects; all have the same sensor profile but for
+    picture size and scale.
+    """
+
+    bundle: Path | None = Field(
+        default=None, description="folder or .zip made by `gelgate fit`, of a station with one bundle"
+    )
+    bundles: tuple[BundleTable, ...] = Field(
+        default=(), description="several bundles, one for each position of each part"
+    )
+    bundle_folder: Path | None = Field(
+        default=None, description="several bundles: every folder with a manifest.json and every .zip in it"
+    )
+    part: PlainText | None = Field(
+        default=None,
+        description="name of the part that a new station starts with, the first one by default; later it starts with "
+        "the part that was selected last",
+    )
+    older: Literal["refused", "allowed"] = Field(
+        default="refused",
+        description="what happens to a bundle with a lower revision than one that was in use here; see security.md",
+    )
     signed: Literal["allowed", "required"] = Field(
         default="allowed",
         description="required: a bundle without the signature of a trusted key is refused; see security.md",
@@ -88,6 +128,19 @@ class InspectionTable(_Table):
         default="automatic",
         description="automatic: every press is scored; command: only one that `cmd/trigger` asks for",
     )
+
+    @model_validator(mode="after")
+    def _one_way_to_name_bundles(self) -> "InspectionTable":
+        given = [name for name in ("bundle", "bundles", "bundle_folder") if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(
+                f"found {' and '.join(given) or 'no bundle'}, expected exactly one of bundle (a path), bundles "
+                "(tables with a path each) and bundle_folder"
+            )
+        names = Counter(name for table in self.bundles for name in table.names)
+        if twice := sorted(name for name, n in names.items() if n > 1):
+            raise ValueError(f"the name '{twice[0]}' is given to two bundles")
+        return self
 
     @model_validator(mode="after")
     def _required_of_someone(self) -> "InspectionTable":
@@ -297,16 +350,18 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
 
 def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None) -> Config:
     """The same configuration with every relative path, also in plugin options, taken from the folder of its file."""
-    keys = config.inspection.trusted_keys
-    inspection = config.inspection.model_copy(
+    table = config.inspection
+    inspection = table.model_copy(
         update={
-            "bundle": folder / config.inspection.bundle,
-            "trusted_keys": None if keys is None else folder / keys,
+            "bundle": _under(folder, table.bundle),
+            "bundles": tuple(one.model_copy(update={"path": folder / one.path}) for one in table.bundles),
+            "bundle_folder": _under(folder, table.bundle_folder),
+            "trusted_keys": _under(folder, table.trusted_keys),
         }
     )
     store = config.store.model_copy(update={"path": (state_dir or folder) / config.store.path})
-    secret = config.commands.secret_file
-    commands = config.commands.model_copy(update={"secret_file": None if secret is None else folder / secret})
+    secret = _under(folder, config.commands.secret_file)
+    commands = config.commands.model_copy(update={"secret_file": secret})
     device = _with_options_from(folder, "devices", config.device)
     sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]
     return config.model_copy(
@@ -318,6 +373,10 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
             "sinks": sinks,
         }
     )
+
+
+def _under(folder: Path, path: Path | None) -> Path | None:
+    return None if path is None else folder / path
 
 
 def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:

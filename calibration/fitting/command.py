@@ -21,6 +21,7 @@ from calibration.fitting.options import (
     Profile,
     RegionText,
     Resize,
+    Revision,
     Seed,
     Settings,
     Threads,
@@ -35,7 +36,16 @@ if TYPE_CHECKING:
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["chosen_profile", "counted", "fit", "found_sources", "make", "nominal_presses", "refuse_existing"]
+__all__ = [
+    "chosen_profile",
+    "counted",
+    "fit",
+    "found_sources",
+    "make",
+    "next_revision",
+    "nominal_presses",
+    "refuse_existing",
+]
 
 
 def fit(
@@ -70,6 +80,7 @@ def fit(
     ] = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
+    revision: Revision = None,
 ) -> None:
     """Learn a bundle from nominal presses.
 
@@ -95,6 +106,7 @@ def fit(
         folds=folds,
         with_trunk=trunk,
         is_scattered=scattered,
+        revision=revision or next_revision(output),
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")
@@ -186,6 +198,19 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
         raise ConfigError(
             f"{output} cannot be written: {above} is no folder to write in; choose another place"
         )
+
+
+def next_revision(output: Path) -> int:
+    """One more than that of the bundle that is replaced; 1 where there is none, or none that can be read."""
+    from edge.core.errors import BundleError
+    from edge.model.archive import MANIFEST, open_archive
+    from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+
+    try:
+        manifest = parse_manifest(open_archive(output).read(MANIFEST, MAX_MANIFEST_BYTES), str(output))
+    except BundleError:
+        return 1
+    return (manifest.revision or 0) + 1
 
 
 def counted(n: int) -> str:

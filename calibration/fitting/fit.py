@@ -68,7 +68,7 @@ class FitConfig:
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
     to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
     with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
-    compares place with place.
+    compares place with place. revision: see `Facts`.
     """
 
     part: str
@@ -86,6 +86,7 @@ class FitConfig:
     folds: int = 5
     with_trunk: bool = True
     is_scattered: bool = False
+    revision: int | None = None
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -268,6 +269,7 @@ class _Fit:
         return Facts(
             part=config.part,
             position=config.position,
+            revision=config.revision,
             method=self.detector.name,
             mode=config.mode,
             parameters=_plain(self.parameters),

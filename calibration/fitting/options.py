@@ -18,6 +18,7 @@ __all__ = [
     "Profile",
     "RegionText",
     "Resize",
+    "Revision",
     "Seed",
     "Settings",
     "Threads",
@@ -66,3 +67,10 @@ Settings = Annotated[
 Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
 Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]
+Revision = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Number of this bundle; by default one more than that of the bundle that it replaces, or 1.",
+    ),
+]

@@ -57,6 +57,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
     rows = [
         ("part", f"{manifest.part}, position {manifest.position}"),
+        ("revision", str(manifest.revision or "none")),
         ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
         ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
         ("repairs", ", ".join(manifest.repairs) or "none"),

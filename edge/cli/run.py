@@ -94,11 +94,20 @@ def run(
                 raise finding.error
         recording = played_recording(loaded.device)
         stop = threading.Event()
-        # A closed terminal (SIGHUP) ends it in good order too.
+        # A closed terminal (SIGHUP) ends it in good order too; without a terminal, SIGHUP reloads, as for a service.
+        is_service = not os.isatty(0)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
-        with Gateway.open(loaded, clock, lambda report: out.put(press_line(report)), checked) as gateway:
+        with Gateway.open(
+            loaded,
+            clock,
+            lambda report: out.put(press_line(report)),
+            checked,
+            lambda: load_config(config, state_dir),
+        ) as gateway:
+            if is_service:
+                signal.signal(signal.SIGHUP, lambda *_: gateway.reload())
             summary = gateway.run(stop, presses=presses)
     out.put(summary_text(summary))
     if recording is not None and loaded.inspection.trigger == "automatic":

@@ -10,14 +10,18 @@ from contextlib import ExitStack
 
 from edge import registry
 from edge.config import Config, sink_names
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device, Sink
 from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.bundle_set import BundleSet
+from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
-from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.opening import device_opener, open_scorer
+from edge.gateway.opening import BundleOpener, Opened, device_opener
+from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
 from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
@@ -32,14 +36,22 @@ from edge.store.reference_files import ReferenceFolder
 __all__ = ["build"]
 
 
-def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight | None = None) -> Parts:
+def build(
+    config: Config,
+    clock: Clock,
+    closing: ExitStack,
+    checked: Preflight | None = None,
+    read_again: Callable[[], Config] | None = None,
+) -> Parts:
     """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
-    checked: the parts that the check before the start has opened. Errors: ConfigError, BundleError, StoreError.
+    checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
+    by default as it was at the start. Errors: ConfigError, BundleError, StoreError.
     """
-    scorer = (checked.scorer if checked else None) or open_scorer(config)[0]
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), RetainedState()
     store = closing.enter_context(_open_store(config, clock))
+    opener, bundles = _open_bundles(config, clock, store, checked)
+    part = _first_part(config, bundles, store)
     # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
@@ -61,11 +73,14 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
-    opener = _opener(config, scorer.bundle.profile.controls, clock, closing, checked)
-    acquisition = Acquisition(opener, clock, status.sensor_changed)
+    device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
+    acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
+    stage = BundleStage(_staging(opener, read_again or (lambda: config)))
+    closing.callback(stage.close)
     return Parts(
-        inspector=Inspector(scorer, clock),
+        selection=PartSelection(bundles, part, stage, store, status, clock),
+        stage=stage,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=Place(table.site, table.line, table.station),
         store=store,
@@ -77,6 +92,47 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
         calls=calls,
         clock=clock,
     )
+
+
+def _open_bundles(
+    config: Config, clock: Clock, store: Store, checked: Preflight | None
+) -> tuple[BundleOpener, BundleSet]:
+    """Those of the check, or opened here. Errors: BundleError, ConfigError: at a start every bundle must be usable."""
+    if checked is not None and checked.bundles.bundles:
+        opener, bundles = checked.opener, checked.bundles
+        opener.newest = store.newest_revision
+        return opener, bundles
+    opener = BundleOpener(None, config.inspection.threads, clock)
+    opener.newest = store.newest_revision
+    opened = opener.open(config.inspection)
+    for error in opened.faults.values():
+        raise error
+    return opener, opened.bundles
+
+
+def _first_part(config: Config, bundles: BundleSet, store: Store) -> PartPosition:
+    """The part that was selected last, or that of the configuration. Errors: ConfigError, StoreError."""
+    before, name = store.selected(), config.inspection.part
+    if before is not None and before in bundles:
+        return before
+    if name is None:
+        return next(iter(bundles.bundles))
+    try:
+        return bundles.named(name)
+    except ValueError as error:
+        raise ConfigError(f"inspection.part: {error}") from error
+
+
+def _staging(opener: BundleOpener, read_again: Callable[[], Config]) -> OpenBundles:
+    """Opens what is configured at the time of a reload."""
+
+    def open_bundles(in_use: BundleSet) -> Opened | GelgateError:
+        try:
+            return opener.open(read_again().inspection, in_use)
+        except GelgateError as error:
+            return error
+
+    return open_bundles
 
 
 def _names_before(config: Config) -> dict[str, str]:

@@ -23,6 +23,7 @@ from edge.messaging.command_payloads import (
     CommandResponse,
     NoArguments,
     ReplaceGelArguments,
+    SelectPartArguments,
 )
 from edge.store.acts import Act
 from edge.store.press_store import Store
@@ -84,6 +85,19 @@ def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Mapping[s
     return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
 
 
+def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Mapping[str, Any]:
+    if arguments.name is not None:
+        loop.select_named(arguments.name)
+    else:
+        loop.select_part(arguments.part or "", arguments.position)
+    return {**_selected(loop), "is_waiting": loop.selection.is_waiting}
+
+
+def _reload(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
+    loop.selection.reload()
+    return {"is_waiting": True}
+
+
 COMMANDS: Final[tuple[Command[Any], ...]] = (
     Command(
         "trigger",
@@ -104,6 +118,21 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         _replace_gel,
         "record that a new gel is mounted, count from 0 and learn its picture",
         "the record of wear",
+    ),
+    Command(
+        "select_part",
+        SelectPartArguments,
+        _select_part,
+        "inspect another position or part from the next press on; during a press it waits for its end (`is_waiting`)",
+        "the bundle that inspects",
+    ),
+    Command(
+        "reload",
+        NoArguments,
+        _reload,
+        "open the configured bundles again while presses are judged as before; `info` and the alarm `bundle` have the "
+        "outcome",
+        "the bundles",
     ),
 )
 """All commands of a station; docs/mqtt.md prints this table."""
@@ -126,13 +155,22 @@ def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mappin
 
 
 def _facts(loop: StationLoop) -> Mapping[str, Any]:
+    """As far as it is known: before the first frame the gel is not."""
+    if not loop.has_session:
+        return _selected(loop)
     gel = loop.session.gel
     return {
         "gel_id": gel.gel_id,
         "presses": gel.presses,
         "limit_presses": gel.limit_presses,
         "state": loop.session.contact_state,
+        **_selected(loop),
     }
+
+
+def _selected(loop: StationLoop) -> Mapping[str, Any]:
+    part, bundle = loop.selection.part, loop.selection.inspector.bundle
+    return {"part": part.part, "position": part.position, "bundle_id": bundle.digest}
 
 
 class Commands:

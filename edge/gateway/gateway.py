@@ -5,6 +5,7 @@ score, verdict, and the one transaction that counts a press and queues its messa
 """
 
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Self
 
@@ -30,6 +31,7 @@ class Gateway:
         self.loop = StationLoop(parts, on_press)
         self._parts = parts
         self._closing = closing
+        self._is_reload_wanted = False
 
     @classmethod
     def open(
@@ -38,25 +40,38 @@ class Gateway:
         clock: Clock,
         on_press: OnPress = lambda report: None,
         checked: Preflight | None = None,
+        read_again: Callable[[], Config] | None = None,
     ) -> Self:
         """Build every part; a part that cannot work is refused here, before anything is started.
 
         on_press: called by the loop with every recorded press. checked: the parts opened by the check before the start.
-        Errors: ConfigError, BundleError, StoreError.
+        read_again: reads the configuration at a reload. Errors: ConfigError, BundleError, StoreError.
         """
         with ExitStack() as closing:
-            parts = build(config, clock, closing, checked)
+            parts = build(config, clock, closing, checked, read_again)
             return cls(parts, closing.pop_all(), on_press)
 
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
         """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
         self._parts.acquisition.start()
+        self._parts.stage.start()
         manager = ServiceManager(self._parts.clock)
         manager.ready()
-        self.loop.run(stop, presses, manager.alive)
+
+        def on_turn() -> None:
+            manager.alive()
+            if self._is_reload_wanted:
+                self._is_reload_wanted = False
+                self.loop.selection.reload()
+
+        self.loop.run(stop, presses, on_turn)
         manager.stopping()
         return self.loop.summary
+
+    def reload(self) -> None:
+        """Open the bundles again with the next turn. A handler of a signal may call it: no lock is taken."""
+        self._is_reload_wanted = True
 
     @property
     def summary(self) -> Summary:

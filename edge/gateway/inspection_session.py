@@ -114,6 +114,12 @@ class InspectionSession:
         """Request a verdict now; returns why there will be none, or None."""
         return self._pipeline.trigger()
 
+    def use(self, inspector: Inspector) -> None:
+        """Judge with another bundle from the next press on. Only while nothing presses the gel."""
+        self._pipeline.use(inspector)
+        self._recorder.use(inspector)
+        self._at_fit = inspector.bundle.free_reference
+
     def relearn(self) -> None:
         """Learn the free gel again."""
         self._status.set_waiting_for(FREE_GEL)

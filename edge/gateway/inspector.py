@@ -41,7 +41,12 @@ class Inspection:
 
 
 class Inspector:
-    """Judges settled frames with one bundle."""
+    """Judges settled frames with one bundle.
+
+    fault: why its scores cannot be trusted now; then a press gives this error and no verdict.
+    """
+
+    fault: str | None = None
 
     def __init__(self, scorer: Scorer, clock: Clock, quality: QualitySettings | None = None) -> None:
         self.scorer = scorer
@@ -54,6 +59,8 @@ class Inspector:
 
     def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
         """Judge one frame; `touch` is the touched part of the gel. Never raises because of a frame's content."""
+        if self.fault is not None:
+            return Inspection(None, error=self.fault)
         now_ns = self._clock.monotonic_ns()
         stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns, self._quality)
         if stale:

@@ -1,56 +1,145 @@
-"""How the configured bundle and sensor are opened, by the check before a start and by the start itself."""
+"""How the configured bundles and sensor are opened: by the check before a start, by the start, and while it runs."""
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
+from typing import Final
 
 from edge import registry
-from edge.config import Config, PluginTable
+from edge.config import BundleTable, InspectionTable, PluginTable
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.part_position import PartPosition
 from edge.core.plugins import PlaysRecording
 from edge.core.ports import Clock, Device
+from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
+from edge.gateway.inspector import Inspector
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.revision import check_revision
 from edge.model.scorer import Scorer
+from edge.model.session import TrunkSessions
 from edge.model.signature import Trust, trusted_keys
 from edge.model.trial import try_bundle
 from edge.recording.format import Recording
 
-__all__ = ["device_opener", "open_scorer", "played_recording", "try_once"]
+__all__ = ["BundleOpener", "Opened", "bundle_tables", "device_opener", "played_recording", "try_once"]
+
+NewestRevision = Callable[[PartPosition], int | None]
+
+# Bundles that were tried: more are forgotten, oldest first, and tried again.
+KEPT_TRIALS: Final = 256
 
 
-def open_scorer(config: Config) -> tuple[Scorer, float]:
-    """The configured bundle, ready to score, and the largest difference of its golden scores.
+@dataclass(frozen=True)
+class Opened:
+    """bundles: those that can be used. faults: why others cannot, each with its path."""
 
-    Errors: BundleError; ConfigError for the trusted keys.
+    bundles: BundleSet
+    faults: Mapping[Path, GelgateError]
+
+
+class BundleOpener:
+    """Opens bundles: tried in a child process, verified, loaded, run once, golden frames scored.
+
+    tried: the list of bundles that were tried; None runs none in a child process. newest: revision of the newest bundle
+    in use for a position. One thread uses it at a time.
     """
-    inspection = config.inspection
-    keys = {} if inspection.trusted_keys is None else trusted_keys(inspection.trusted_keys)
-    bundle = Bundle.load(inspection.bundle, trust=Trust(inspection.signed, keys))
-    scorer = Scorer(bundle, threads=inspection.threads)
-    return scorer, scorer.check_golden()
+
+    def __init__(self, tried: Path | None, threads: int, clock: Clock) -> None:
+        self.trunks = TrunkSessions(threads)
+        self.newest: NewestRevision = lambda part: None
+        self._tried = tried
+        self._clock = clock
+
+    def open(self, table: InspectionTable, before: BundleSet | None = None) -> Opened:
+        """Every bundle of the table. A bundle of `before` is kept where it has not changed and its golden frames
+        scored well, and where the new one at its path has a fault.
+
+        Errors: ConfigError for the trusted keys, and for a folder without a bundle.
+        """
+        before, found, faults = before or BundleSet(), BundleSet(), dict[Path, GelgateError]()
+        trust = Trust(table.signed, {} if table.trusted_keys is None else trusted_keys(table.trusted_keys))
+        for one in bundle_tables(table):
+            earlier = before.at(one.path)
+            try:
+                found = found.with_one(self._opened(one, table, trust, earlier))
+            except GelgateError as error:
+                faults[one.path] = error
+                with contextlib.suppress(GelgateError):
+                    found = found if earlier is None else found.with_one(earlier)
+        used = [one.bundle.trunk_sha256 for each in (before, found) for one in each.bundles.values()]
+        self.trunks.keep_only(used)
+        return Opened(found, faults)
+
+    def _opened(
+        self, one: BundleTable, table: InspectionTable, trust: Trust, earlier: OpenBundle | None
+    ) -> OpenBundle:
+        """Errors: BundleError."""
+        is_sound = earlier is not None and earlier.inspector.fault is None
+        if earlier is not None and is_sound and _digest(one.path, trust) == earlier.bundle.digest:
+            return OpenBundle(one.path, one.names, earlier.inspector, earlier.golden_difference)
+        if self._tried is not None:
+            try_once(one.path, trust, table.threads, self._tried)
+        bundle = Bundle.load(one.path, loaded=self.trunks, trust=trust)
+        if table.older == "refused":
+            check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
+        scorer = Scorer(bundle, table.threads, self.trunks)
+        return OpenBundle(one.path, one.names, Inspector(scorer, self._clock), scorer.check_golden())
 
 
-def try_once(config: Config) -> None:
-    """Run the configured bundle in a child process with limits, unless it was: its digest is kept at the database.
+def bundle_tables(table: InspectionTable) -> tuple[BundleTable, ...]:
+    """The bundles of a configuration, however they are named. Errors: ConfigError for a folder without a bundle."""
+    if table.bundle is not None:
+        return (BundleTable(path=table.bundle),)
+    if table.bundle_folder is None:
+        return table.bundles
+    found = tuple(BundleTable(path=path) for path in _bundles_in(table.bundle_folder))
+    if not found:
+        raise ConfigError(
+            f"inspection.bundle_folder: there is no bundle in {table.bundle_folder}; `gelgate fit` makes one"
+        )
+    return found
+
+
+def _bundles_in(folder: Path) -> Iterator[Path]:
+    """Names that begin with a dot are bundles that are being written."""
+    try:
+        paths = sorted(folder.iterdir())
+    except OSError as error:
+        raise ConfigError(
+            f"inspection.bundle_folder: {folder} cannot be read ({error.strerror}); name a folder of bundles"
+        ) from error
+    for path in paths:
+        if not path.name.startswith(".") and (path.suffix == ".zip" or (path / MANIFEST).is_file()):
+            yield path
+
+
+def _digest(path: Path, trust: Trust) -> str:
+    """The identity of the bundle that is there now. Errors: BundleError, also where it is not trusted any more."""
+    archive = open_archive(path)
+    raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
+    trust.check(archive, raw)
+    return hashlib.sha256(raw).hexdigest()
+
+
+def try_once(path: Path, trust: Trust, threads: int, tried: Path) -> None:
+    """Run the bundle in a child process with limits, unless it was: the file `tried` has the digests of those.
 
     Errors: BundleError.
     """
-    path, inspection = config.inspection.bundle, config.inspection
-    keys = {} if inspection.trusted_keys is None else trusted_keys(inspection.trusted_keys)
-    archive = open_archive(path)
-    raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
-    Trust(inspection.signed, keys).check(archive, raw)  # before anything of it is run
-    mark = (
-        f"{hashlib.sha256(raw).hexdigest()} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
-    )
-    known = config.store.path.with_name(config.store.path.name + ".tried")
+    digest = _digest(path, trust)  # the signature before anything of it is run
+    mark = f"{digest} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
+    known: list[str] = []
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        if known.read_text(encoding="utf-8").strip() == mark:
-            return
-    try_bundle(path, threads=inspection.threads)
+        known = tried.read_text(encoding="utf-8").splitlines()
+    if mark in known:
+        return
+    try_bundle(path, threads=threads)
     with contextlib.suppress(OSError):  # then it is tried at the next start too
-        known.write_text(mark + "\n", encoding="utf-8")
+        tried.write_text("\n".join([*known, mark][-KEPT_TRIALS:]) + "\n", encoding="utf-8")
 
 
 def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock) -> Callable[[], Device]:

@@ -4,6 +4,7 @@ Opened parts stay open for the start that follows: a bundle is loaded, hashed an
 once.
 """
 
+import contextlib
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,15 +13,16 @@ from typing import Self
 
 from edge import registry
 from edge.config import Config, PluginTable
-from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError
+from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError, StoreError
+from edge.core.part_position import PartPosition
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
+from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import COMMANDS
-from edge.gateway.opening import device_opener, open_scorer, try_once
+from edge.gateway.opening import BundleOpener, device_opener
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
-from edge.model.scorer import Scorer
 from edge.store.press_store import Store
 
 __all__ = ["Finding", "Preflight", "preflight"]
@@ -40,12 +42,13 @@ class Finding:
 class Preflight:
     """The findings, in the order in which a start uses the parts, and the open parts. Close it after the start.
 
-    scorer: of the bundle, its golden frames scored; None where the bundle has a fault.
+    opener: has opened the bundles. bundles: those without a fault, their golden frames scored.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, opener: BundleOpener) -> None:
         self.findings: list[Finding] = []
-        self.scorer: Scorer | None = None
+        self.opener = opener
+        self.bundles = BundleSet()
         self._device: Device | None = None
 
     def take_device(self) -> Device | None:
@@ -72,21 +75,20 @@ class Preflight:
         except GelgateError as error:
             self.findings.append(Finding(part, str(error), error))
 
-    def open_bundle(self, config: Config) -> str:
-        """Load, hash and score the golden frames; returns the finding. Errors: BundleError."""
-        try_once(config)
-        self.scorer, worst = open_scorer(config)
-        bundle, manifest = self.scorer.bundle, self.scorer.bundle.manifest
-        licence = licence_sentence(manifest)
-        return (
-            f"{manifest.part}/{manifest.position}, {manifest.method} ({manifest.mode}), threshold "
-            f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
-            f"(within {worst:.1e}); {bundle.signature.text}{f'; {licence}' if licence else ''}"
-        )
+    def open_bundles(self, config: Config) -> None:
+        """Load, hash and score the golden frames; one finding for each bundle."""
+        try:
+            opened = self.opener.open(config.inspection)
+        except GelgateError as error:
+            self.findings.append(Finding("bundle", str(error), error))
+            return
+        self.bundles = opened.bundles
+        self.findings += [Finding("bundle", _described(one)) for one in opened.bundles.bundles.values()]
+        self.findings += [Finding("bundle", str(error), error) for error in opened.faults.values()]
 
     def open_sensor(self, config: Config, clock: Clock) -> str:
         """Open the sensor and compare its mode with the bundle's. Errors: DeviceError, BundleMismatch."""
-        bundle = self.scorer.bundle if self.scorer else None
+        bundle = next((one.bundle for one in self.bundles.bundles.values()), None)
         self._device = _open_sensor(config, clock, bundle)
         sensor = self._device.identity
         if bundle is not None and sensor.mode != bundle.profile.native:
@@ -100,18 +102,39 @@ class Preflight:
 
 
 def preflight(config: Config, clock: Clock) -> Preflight:
-    """Try bundle, sensor, database and receivers, in the order in which a start uses them.
+    """Try bundles, sensor, database and receivers, in the order in which a start uses them.
 
     A receiver that is away is not a fault: results wait for it in the outbox, and its finding says so.
     """
-    found = Preflight()
-    found.try_part("bundle", lambda: found.open_bundle(config))
+    tried = config.store.path.with_name(config.store.path.name + ".tried")
+    opener = BundleOpener(tried, config.inspection.threads, clock)
+    opener.newest = partial(_newest_revision, config)
+    found = Preflight(opener)
+    found.open_bundles(config)
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found
+
+
+def _described(one: OpenBundle) -> str:
+    bundle, manifest = one.bundle, one.bundle.manifest
+    licence = licence_sentence(manifest)
+    return (
+        f"{one.part}, {manifest.method} ({manifest.mode}), threshold "
+        f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
+        f"(within {one.golden_difference:.1e}); {bundle.signature.text}{f'; {licence}' if licence else ''}"
+    )
+
+
+def _newest_revision(config: Config, part: PartPosition) -> int | None:
+    """A database that cannot be read has its own finding."""
+    if config.store.path.is_file():
+        with contextlib.suppress(StoreError), Store(config.store.path) as store:
+            return store.newest_revision(part)
+    return None
 
 
 def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:

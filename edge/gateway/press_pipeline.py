@@ -44,6 +44,10 @@ class PressPipeline:
         """One camera frame; returns an inspection for each press that it completes (at most one)."""
         return self._inspections_for(self.detector.feed(frame))
 
+    def use(self, inspector: Inspector) -> None:
+        """Judge with this one from now on; the learnt picture of the free gel stays."""
+        self._inspector = inspector
+
     def trigger(self) -> str | None:
         """Request a verdict now; returns why there will be none, or None."""
         refusal = None

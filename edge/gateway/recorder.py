@@ -39,7 +39,7 @@ class PressReport:
 
 
 class Recorder:
-    """Writes presses of one sensor, judged with one bundle at one place in the plant, into the store.
+    """Writes presses of one sensor, judged at one place in the plant, into the store.
 
     wear_index: the gel's optical wear when it was last free, stored with every press; None until measured.
     """
@@ -52,6 +52,10 @@ class Recorder:
         self._serial = serial
         self._place = place
         self._clock = clock
+
+    def use(self, inspector: Inspector) -> None:
+        """It judges the presses from now on."""
+        self._bundle = inspector.bundle
 
     def prepare(self, inspection: Inspection) -> JudgedPress:
         """Everything of a press except its place in the ledger."""

@@ -13,14 +13,16 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import QualitySettings
+from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.clock_guard import ClockGuard
 from edge.gateway.inspection_session import InspectionSession
-from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
+from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import StationStatus
 from edge.gateway.summary import Summary
@@ -50,7 +52,8 @@ OnPress = Callable[[PressReport], None]
 class Parts:
     """The parts of a station, built and not yet started. Their builder closes them."""
 
-    inspector: Inspector
+    selection: PartSelection
+    stage: BundleStage
     contact: ContactSettings
     place: Place
     store: Store
@@ -130,6 +133,7 @@ class StationLoop:
             if frame is not None and (self._session is not None or is_trying):
                 self._look_at(frame)
             if is_trying:
+                self._follow_selection()
                 self._record()
                 self.is_halted = False
         except StoreError as error:
@@ -145,6 +149,24 @@ class StationLoop:
         """Record that a new gel is mounted, and learn its picture. Errors: DeviceNotFound, StoreError."""
         serial, time_ns = self.session.gel.serial, self._parts.clock.time_ns()
         self.session.see_gel(self._parts.store.replace_gel(serial, time_ns, gel_id, limit_presses, note))
+
+    @property
+    def has_session(self) -> bool:
+        """Whether a frame has arrived, so that sensor and gel are known."""
+        return self._session is not None
+
+    @property
+    def selection(self) -> PartSelection:
+        """The bundles, and the part that is inspected."""
+        return self._parts.selection
+
+    def select_part(self, part: str, position: str | None = None) -> None:
+        """Inspect this from the next press on. Errors: ValueError, which names the known; StoreError."""
+        self._select(self.selection.bundles.find(part, position))
+
+    def select_named(self, name: str) -> None:
+        """The same by name: for a code reader, with the text that it has read. Errors as `select_part`."""
+        self._select(self.selection.bundles.named(name))
 
     def publish_stats(self) -> None:
         """Publish the counts so far, and check whether another process replaced the gel."""
@@ -189,6 +211,26 @@ class StationLoop:
         )
         self._parts.store.begin_act(act, within_s=0)
 
+    def _select(self, part: PartPosition) -> None:
+        """What cannot be recorded is not done later either. Errors: StoreError."""
+        before = self.selection.wanted
+        self.selection.select(part)
+        try:
+            self._follow_selection()
+        except StoreError:
+            self.selection.select(before)
+            raise
+
+    def _follow_selection(self) -> None:
+        """Between two presses another bundle may take over. Errors: StoreError."""
+        session = self._session
+        if not self.selection.step(is_pressed=session is not None and session.has_contact):
+            return
+        if session is not None:
+            session.use(self.selection.inspector)
+        if (identity := self._parts.acquisition.status.identity) is not None:
+            self._parts.status.info(self.selection.inspector.bundle, identity)
+
     def _look_at(self, frame: CameraFrame) -> None:
         session = self._session or self._start_session()
         self._count_lost(frame, session)
@@ -204,15 +246,16 @@ class StationLoop:
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
         parts.status.counts(parts.store.findings)
         parts.status.clear_fault("store")
-        recorder = Recorder(parts.store, parts.inspector, identity.serial, parts.place, parts.clock)
-        parts.status.info(parts.inspector.bundle, identity)
+        inspector = self.selection.inspector
+        recorder = Recorder(parts.store, inspector, identity.serial, parts.place, parts.clock)
+        parts.status.info(inspector.bundle, identity)
         self._session = InspectionSession(
-            gel, parts.inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
+            gel, inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
         )
         return self._session
 
     def _check_mode(self, identity: DeviceIdentity) -> None:
-        bundle = self._parts.inspector.bundle
+        bundle = self.selection.inspector.bundle
         (w, h), (found_w, found_h) = bundle.profile.native, identity.mode
         if identity.mode != bundle.profile.native:
             raise BundleMismatch(

@@ -149,6 +149,7 @@ class StationStatus:
             method=manifest.method,
             backbone=manifest.backbone.id if manifest.backbone else None,
             bundle_id=bundle.digest,
+            revision=manifest.revision,
             threshold=manifest.threshold.value,
             false_alarms=promise(manifest.threshold),
             warnings=manifest.provenance.warnings,
@@ -208,6 +209,13 @@ class StationStatus:
             self.alarm("receiver", "; ".join(faults), "warning")
         else:
             self.clear("receiver")
+
+    def new_bundles(self, faults: Sequence[str]) -> None:
+        """An alarm while a configured bundle cannot be used; the ones in use inspect."""
+        if faults:
+            self.alarm("bundle", "; ".join(faults))
+        else:
+            self.clear("bundle")
 
     def counts(self, findings: Sequence[str]) -> None:
         """An alarm for counts that had to be corrected; it stays until the end of this process."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from edge.core.gel import MOST_PRESSES
 from edge.messaging.payloads import Payload
@@ -16,6 +16,7 @@ __all__ = [
     "CommandResponse",
     "NoArguments",
     "ReplaceGelArguments",
+    "SelectPartArguments",
 ]
 
 # The largest request; those of the shipped verbs have some hundred bytes.
@@ -66,7 +67,7 @@ class CommandArguments(BaseModel):
 
 
 class NoArguments(CommandArguments):
-    """Of `cmd/trigger` and `cmd/relearn`."""
+    """Of `cmd/trigger`, `cmd/relearn` and `cmd/reload`."""
 
 
 class ReplaceGelArguments(CommandArguments):
@@ -75,6 +76,22 @@ class ReplaceGelArguments(CommandArguments):
     gel_id: PlainText | None = Field(default=None, min_length=1, max_length=64)
     limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
     note: PlainText = Field(default="", max_length=1000)
+
+
+class SelectPartArguments(CommandArguments):
+    """Of `cmd/select_part`: either `part`, with its `position` where it has several, or `name`."""
+
+    part: PlainText | None = Field(default=None, min_length=1, max_length=64)
+    position: PlainText | None = Field(default=None, min_length=1, max_length=64)
+    name: PlainText | None = Field(default=None, min_length=1, max_length=256)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.part is None) == (self.name is None) or (
+            self.name is not None and self.position is not None
+        ):
+            raise ValueError("expected either part, with or without position, or name")
+        return self
 
 
 class CommandResponse(Payload):

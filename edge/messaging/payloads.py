@@ -56,6 +56,8 @@ ALARMS: Final[Mapping[str, str]] = {
     "receiver": "a receiver works, with a fault that a person should correct: denied topics, its MQTT level, client id",
     "counts": "the database knew less than the second record of the counts: it was removed, damaged or replaced",
     "free_gel": "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at rest",
+    "bundle": "a configured bundle cannot be used, or is older than one that was; the ones in use go on inspecting",
+    "golden": "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
 }
@@ -125,6 +127,7 @@ class InfoPayload(Payload):
     method: str | None = Field(default=None, description="detector of the bundle in use")
     backbone: str | None = None
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
+    revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
     threshold: float | None = None
     false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
     warnings: tuple[str, ...] = Field(

@@ -237,8 +237,11 @@ def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = Fa
 
 
 def manifest_bytes(manifest: Manifest) -> bytes:
-    """The manifest's file; its SHA-256 is the bundle's identity."""
-    return (json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
+    """The manifest's file; its SHA-256 is the bundle's identity. Without a revision, older programs read it too."""
+    unset = {"revision"} if manifest.revision is None else None
+    return (
+        json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
+    ).encode()
 
 
 def _array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:

@@ -52,6 +52,10 @@ SCHEMA_VERSION = 1
 """Increased when a reader of the last version would misread the new one; a newer bundle is refused."""
 
 
+MAX_REVISION = 2**63 - 1
+"""The largest integer of the gateway's database."""
+
+
 class BackboneEntry(Entry):
     """The trunk, known by the SHA-256 of its file. `in_bundle` is false where it is found in the gateway's store."""
 
@@ -305,11 +309,12 @@ class Provenance(Entry):
 
 
 class Facts(Entry):
-    """The manifest without the list of files."""
+    """The manifest without the list of files. revision: rises with every fit of this position; None in old bundles."""
 
     schema_version: Literal[1] = 1
     part: Name
     position: Name
+    revision: int | None = Field(default=None, ge=1, le=MAX_REVISION)
     method: Name
     mode: Mode | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)

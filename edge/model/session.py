@@ -1,5 +1,7 @@
 """onnxruntime sessions with fixed options, and the trunks that several bundles share."""
 
+import threading
+from collections.abc import Container
 from functools import cache
 from importlib.resources import files
 
@@ -83,20 +85,28 @@ def _first_line(error: Exception) -> str:
 class TrunkSessions:
     """Open trunks by the SHA-256 of their file, so that bundles with the same backbone share one session.
 
-    Make one per gateway and give it to every `Scorer` and to `Bundle.load(loaded=...)`.
+    Make one per gateway and give it to every `Scorer` and to `Bundle.load(loaded=...)`. Any thread may use it:
+    onnxruntime runs one session from several threads, each with its own buffers.
     """
 
     def __init__(self, threads: int = 2) -> None:
         self.threads = threads
         self._sessions: dict[str, ort.InferenceSession] = {}
+        self._lock = threading.Lock()
 
     def __contains__(self, sha256: object) -> bool:
         return sha256 in self._sessions
 
     def get(self, sha256: str, graph: bytes | None, where: str) -> ort.InferenceSession:
         """The session of a trunk, opened at its first use. Errors: BundleCorrupt."""
-        if sha256 not in self._sessions:
-            if graph is None:
-                raise BundleCorrupt(f"{where}: the trunk {sha256[:12]} was not loaded with the bundle")
-            self._sessions[sha256] = open_session(graph, self.threads, where)
-        return self._sessions[sha256]
+        with self._lock:
+            if sha256 not in self._sessions:
+                if graph is None:
+                    raise BundleCorrupt(f"{where}: the trunk {sha256[:12]} was not loaded with the bundle")
+                self._sessions[sha256] = open_session(graph, self.threads, where)
+            return self._sessions[sha256]
+
+    def keep_only(self, used: Container[str | None]) -> None:
+        """Forget the trunks that no bundle uses any more; their memory is freed with the last scorer that has them."""
+        with self._lock:
+            self._sessions = {sha256: one for sha256, one in self._sessions.items() if sha256 in used}

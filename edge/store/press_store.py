@@ -13,10 +13,11 @@ from typing import Final, Self
 
 from edge.core.errors import StoreError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
+from edge.core.part_position import PartPosition
 from edge.core.ports import Message
 from edge.store import acts as act_table
+from edge.store import bundles_in_use, outbox
 from edge.store import gel_ledger as ledger
-from edge.store import outbox
 from edge.store.database import Database
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import Bounds
@@ -221,6 +222,21 @@ class Store:
         """The newest acts, newest first."""
         with self._database.reading("reading the acts") as connection:
             return act_table.newest(connection, limit)
+
+    def newest_revision(self, part: PartPosition) -> int | None:
+        """The revision of the newest bundle in use for this position; None where none had one."""
+        with self._database.reading(f"reading the revision of {part}") as connection:
+            return bundles_in_use.revision(connection, part)
+
+    def selected(self) -> PartPosition | None:
+        """The position that was selected last; None in a new database."""
+        with self._database.reading("reading the selected part") as connection:
+            return bundles_in_use.selected(connection)
+
+    def use_bundle(self, part: PartPosition, revision: int | None, bundle_id: str, time_ns: int) -> None:
+        """Record that this bundle is in use from now on, and that its position is selected."""
+        with self._database.writing(f"selecting {part}") as connection:
+            bundles_in_use.use(connection, part, revision, bundle_id, time_ns)
 
     def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
         """The newest presses, each with its gel id, newest first."""

@@ -110,5 +110,20 @@ CREATE INDEX acts_refused ON acts (act_id) WHERE outcome = 'refused';
 CREATE UNIQUE INDEX acts_by_signature ON acts (signature) WHERE signature IS NOT NULL;
 """
 
-MIGRATIONS: Final = (_VERSION_1, _VERSION_2)
+# The newest bundle in use for each position of each part, and the position that is selected.
+_VERSION_3: Final = """
+CREATE TABLE bundles_in_use (
+    part      TEXT NOT NULL,
+    position  TEXT NOT NULL,
+    revision  INTEGER,
+    bundle_id TEXT NOT NULL,
+    time_ns   INTEGER NOT NULL,
+    PRIMARY KEY (part, position)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE selected (
+    one INTEGER PRIMARY KEY CHECK (one = 1), part TEXT NOT NULL, position TEXT NOT NULL
+) STRICT;
+"""
+
+MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3)
 SCHEMA_VERSION: Final = len(MIGRATIONS)

@@ -126,3 +126,16 @@ def test_fit_and_inspect_say_what_is_promised(pictures: Path, tmp_path: Path) ->
     said = "6 presses: at best 14 % (1 in 7), not the 5 % asked for, of sound presses fail, on average over bundles"
     assert said in fit(pictures, tmp_path / "bolt").output
     assert said in run("inspect", tmp_path / "bolt").output
+
+
+def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_path: Path) -> None:
+    """A station then knows which of two bundles is older; a number that is given is used."""
+    found = []
+    for options in ((), ("--overwrite",), ("--overwrite", "--revision", "9"), ("--overwrite",)):
+        assert fit(pictures, tmp_path / "bolt", *options).exit_code == 0
+        found.append(Bundle.load(tmp_path / "bolt").manifest.revision)
+
+    assert found == [1, 2, 9, 10]
+    assert ["revision", "10"] in [
+        line.split() for line in run("inspect", tmp_path / "bolt").output.splitlines()
+    ]

@@ -6,6 +6,7 @@ Each sentence names the thing, what was found, what was expected, and what to do
 import socket
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -69,13 +70,15 @@ def foreign(bench: Bench) -> Path:
 
 
 def damaged(bench: Bench) -> Path:
-    """A database of ours whose later pages were overwritten."""
+    """A database of ours in which the page of presses was overwritten."""
     from edge.store.press_store import Store
 
     path = bench.folder / "damaged.db"
     Store(path).close()
+    with closing(sqlite3.connect(path)) as connection:
+        (page,) = connection.execute("SELECT rootpage FROM sqlite_schema WHERE name = 'presses'").fetchone()
     content = bytearray(path.read_bytes())
-    content[4096:] = b"\xa5" * (len(content) - 4096)
+    content[(page - 1) * 4096 : page * 4096] = b"\xa5" * 4096
     path.write_bytes(content)
     return bench.config(database="damaged.db")
 
@@ -126,7 +129,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     ),
     "no database": (garbage, 1, ("garbage.db", "file is not a database", "name another file")),
     "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),
-    "a newer database": (newer, 1, ("newer.db has schema version 99", "up to 2", "use the newer gelgate")),
+    "a newer database": (newer, 1, ("newer.db has schema version 99", "up to 3", "use the newer gelgate")),
     "another program's database": (foreign, 1, ("foreign.db belongs to another program", "name another file")),
     "no such host": (
         mqtt('host = "broker.invalid"'), 3, ("'broker.invalid' is not known", "correct sinks.0.options.host"),

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -45,6 +46,55 @@ def test_a_running_gateway_ends_in_good_order(bench: Bench, number: signal.Signa
     assert re.fullmatch(r"\d+ frames: \d+ dropped, \d+ late, \d+ repeated, \d+ corrupt", frames)
     assert "Traceback" not in err
     assert payloads(bench, "state")[-1]["state"] == "stopped"
+
+
+def test_without_a_terminal_sighup_reloads_and_does_not_end_it(bench: Bench) -> None:
+    """As a service manager sends it: a bundle that is damaged since gives the alarm `bundle`, and the run goes on."""
+    config = bench.config()
+    config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
+    running = subprocess.Popen(
+        [GELGATE, "run", "--config", config],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert awaited(bench, "gel", running), "no frame arrived in time"
+    (bench.folder / "bundle" / "manifest.json").write_text("{}")
+    running.send_signal(signal.SIGHUP)
+    assert awaited(bench, "alarm/bundle", running), "no alarm came in time"
+    running.terminate()
+    _, err = running.communicate(timeout=START_TIMEOUT_S)
+
+    assert running.returncode == 0, err
+    assert "is not a gelgate manifest" in str(payloads(bench, "alarm/bundle")[-1])
+
+
+def test_a_closed_terminal_ends_it(bench: Bench) -> None:
+    """A person who closes the window does not leave a gateway behind."""
+    config = bench.config()
+    config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
+    ours, theirs = pty.openpty()
+    command = [GELGATE, "run", "--config", config]
+    running = subprocess.Popen(
+        command, stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    assert awaited(bench, "gel", running), "no frame arrived in time"
+    running.send_signal(signal.SIGHUP)
+    _, err = running.communicate(timeout=START_TIMEOUT_S)
+    os.close(ours)
+    os.close(theirs)
+
+    assert running.returncode == 0, err
+    assert "stopped" in str(payloads(bench, "state")[-1])
+
+
+def awaited(bench: Bench, topic: str, running: "subprocess.Popen[str]") -> bool:
+    """Whether a message with content came to this topic before the time was over."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while not any(payloads(bench, topic)) and running.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return any(payloads(bench, topic))
 
 
 def test_the_installed_command_refuses_with_its_exit_code(bench: Bench) -> None:

@@ -26,9 +26,14 @@ def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
 def test_the_unit_starts_without_a_sensor() -> None:
     """`run` waits for it; nothing is run before that would end with 4 and make systemd start it again for ever."""
     lines = (SERVICE / "gelgate.service").read_text().splitlines()
-    commands = [line.partition("=")[2] for line in lines if line.startswith("Exec")]
+    commands = [line.partition("=")[2] for line in lines if line.startswith(("ExecStart", "ExecCondition"))]
 
     assert [command.split()[1:3] for command in commands] == [["run", "--wait-for-device"]]
+
+
+def test_the_unit_reloads_by_the_signal_that_the_gateway_serves() -> None:
+    """`systemctl reload` opens the bundles again."""
+    assert "ExecReload=/bin/kill -HUP $MAINPID" in (SERVICE / "gelgate.service").read_text().splitlines()
 
 
 def test_the_unit_and_the_printed_example_fit(tmp_path: Path) -> None:

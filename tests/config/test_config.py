@@ -129,3 +129,27 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("", "found no bundle, expected exactly one of bundle"),
+        ('bundle = "a"\nbundle_folder = "b"', "found bundle and bundle_folder, expected exactly one"),
+        (
+            'bundles = [{ path = "a", names = ["x"] }, { path = "b", names = ["x"] }]',
+            "the name 'x' is given to two bundles",
+        ),
+    ],
+)
+def test_bundles_are_named_in_one_way(tmp_path: Path, line: str, words: str) -> None:
+    """And a name selects one of them."""
+    assert words in refusal(tmp_path, SOUND.replace('bundle = "bundles/pz1"', line))
+
+
+def test_several_bundles_are_relative_to_the_file(tmp_path: Path) -> None:
+    """As the single one is."""
+    line = 'bundles = [{ path = "a", names = ["4711"] }]'
+    table = load_config(written(tmp_path, SOUND.replace('bundle = "bundles/pz1"', line))).inspection
+
+    assert (table.bundle, [one.path for one in table.bundles]) == (None, [tmp_path / "a"])

@@ -8,16 +8,19 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from parts import parts_config, variant
 from station import station_config
 
 from edge.clock import SystemClock
 from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost
+from edge.core.part_position import PartPosition
 from edge.gateway.acquisition import AcquisitionState
 from edge.gateway.build import build
 from edge.gateway.preflight import _reachable, preflight
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
+from edge.store.press_store import Store
 from plugins.devices.usb_mock import UsbMock
 
 
@@ -90,3 +93,24 @@ def test_the_check_prints_the_licence_of_the_weights(tmp_path: Path, recording: 
         "licence of the weights CC-BY-NC-4.0: not for commercial use, not for production" in texts["stated"]
     )
     assert "licence" not in texts["plain"]
+
+
+def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Sound ones with their golden frames, one with a fault, and one that is older than a bundle that was in use."""
+    folder = tmp_path / "bundles"
+    variant(bundle, folder / "a")
+    variant(bundle, folder / "b", part="PZ1", revision=3)
+    variant(bundle, folder / "c", part="PZ2")
+    (folder / "c" / "head.onnx").write_bytes(b"cut")
+    config, clock = (
+        load_config(parts_config(tmp_path, recording, f'bundle_folder = "{folder}"')),
+        SystemClock(),
+    )
+    with Store(config.store.path) as store:
+        store.use_bundle(PartPosition("PZ1", "pos1"), 4, "digest", 0)
+    with preflight(config, clock) as checked:
+        found = [finding for finding in checked.findings if finding.part == "bundle"]
+
+    assert [finding.error is None for finding in found] == [True, False, False]
+    assert "has revision 3, and revision 4 was in use here" in found[1].text
+    assert "head.onnx has SHA-256" in found[2].text

@@ -25,8 +25,8 @@ def test_a_recording_gives_its_presses_without_any_time_passing(
     assert [report.result.sequence for report in station.reports] == [1, 2, 3]
 
 
-@pytest.mark.parametrize("verb", sorted(VERBS))
-def test_nothing_can_be_asked_before_the_sensor_is_known(
+@pytest.mark.parametrize("verb", ["relearn", "replace_gel", "trigger"])
+def test_nothing_can_be_asked_of_a_gel_before_the_sensor_is_known(
     tmp_path: Path, recording: Path, bundle: Path, verb: str
 ) -> None:
     """The gel is not known. The refusal says that no frame has come yet."""
@@ -35,6 +35,34 @@ def test_nothing_can_be_asked_before_the_sensor_is_known(
         pytest.raises(DeviceNotFound, match="no frame has arrived"),
     ):
         VERBS[verb].do(station.loop, VERBS[verb].arguments.of({}))
+
+
+def test_a_part_can_be_selected_before_the_sensor_is_known(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The answer has the part in use; a name that is not known is refused with those that are."""
+    verb = VERBS["select_part"]
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        found = verb.do(station.loop, verb.arguments.of({"part": "PZ0"}))
+        assert (found["part"], found["position"], found["is_waiting"]) == ("PZ0", "pos1", False)
+        with pytest.raises(ValueError, match="this station has no bundle for 'PZ9'; it has PZ0/pos1"):
+            verb.do(station.loop, verb.arguments.of({"part": "PZ9"}))
+        with pytest.raises(ValueError, match="expected either part, with or without position, or name"):
+            verb.arguments.of({"part": "PZ0", "name": "PZ0"})
+
+
+def test_a_requested_reload_is_served_by_the_bundles_thread(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The answer comes at once; the outcome is an act of the gateway."""
+    verb = VERBS["reload"]
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        assert verb.do(station.loop, verb.arguments.of({})) == {"is_waiting": True}
+        station.loop.step(None)
+        assert station.parts.store.acts() == []
+        station.parts.stage.step()
+        station.loop.step(None)
+        assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
 
 
 def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(

@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 import tiny
 from onnx import parser
-from station import station_config
 
-from edge.config import load_config
 from edge.core.errors import BundleCorrupt
 from edge.gateway import opening
 from edge.model.bundle import Graphs, bundle_files, write_bundle
+from edge.model.signature import Trust
 from edge.model.trial import Limits, try_bundle
 
 
@@ -67,11 +66,12 @@ def test_a_station_tries_a_bundle_once(tmp_path: Path, monkeypatch: pytest.Monke
     tried: list[Path] = []
     monkeypatch.setattr(opening, "try_bundle", lambda path, threads: tried.append(path))
     path = write_bundle(tmp_path / "bolt", tiny.tiny_files()[1])
-    config = load_config(station_config(tmp_path / "station", tmp_path, path))
-    opening.try_once(config)
-    opening.try_once(config)
-    assert len(tried) == 1
+    other = write_bundle(tmp_path / "nut", tiny.tiny_files(part="nut")[1])
+    marks = tmp_path / "gelgate.db.tried"
+    for one in (path, other, path, other):
+        opening.try_once(one, Trust(), 2, marks)
+    assert tried == [path, other]
 
     (path / "manifest.json").write_bytes((path / "manifest.json").read_bytes() + b" ")
-    opening.try_once(config)
-    assert len(tried) == 2
+    opening.try_once(path, Trust(), 2, marks)
+    assert tried == [path, other, path]

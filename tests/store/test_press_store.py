@@ -296,7 +296,7 @@ def test_a_newer_database_is_refused_by_its_version(path: Path) -> None:
         connection.execute("PRAGMA user_version = 99")
     connection.close()
 
-    with pytest.raises(StoreError, match="schema version 99, this program knows up to 2"):
+    with pytest.raises(StoreError, match="schema version 99, this program knows up to 3"):
         Store(path)
 
 

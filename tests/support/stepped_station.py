@@ -9,7 +9,7 @@ from typing import Self
 
 from small_recordings import FakeClock
 
-from edge.config import load_config
+from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
 from edge.gateway.build import build
 from edge.gateway.recorder import PressReport
@@ -19,12 +19,13 @@ from edge.gateway.station_loop import StationLoop
 class SteppedStation:
     """`read` is the reader's thread, `look` is the loop's; the clock moves as the recording is read."""
 
-    def __init__(self, config: Path) -> None:
+    def __init__(self, config: Path, read_again: Callable[[], Config] | None = None) -> None:
         self.clock = FakeClock()
         self.reports: list[PressReport] = []
         self.has_ended = False
-        self._closing = ExitStack()
-        self.parts = build(load_config(config), self.clock, self._closing)
+        with ExitStack() as closing:
+            self.parts = build(load_config(config), self.clock, closing, read_again=read_again)
+            self._closing = closing.pop_all()
         self.loop = StationLoop(self.parts, self.reports.append)
 
     def read(self, steps: int) -> None:

@@ -1,0 +1,84 @@
+"""The bundles of a station, open and ready to score, by position of a part. Those with one backbone share its trunk."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from edge.core.errors import BundleMismatch, ConfigError
+from edge.core.part_position import PartPosition, find_part, named_part
+from edge.gateway.inspector import Inspector
+from edge.model.bundle import Bundle
+
+__all__ = ["BundleSet", "OpenBundle", "part_of"]
+
+
+def part_of(bundle: Bundle) -> PartPosition:
+    """What it inspects."""
+    return PartPosition(bundle.manifest.part, bundle.manifest.position)
+
+
+@dataclass(frozen=True)
+class OpenBundle:
+    """One bundle, ready to score. path: where it is configured. names: that select it, other than `part/position`.
+    golden_difference: the largest of its golden scores when it was opened."""
+
+    path: Path
+    names: tuple[str, ...]
+    inspector: Inspector
+    golden_difference: float
+
+    @property
+    def bundle(self) -> Bundle:
+        return self.inspector.bundle
+
+    @property
+    def part(self) -> PartPosition:
+        return part_of(self.bundle)
+
+
+@dataclass(frozen=True)
+class BundleSet:
+    """The bundles of a station, in the order of the configuration."""
+
+    bundles: Mapping[PartPosition, OpenBundle] = field(default_factory=dict)
+
+    def __getitem__(self, part: PartPosition) -> OpenBundle:
+        return self.bundles[part]
+
+    def __contains__(self, part: object) -> bool:
+        return part in self.bundles
+
+    def at(self, path: Path) -> OpenBundle | None:
+        """The bundle that was opened from there."""
+        return next((one for one in self.bundles.values() if one.path == path), None)
+
+    def find(self, part: str, position: str | None = None) -> PartPosition:
+        """Errors: ValueError, which names those known."""
+        return find_part(self.bundles, part, position)
+
+    def named(self, name: str) -> PartPosition:
+        """The position with this name, such as the code on the part. Errors: ValueError."""
+        names = {name: one.part for one in self.bundles.values() for name in one.names}
+        return named_part(self.bundles, names, name)
+
+    def with_one(self, new: OpenBundle) -> "BundleSet":
+        """The same with one more. Errors: ConfigError for a position that has one, BundleMismatch for a bundle that
+        needs another reading of the sensor."""
+        if (other := self.bundles.get(new.part)) is not None:
+            raise ConfigError(
+                f"bundle {new.path} is for {new.part}, as {other.path} is; name one of them for this position"
+            )
+        for other in self.bundles.values():
+            _check_same_reading(other.bundle, new.bundle)
+        return BundleSet({**self.bundles, new.part: new})
+
+
+def _check_same_reading(first: Bundle, other: Bundle) -> None:
+    """A switch between presses leaves the sensor running and keeps the learnt picture of the free gel."""
+    for name in ("native", "border", "controls"):
+        one, two = getattr(first.profile, name), getattr(other.profile, name)
+        if one != two:
+            raise BundleMismatch(
+                f"bundle {other.where} needs the sensor's {name} {two}, bundle {first.where} of the same station "
+                f"{one}; fit both with one profile"
+            )

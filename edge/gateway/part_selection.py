@@ -1,0 +1,148 @@
+"""Which bundle inspects: the selected position of a part, changed between two presses. Used by the loop alone."""
+
+import logging
+
+from edge.core.errors import GelgateError
+from edge.core.part_position import PartPosition
+from edge.core.ports import Clock
+from edge.gateway.bundle_set import BundleSet, OpenBundle
+from edge.gateway.bundle_stage import BundleStage
+from edge.gateway.golden_watch import GoldenWatch
+from edge.gateway.inspector import Inspector
+from edge.gateway.opening import Opened
+from edge.gateway.status import StationStatus
+from edge.store.acts import Act
+from edge.store.press_store import Store
+
+__all__ = ["PartSelection"]
+
+log = logging.getLogger(__name__)
+
+
+class PartSelection:
+    """The bundles of a station and the one in use.
+
+    A change that is asked for during a press is made after it: a press is judged by the bundle with which it began.
+    New bundles that fail leave the ones in use as they are, with the alarm `bundle`.
+    """
+
+    def __init__(
+        self,
+        bundles: BundleSet,
+        part: PartPosition,
+        stage: BundleStage,
+        store: Store,
+        status: StationStatus,
+        clock: Clock,
+    ) -> None:
+        self.bundles = bundles
+        self._in_use = bundles[part]
+        self._wanted = part
+        self._stage = stage
+        self._store = store
+        self._status = status
+        self._clock = clock
+        self._is_recorded = False
+        self._unrecorded: Act | None = None
+        self._golden = GoldenWatch(clock)
+        self._golden.watch(self.inspector, is_checked=True)
+
+    @property
+    def inspector(self) -> Inspector:
+        """It judges presses now."""
+        return self._in_use.inspector
+
+    @property
+    def part(self) -> PartPosition:
+        """What is inspected now."""
+        return self._in_use.part
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether another bundle is selected and waits for the end of a press."""
+        return self.bundles[self._wanted].inspector is not self.inspector
+
+    @property
+    def wanted(self) -> PartPosition:
+        """What is inspected from the end of this press on."""
+        return self._wanted
+
+    def select(self, part: PartPosition) -> None:
+        """Inspect this from the end of this press on; the next `step` changes to it. part: one of `bundles`."""
+        self._wanted = self.bundles[part].part
+
+    def reload(self) -> None:
+        """Open the configured bundles again, while presses are judged as before."""
+        self._stage.request(self.bundles)
+
+    def step(self, *, is_pressed: bool) -> bool:
+        """One turn: take new bundles, change the one in use, score a golden frame. Returns whether the one in use has
+        changed. Errors: StoreError, and then it has not; the next turn tries again."""
+        if (staged := self._stage.take()) is not None:
+            self._take(staged)
+        if self._unrecorded is not None:
+            self._store.begin_act(self._unrecorded, within_s=0)
+            self._unrecorded = None
+        if is_pressed:
+            return False
+        if self.is_waiting or not self._is_recorded:
+            return self._change()
+        if self._golden.step():
+            self._report_golden()
+        return False
+
+    def _change(self) -> bool:
+        chosen = self.bundles[self._wanted]
+        bundle = chosen.bundle
+        self._store.use_bundle(chosen.part, bundle.manifest.revision, bundle.digest, self._clock.time_ns())
+        self._is_recorded = True
+        has_changed = chosen.inspector is not self.inspector
+        self._in_use = chosen
+        if has_changed:
+            log.info("%s is inspected from now on, with bundle %s", chosen.part, bundle.where)
+            self._golden.watch(chosen.inspector)
+            self._report_golden()
+        return has_changed
+
+    def _take(self, staged: Opened | GelgateError) -> None:
+        """Use the new bundles, unless the selected position would have none."""
+        faults = [str(staged)] if isinstance(staged, GelgateError) else list(map(str, staged.faults.values()))
+        if isinstance(staged, Opened):
+            if {self.part, self._wanted} <= set(staged.bundles.bundles):
+                self.bundles = staged.bundles
+                self._in_use = self._same_in(staged.bundles)
+            else:
+                faults.append(
+                    f"there is no bundle for the selected {self._wanted} any more, so those in use stay; add one, or "
+                    "select another part and reload again"
+                )
+        self._report(faults)
+
+    def _same_in(self, bundles: BundleSet) -> OpenBundle:
+        """The bundle in use under its new names, where it is still the same; otherwise it waits to be changed."""
+        new = bundles[self.part]
+        return new if new.inspector is self.inspector else self._in_use
+
+    def _report(self, faults: list[str]) -> None:
+        """Into the log and the alarm; `step` writes it into the table of acts."""
+        for fault in faults:
+            log.error("%s", fault)
+        self._status.new_bundles(faults)
+        bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
+        self._unrecorded = Act(
+            self._clock.time_ns(),
+            "the gateway",
+            "open_bundles",
+            outcome="failed" if faults else "done",
+            sentence="; ".join(faults) or None,
+            after={"bundles": bundles},
+        )
+
+    def _report_golden(self) -> None:
+        """While golden frames score otherwise, no press has a verdict."""
+        fault = self._golden.fault
+        self.inspector.fault = fault
+        if fault is None:
+            self._status.clear_fault("golden")
+        elif self._status.set_fault("golden", fault):
+            log.error("%s", fault)

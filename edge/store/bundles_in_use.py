@@ -1,0 +1,40 @@
+"""The bundles in use: the newest revision of each position of each part, and which position is selected.
+
+Runs inside the caller's transaction.
+"""
+
+import sqlite3
+
+from edge.core.part_position import PartPosition
+
+__all__ = ["revision", "selected", "use"]
+
+
+def revision(connection: sqlite3.Connection, part: PartPosition) -> int | None:
+    """That of the newest bundle in use; None where none had one."""
+    row = connection.execute(
+        "SELECT revision FROM bundles_in_use WHERE part = ? AND position = ?", part
+    ).fetchone()
+    return None if row is None or row[0] is None else int(row[0])
+
+
+def selected(connection: sqlite3.Connection) -> PartPosition | None:
+    """The position that was selected last."""
+    row = connection.execute("SELECT part, position FROM selected").fetchone()
+    return None if row is None else PartPosition(*row)
+
+
+def use(
+    connection: sqlite3.Connection, part: PartPosition, number: int | None, bundle_id: str, time_ns: int
+) -> None:
+    """This bundle inspects from now on. A lower revision than before is one that was allowed: it is the newest now."""
+    connection.execute(
+        "INSERT INTO bundles_in_use VALUES (?, ?, ?, ?, ?) ON CONFLICT (part, position) DO UPDATE SET "
+        "revision = excluded.revision, bundle_id = excluded.bundle_id, time_ns = excluded.time_ns",
+        (*part, number, bundle_id, time_ns),
+    )
+    connection.execute(
+        "INSERT INTO selected VALUES (1, ?, ?) ON CONFLICT (one) DO UPDATE SET part = excluded.part, "
+        "position = excluded.position",
+        part,
+    )

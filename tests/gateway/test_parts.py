@@ -1,0 +1,400 @@
+"""Several parts at one station: selected between two presses, changed while it runs, the last good bundles kept."""
+
+import json
+from pathlib import Path
+
+import pytest
+from parts import parts_config, threshold, variant
+from station import Motion, press_recording
+from stepped_station import SteppedStation
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.errors import BundleMismatch, ConfigError, StoreError
+from edge.core.part_position import PartPosition
+from edge.core.ports import Message
+from edge.gateway.bundle_set import BundleSet
+from edge.gateway.bundle_stage import BundleStage
+from edge.gateway.opening import BundleOpener, Opened
+from edge.model.archive import open_archive
+from edge.model.session import TrunkSessions
+from edge.store.press_store import Store
+
+PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, bundle: Path) -> Path:
+    """Two bundles that differ in part and threshold: every press passes the second."""
+    folder = tmp_path / "bundles"
+    folder.mkdir()
+    variant(bundle, folder / "a")
+    variant(bundle, folder / "b", part="PZ1", threshold=threshold(bundle, 1e6))
+    return folder
+
+
+@pytest.fixture
+def config(tmp_path: Path, recording: Path, folder: Path) -> Path:
+    return parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+
+
+def retained(station: SteppedStation, topic: str) -> dict[str, object] | None:
+    """The payload of a retained status message; None where it is empty or absent."""
+    found: list[Message] = [one for one in station.parts.retained_state.all() if one.topic == topic]
+    return json.loads(found[-1].payload) if found and found[-1].payload else None
+
+
+def reloaded(station: SteppedStation) -> None:
+    """Ask for a reload, let the bundles' thread have a turn, and the loop one."""
+    station.loop.selection.reload()
+    station.parts.stage.step()
+    station.loop.step(None)
+
+
+def test_all_bundles_share_one_trunk(config: Path) -> None:
+    """The second bundle is opened without another copy of the backbone in memory."""
+    with SteppedStation(config) as station:
+        first, second = (one.inspector.scorer for one in station.loop.selection.bundles.bundles.values())
+
+        assert first._trunk is second._trunk
+        assert second.bundle.graphs.trunk is None
+
+
+def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> None:
+    """The dented press fails as PZ0; as PZ1, with its own threshold, it passes, and its result says so."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: len(station.reports) == 1)
+        station.loop.select_part("PZ1")
+        station.play()
+
+        results = [report.result for report in station.reports]
+        assert [(one.part, one.verdict) for one in results] == [
+            ("PZ0", "pass"),
+            ("PZ1", "pass"),
+            ("PZ1", "pass"),
+        ]
+        info = retained(station, "info")
+    assert info is not None
+    assert (info["part"], info["bundle_id"]) == ("PZ1", results[-1].bundle_id)
+    assert results[0].bundle_id != results[-1].bundle_id
+
+
+def test_a_part_selected_during_a_press_waits_for_its_end(config: Path) -> None:
+    """The press is judged by the bundle with which it began."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session and station.loop.session.has_contact)
+        station.loop.select_named("PZ1")
+        assert station.loop.selection.is_waiting
+        station.play_until(lambda: len(station.reports) == 1)
+        assert station.reports[0].result.part == "PZ0"
+        station.play_until(lambda: not station.loop.session.has_contact)
+        assert not station.loop.selection.is_waiting
+        station.play()
+
+        assert [report.result.part for report in station.reports] == ["PZ0", "PZ1", "PZ1"]
+
+
+def test_the_learnt_free_gel_stays_over_a_change_of_part(config: Path) -> None:
+    """The station is ready for the next press at once."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: len(station.reports) == 1)
+        station.play_until(lambda: not station.loop.session.has_contact)
+        reference = station.loop.session._pipeline.tracker.reference
+        station.loop.select_part("PZ1")
+
+        assert station.loop.session._pipeline.tracker.reference is reference
+        assert (retained(station, "state") or {})["state"] == "ready"
+
+
+def test_a_station_starts_with_the_part_that_was_selected_last(config: Path) -> None:
+    """Also after a power cut: the part on the line did not change with it."""
+    with SteppedStation(config) as station:
+        station.loop.select_part("PZ1")
+    with SteppedStation(config) as station:
+        assert station.loop.selection.part == PZ1
+
+
+def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording: Path, folder: Path) -> None:
+    """By any of its names."""
+    lines = (
+        f'part = "4711"\n[[inspection.bundles]]\npath = "{folder / "a"}"\n'
+        f'[[inspection.bundles]]\npath = "{folder / "b"}"\nnames = ["4711"]'
+    )
+    config = parts_config(tmp_path / "station", recording, "")
+    config.write_text(config.read_text() + "[inspection]\n" + lines + "\n")
+    text = config.read_text().replace('[inspection]\n\ntrigger = "automatic"\n', "", 1)
+    config.write_text(text)
+    with SteppedStation(config) as station:
+        assert station.loop.selection.part == PZ1
+        station.loop.select_named("PZ0")
+        station.loop.select_named("4711")
+        assert station.loop.selection.part == PZ1
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("PZ2", r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"),
+        ("", "known: PZ0/pos1, PZ1/pos1"),
+    ],
+)
+def test_an_unknown_name_is_refused_and_nothing_changes(config: Path, name: str, words: str) -> None:
+    """With the nearest known name."""
+    with SteppedStation(config) as station:
+        with pytest.raises(ValueError, match=words):
+            station.loop.select_named(name)
+        assert station.loop.selection.part == PZ0
+
+
+def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """The sentence names them."""
+    for name, position in (("a", "left"), ("b", "right")):
+        variant(bundle, tmp_path / "bundles" / name, position=position)
+    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{tmp_path / "bundles"}"')
+    with SteppedStation(config) as station:
+        with pytest.raises(ValueError, match="several positions here \\(PZ0/left, PZ0/right\\)"):
+            station.loop.select_part("PZ0")
+        station.loop.select_part("PZ0", "right")
+        assert station.loop.selection.part == PartPosition("PZ0", "right")
+
+
+def test_two_bundles_for_one_position_are_refused(config: Path, folder: Path, bundle: Path) -> None:
+    """Which of them inspects would depend on their order."""
+    variant(bundle, folder / "c")
+    with pytest.raises(ConfigError, match=r"is for PZ0/pos1, as .*a is"):
+        SteppedStation(config)
+
+
+def test_a_bundle_for_another_reading_of_the_sensor_is_refused(
+    config: Path, folder: Path, bundle: Path
+) -> None:
+    """A switch between presses leaves the camera as it is."""
+    profile = json.loads((bundle / "manifest.json").read_text())["profile"]
+    variant(bundle, folder / "c", part="PZ3", profile={**profile, "controls": {"exposure": 7}})
+    with pytest.raises(BundleMismatch, match=r"needs the sensor's controls \{'exposure': 7\}"):
+        SteppedStation(config)
+
+
+def test_a_new_bundle_takes_over_at_a_reload(config: Path, folder: Path, bundle: Path) -> None:
+    """The one in use is exchanged; the other one, which has not changed, is not opened again."""
+    with SteppedStation(config) as station:
+        selection = station.loop.selection
+        old, other = selection.inspector, selection.bundles[PZ1].inspector
+        variant(bundle, folder / "a", revision=2)
+        reloaded(station)
+
+        assert selection.inspector is not old
+        assert selection.inspector.bundle.manifest.revision == 2
+        assert selection.bundles[PZ1].inspector is other
+        assert station.parts.store.newest_revision(PZ0) == 2
+
+
+def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder: Path, bundle: Path) -> None:
+    """With the alarm `bundle`, which ends with a good one; the other new bundle of the same reload is used."""
+    with SteppedStation(config) as station:
+        selection = station.loop.selection
+        old = selection.inspector
+        (folder / "a" / "head.onnx").write_bytes(b"cut")
+        manifest = json.loads((folder / "a" / "manifest.json").read_text())
+        (folder / "a" / "manifest.json").write_text(json.dumps({**manifest, "revision": 5}))
+        variant(bundle, folder / "b", part="PZ1", revision=7)
+        reloaded(station)
+
+        assert selection.inspector is old
+        assert selection.bundles[PZ1].bundle.manifest.revision == 7
+        alarm = retained(station, "alarm/bundle")
+        assert alarm is not None
+        assert "head.onnx has SHA-256" in str(alarm["text"])
+
+        variant(bundle, folder / "a", revision=5)
+        reloaded(station)
+        assert selection.inspector.bundle.manifest.revision == 5
+        assert retained(station, "alarm/bundle") is None
+
+
+def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, bundle: Path) -> None:
+    """At a reload the newer one stays, at a start nothing runs; allowed once, it is the newest."""
+    variant(bundle, folder / "a", revision=3)
+    with SteppedStation(config) as station:
+        station.loop.step(None)
+        variant(bundle, folder / "a", revision=2)
+        reloaded(station)
+        assert station.loop.selection.inspector.bundle.manifest.revision == 3
+        assert "has revision 2, and revision 3 was in use" in str(retained(station, "alarm/bundle"))
+    with pytest.raises(BundleMismatch, match="has revision 2, and revision 3 was in use here"):
+        SteppedStation(config)
+
+    variant(bundle, folder / "a")
+    with pytest.raises(BundleMismatch, match="has no revision, and revision 3 was in use here"):
+        SteppedStation(config)
+
+    variant(bundle, folder / "a", revision=2)
+    config.write_text(config.read_text().replace("bundle_folder", 'older = "allowed"\nbundle_folder'))
+    with SteppedStation(config) as station:
+        station.loop.step(None)
+    config.write_text(config.read_text().replace('older = "allowed"', 'older = "refused"'))
+    with SteppedStation(config) as station:
+        assert station.loop.selection.inspector.bundle.manifest.revision == 2
+
+
+def test_the_selected_part_cannot_be_removed_by_a_reload(config: Path, folder: Path) -> None:
+    """It goes on being inspected, and the alarm says why nothing was taken."""
+    with SteppedStation(config) as station:
+        (folder / "a" / "manifest.json").unlink()
+        reloaded(station)
+        assert station.loop.selection.part == PZ0
+        assert "there is no bundle for the selected PZ0/pos1 any more" in str(
+            retained(station, "alarm/bundle")
+        )
+
+        station.loop.select_part("PZ1")
+        reloaded(station)
+        assert list(station.loop.selection.bundles.bundles) == [PZ1]
+        assert retained(station, "alarm/bundle") is None
+
+
+def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, folder: Path) -> None:
+    """A configuration with a fault leaves everything as it is."""
+    with SteppedStation(config, read_again=lambda: load_config(config)) as station:
+        good = config.read_text()
+        config.write_text(good.replace(str(folder), str(tmp_path / "nowhere")))
+        reloaded(station)
+        assert "nowhere cannot be read" in str(retained(station, "alarm/bundle"))
+        config.write_text(good + "\n[unheard]\n")
+        reloaded(station)
+        assert "'unheard' is not known" in str(retained(station, "alarm/bundle"))
+        assert station.loop.selection.part == PZ0
+
+
+def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None:
+    """A gateway that runs for months keeps the backbones of its bundles and no others."""
+    trunks = TrunkSessions()
+    opener = BundleOpener(None, 1, SystemClock())
+    opener.trunks = trunks
+    table = load_config(config).inspection
+    bundles = opener.open(table).bundles
+    digest = bundles[PZ0].bundle.trunk_sha256
+    graph = open_archive(bundles[PZ0].path).read("trunk.onnx", 1 << 20)
+    trunks.get("another", graph, "a test")
+    assert (digest in trunks, "another" in trunks) == (True, True)
+    opener.open(table, bundles)
+
+    assert (digest in trunks, "another" in trunks) == (True, False)
+
+
+def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(config: Path) -> None:
+    """The bundles' thread does not end by it: the next reload is served."""
+    with SteppedStation(config) as station:
+        outcomes: list[Opened | Exception] = [
+            RuntimeError("no such thing"),
+            Opened(station.loop.selection.bundles, {}),
+        ]
+
+        def opened(in_use: BundleSet) -> Opened:
+            outcome = outcomes.pop(0)
+            if isinstance(outcome, Exception):
+                raise outcome
+            return outcome
+
+        stage = BundleStage(opened)
+        stage.request(BundleSet())
+        stage.step()
+        assert "no such thing" in str(stage.take())
+        stage.request(BundleSet())
+        stage.step()
+        assert isinstance(stage.take(), Opened)
+        assert stage.take() is None
+
+
+def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:
+    """With the bundles that are open after it."""
+    with SteppedStation(config) as station:
+        reloaded(station)
+        act = station.parts.store.acts()[0]
+        digest = station.loop.selection.inspector.bundle.digest
+
+    assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
+    assert act.after is not None
+    assert act.after["bundles"]["PZ0/pos1"] == digest
+
+
+def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(config: Path) -> None:
+    """The new bundles are used meanwhile; their row of the table of acts is not lost."""
+    with SteppedStation(config) as station:
+        station.loop.step(None)
+        with station.refusing("acts"):
+            reloaded(station)
+            assert station.loop.is_halted
+            assert station.parts.store.acts() == []
+        turns(station, 3)
+
+        assert not station.loop.is_halted
+        assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
+
+
+def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
+    """Neither now nor later: the request is answered with the error."""
+    with SteppedStation(config) as station:
+        station.loop.step(None)
+        with station.refusing("selected"), pytest.raises(StoreError, match="no room"):
+            station.loop.select_part("PZ1")
+        station.loop.step(None)
+
+        assert station.loop.selection.part == PZ0
+    with Store(config.parent / "gelgate.db") as store:
+        assert store.selected() == PZ0
+
+
+def test_golden_frames_are_scored_after_every_change_and_every_hour(
+    tmp_path: Path, folder: Path, bundle: Path
+) -> None:
+    """A bundle whose frames score otherwise gives no verdict, and the station says so; it heals by itself."""
+    recording = press_recording(tmp_path / "presses", 1, motion=Motion(idle=12), seed=5)
+    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        scorer = station.loop.selection.inspector.scorer
+        mean = scorer._bank["mean"].numpy().copy()
+        scorer._bank["mean"].update_inplace(mean + 1)
+        turns(station, 3)
+        assert retained(station, "alarm/golden") is None
+
+        station.clock.sleep(3601)
+        turns(station, len(scorer.bundle.golden))
+        assert "golden frame 0" in str(retained(station, "alarm/golden"))
+        assert (retained(station, "state") or {})["state"] == "halted"
+        assert station.loop.selection.inspector.fault is not None
+
+        before = station.loop.selection.bundles
+        again = BundleOpener(None, 1, SystemClock()).open(load_config(config).inspection, before).bundles
+        assert [again[part].inspector is before[part].inspector for part in (PZ0, PZ1)] == [False, True]
+
+        scorer._bank["mean"].update_inplace(mean)
+        station.clock.sleep(61)
+        turns(station, len(scorer.bundle.golden))
+        assert retained(station, "alarm/golden") is None
+        assert station.loop.selection.inspector.fault is None
+
+        other = station.loop.selection.bundles[PZ1].inspector.scorer
+        other._bank["mean"].update_inplace(mean + 1)
+        station.loop.select_part("PZ1")
+        turns(station, len(scorer.bundle.golden))
+        assert "golden frame 0" in str(retained(station, "alarm/golden"))
+        station.loop.select_part("PZ0")
+        assert retained(station, "alarm/golden") is None
+
+
+def test_no_press_has_a_verdict_while_golden_frames_fail(config: Path) -> None:
+    """Each is an error with the reason, and is counted."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        station.loop.selection.inspector.fault = "golden frame 0 scores 9"
+        station.play()
+
+        assert [report.result.error for report in station.reports] == ["golden frame 0 scores 9"] * 3
+        assert [report.result.verdict for report in station.reports] == [None] * 3
+
+
+def turns(station: SteppedStation, count: int) -> None:
+    for _ in range(count):
+        station.loop.step(None)
