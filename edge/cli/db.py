@@ -63,9 +63,9 @@ def backup(
 
 @db.command()
 def migrate(database: Database = None, config: Config = None) -> None:
-    """Bring an older database to this version, after a backup next to it.
+    """Bring an older database to this version, after a backup.
 
-    The start of the gateway does the same without the backup."""
+    The backup is next to the file. A start of the gateway does the same without one."""
     from edge.messaging.publisher_lock import PublisherLock
     from edge.store.backup import migrate as migrate_file
     from edge.store.schema import SCHEMA_VERSION
