@@ -125,7 +125,7 @@ def test_a_log_as_json_has_the_presses_too(pressed: Path) -> None:
     presses = [line for line in lines if line.get("event") == "press"]
 
     assert (done.returncode, done.stdout) == (0, "")
-    assert [line["verdict"] for line in presses] == ["pass", "fail", "pass"]
+    assert [line["verdict"] for line in presses] == ["pass"] * 3
     assert [line["sequence"] for line in presses] == [1, 2, 3]
     assert len({line["press_id"] for line in presses}) == 3
     assert lines[-1]["event"] == "summary"
