@@ -8,6 +8,7 @@ from command_line import gelgate
 
 from edge.cli.history import moment_ns
 from edge.core.errors import ConfigError
+from edge.store.acts import Act
 from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid
 
@@ -69,6 +70,14 @@ def test_a_mistyped_verdict_is_refused(database: Path) -> None:
 
     assert done.code == 3
     assert done.sentence() == "no press has the verdict 'failed'; did you mean 'fail'?"
+
+
+def test_acts_are_read_from_the_same_file(database: Path) -> None:
+    """A station's database is not next to its configuration where a service runs it."""
+    with Store(database) as store:
+        store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"), within_s=0)
+
+    assert "trigger  done  for shift leader" in gelgate("acts", "--database", database).out
 
 
 @pytest.mark.parametrize(

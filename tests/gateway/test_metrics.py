@@ -9,7 +9,6 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import ConfigError
-from edge.gateway import metrics
 from edge.gateway.metrics import METRICS, Metrics, served
 from edge.messaging.payloads import (
     ALARMS,
@@ -115,9 +114,12 @@ def test_a_station_serves_them_until_it_is_closed(
         socket.create_connection(("127.0.0.1", port), timeout=10)
 
 
-def test_they_are_served_on_the_loopback_address_alone() -> None:
-    """There is no login, so no other machine may ask."""
-    assert metrics.ADDRESS == "127.0.0.1"
+def test_they_are_served_on_one_loopback_address_alone(port: int) -> None:
+    """There is no login, so no other address of the machine answers; 127.0.0.2 stands for them."""
+    with served(port):
+        socket.create_connection(("127.0.0.1", port), timeout=10).close()
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), timeout=10)
 
 
 def test_a_port_that_is_taken_is_one_sentence(port: int) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import socket
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -90,3 +91,22 @@ def test_the_check_prints_the_licence_of_the_weights(tmp_path: Path, recording: 
         "licence of the weights CC-BY-NC-4.0: not for commercial use, not for production" in texts["stated"]
     )
     assert "licence" not in texts["plain"]
+
+
+def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A port that is taken is found by the check, not by the start; a free one is free again afterwards."""
+    path = station_config(tmp_path, recording, bundle)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        path.write_text(path.read_text() + f"[metrics]\nport = {port}\n")
+        with preflight(load_config(path), SystemClock()) as checked:
+            (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]
+    assert isinstance(finding.error, ConfigError)
+    assert f"metrics.port {port} cannot be served" in finding.text
+
+    for _ in range(2):
+        with preflight(load_config(path), SystemClock()) as checked:
+            (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]
+        assert (finding.error, finding.text) == (None, f"http://127.0.0.1:{port}/metrics on this machine")

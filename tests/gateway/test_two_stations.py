@@ -19,6 +19,8 @@ from plugins.devices.virtual.camera import VirtualCamera
 from plugins.devices.virtual.descriptors import Board
 
 LEFT, RIGHT = "LEFT0001", "RIGH0002"
+# Of five frames each: more than the recording has, so that a station without its sensor fails and does not hang.
+TURNS = 40
 
 
 def station(folder: Path, recording: Path, bundle: Path, serial: str | None, neighbour: str) -> Path:
@@ -37,9 +39,10 @@ def test_each_station_inspects_and_counts_on_its_own_sensor(
     left = station(tmp_path / "left", recording, bundle, LEFT, RIGHT)
     right = station(tmp_path / "right", recording, bundle, RIGHT, LEFT)
     with SteppedStation(left) as one, SteppedStation(right) as other:
-        while not (one.has_ended and other.has_ended):
+        for _ in range(TURNS):
             one.play(5)
             other.play(5)
+        assert (one.has_ended, other.has_ended) == (True, True)
 
         for running, name, serial in ((one, "left", LEFT), (other, "right", RIGHT)):
             results = [report.result for report in running.reports]

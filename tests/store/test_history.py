@@ -10,7 +10,7 @@ import pytest
 from recorded_presses import SERIAL, T0
 
 from edge.core.errors import StoreError
-from edge.store.database import APPLICATION_ID
+from edge.store.database import APPLICATION_ID, opened_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history
 from edge.store.history_files import write_history
 from edge.store.press_store import PressRecord, Store
@@ -70,6 +70,16 @@ def test_reading_writes_nothing_and_needs_no_turn(six: Path, store: Store, make_
 
     assert [first, *(row.number for row in rows)] == [1, 2, 3, 4, 5, 6]
     assert numbers(six, HistoryQuery(newest=1)) == [7]
+
+
+def test_a_reader_cannot_write(six: Path) -> None:
+    """A mistake in a question changes no row."""
+    with (
+        pytest.raises(StoreError, match="readonly database"),
+        opened_read_only(six, "asking") as connection,
+    ):
+        connection.execute("DELETE FROM presses")
+    assert len(numbers(six, HistoryQuery())) == 6
 
 
 def test_a_database_that_is_not_there_is_not_made(tmp_path: Path) -> None:
