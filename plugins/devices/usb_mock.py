@@ -126,7 +126,8 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
         bench = self.bench(options, clock)
         found = choose(discover(bench.bus), options.serial)
         # Two stations of one computer may play the same recording as two sensors.
-        lock_name = f"virtual-{options.recording.resolve()}-{options.serial or ''}"[-200:]
+        own = f"-{options.serial}" if options.serial else ""
+        lock_name = f"virtual-{options.recording.resolve()}{own}"[-200:]
         sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
         if options.pace == 0:
             sensor.played_ns = bench.sensor.played_ns
