@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pyarrow import parquet
 from recorded_presses import SERIAL, T0
 
 from edge.core.errors import StoreError
@@ -115,7 +116,6 @@ def test_a_csv_file_holds_every_field(six: Path, tmp_path: Path) -> None:
 
 def test_a_parquet_file_is_read_back_as_it_was(six: Path, tmp_path: Path) -> None:
     """Numbers stay numbers, moments are moments, and missing values are missing."""
-    parquet = pytest.importorskip("pyarrow.parquet")
     rows = list(read_history(six, HistoryQuery()))
     write_history(tmp_path / "presses.parquet", rows)
 
@@ -128,7 +128,6 @@ def test_a_parquet_file_is_read_back_as_it_was(six: Path, tmp_path: Path) -> Non
 
 def test_a_parquet_file_may_have_no_rows(six: Path, tmp_path: Path) -> None:
     """A day without presses gives a file with its columns."""
-    parquet = pytest.importorskip("pyarrow.parquet")
     write_history(tmp_path / "none.parquet", [])
 
     assert parquet.read_table(tmp_path / "none.parquet").column_names == list(COLUMNS)
