@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
+.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -71,6 +71,12 @@ detectability: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/pytest tests/bench -m bench -s
+
+# Faults on a real gateway and a real broker, and what became of the presses. A round takes some seconds: 60 are under
+# 10 minutes. `make test` does one round of each fault.
+ROUNDS ?= 60
+soak: $(VENV)/.test
+	$(BIN)/python tests/support/soak.py --rounds $(ROUNDS)
 
 # The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour. ACQUISITIONS_CACHE keeps finished rows.
 acquisitions: $(VENV)/.test

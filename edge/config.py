@@ -230,6 +230,18 @@ class StoreTable(_Table):
         le=3650,
         description="unsent messages are dropped after this many days of running; no step of the clock counts",
     )
+    free_mb: float = Field(
+        default=500,
+        ge=0,
+        le=1_000_000_000,
+        description="less room than this on its disk is an alarm; 0: none before the disk is full",
+    )
+
+
+class MetricsTable(_Table):
+    """Counters for Prometheus, on this machine alone: http://127.0.0.1:<port>/metrics. Needs the extra `metrics`."""
+
+    port: int | None = Field(default=None, ge=1024, le=65535, description="TCP port; none: not served")
 
 
 class CommandTable(_Table):
@@ -270,6 +282,7 @@ class Config(_Table):
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
     commands: CommandTable = CommandTable()
+    metrics: MetricsTable = MetricsTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
 
 

@@ -17,6 +17,8 @@ _PACKAGES = {
     "peers": (*_STUDIES, "torch", "anomalib"),
     "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),
+    "metrics": ("prometheus_client",),
+    "parquet": ("pyarrow",),
 }
 
 

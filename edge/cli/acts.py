@@ -15,6 +15,9 @@ def acts(
     config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
         "gelgate.toml"
     ),
+    database: Annotated[
+        Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
+    ] = None,
     count: Annotated[int, typer.Option(help="The newest of this number.", min=1)] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
 ) -> None:
@@ -28,7 +31,7 @@ def acts(
     from edge.core.errors import ConfigError
     from edge.store.press_store import Store
 
-    path = load_config(config).store.path
+    path = database or load_config(config).store.path
     if not path.is_file():
         raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
     with Store(path) as store:

@@ -41,11 +41,29 @@ warn_fraction = 0.8
 path = "gelgate.db"
 outbox_mb = 512               # unsent messages: heatmaps are dropped first, then passes, fails last
 outbox_days = 30
+free_mb = 500                 # less room on the disk is an alarm
+
+[metrics]
+# port = 9464                 # counters for Prometheus at http://127.0.0.1:9464/metrics
 
 [[sinks]]
 plugin = "mqtt"
 options = { host = "localhost", port = 1883 }
 """
+
+# What a line of the log says of a press; the rest is in the result that is published.
+_LOGGED = {
+    "sequence",
+    "part",
+    "position",
+    "verdict",
+    "reason",
+    "error",
+    "score",
+    "threshold",
+    "latency_ms",
+    "gel_id",
+}
 
 StateOption = Annotated[
     Path | None,
@@ -63,16 +81,19 @@ def run(
     ] = False,
     state_dir: StateOption = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every contact event.")] = False,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="Log JSON lines, presses too, instead of text.")
+    ] = False,
 ) -> None:
     """Run the gateway: inspect every press and publish.
 
     It reads the sensor, scores every press, publishes the verdict and counts the press on its gel. Ctrl-C or SIGTERM
     ends it."""
-    import logging
     import os
     import signal
     import threading
 
+    from edge import logs
     from edge.clock import SystemClock
     from edge.config import load_config
     from edge.core.errors import DeviceError
@@ -81,10 +102,7 @@ def run(
     from edge.gateway.played import check_played
     from edge.gateway.preflight import preflight
 
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.INFO,
-        format="%(asctime)s %(levelname)s %(name)s %(message)s",
-    )
+    logs.start("json" if log_json else "text", is_verbose=verbose)
     os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
     loaded = load_config(config, state_dir)
     clock = SystemClock()
@@ -99,17 +117,16 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
-        with Gateway.open(
-            loaded,
-            clock,
-            lambda report: out.put(press_line(report)),
-            checked,
-            lambda: load_config(config, state_dir),
-        ) as gateway:
+        on_press = log_press if log_json else lambda report: out.put(press_line(report))
+        read_again = partial(load_config, config, state_dir)
+        with Gateway.open(loaded, clock, on_press, checked, read_again) as gateway:
             if is_service:
                 signal.signal(signal.SIGHUP, lambda *_: gateway.reload())
             summary = gateway.run(stop, presses=presses)
-    out.put(summary_text(summary))
+    if log_json:
+        log_summary(summary)
+    else:
+        out.put(summary_text(summary))
     if recording is not None and loaded.inspection.trigger == "automatic":
         check_played(recording, summary, gateway.status)
 
@@ -179,6 +196,30 @@ def summary_text(summary: "Summary") -> str:
             "presses were judged too late: this machine is too slow, presses may have been missed"
         )
     return text
+
+
+def log_press(report: "PressReport") -> None:
+    """One press in the log, its facts as fields."""
+    import logging
+
+    from edge.logs import press_event
+
+    result, gel = report.result, report.gel
+    fields = {
+        "event": "press",
+        **result.model_dump(mode="json", include=_LOGGED),
+        "gel_presses": gel.presses,
+    }
+    press_event(logging.getLogger(__name__), result.press_id, press_line(report), fields)
+
+
+def log_summary(summary: "Summary") -> None:
+    """The end of a run in the log."""
+    import logging
+
+    fields = {"event": "summary", "presses": summary.presses, "verdicts": dict(summary.verdicts)}
+    log = logging.getLogger(__name__)
+    log.info("%s", summary_text(summary).replace("\n", "; "), extra={"fields": fields})
 
 
 def press_line(report: "PressReport") -> str:

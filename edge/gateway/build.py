@@ -12,14 +12,16 @@ from edge import registry
 from edge.config import Config, sink_names
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock, Device, Sink
+from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import Place, Station, topic_root
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
+from edge.gateway.free_space import FreeSpace
 from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.metrics import served
 from edge.gateway.opening import BundleOpener, Opened, device_opener
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
@@ -69,7 +71,7 @@ def build(
         lock=lock,
         before=_names_before(config),
     )
-    status = StationStatus(publisher.announce, clock)
+    status = StationStatus(_announcer(config, publisher.announce, closing), clock)
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
@@ -84,6 +86,7 @@ def build(
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=Place(table.site, table.line, table.station),
         store=store,
+        free_space=FreeSpace(config.store.path, round(config.store.free_mb * 1e6)),
         references=ReferenceFolder(config.store.path.with_suffix(".references")),
         retained_state=retained_state,
         publisher=publisher,
@@ -133,6 +136,22 @@ def _staging(opener: BundleOpener, read_again: Callable[[], Config]) -> OpenBund
             return error
 
     return open_bundles
+
+
+def _announcer(
+    config: Config, publish: Callable[[Message], object], closing: ExitStack
+) -> Callable[[Message], None]:
+    """Status messages go to the receivers, and to the metrics where they are served. Errors: ConfigError."""
+    serving = None
+    if config.metrics.port is not None:
+        serving = closing.enter_context(served(config.metrics.port))
+
+    def announce(message: Message) -> None:
+        if serving is not None:
+            serving.see(message)
+        publish(message)
+
+    return announce
 
 
 def _names_before(config: Config) -> dict[str, str]:

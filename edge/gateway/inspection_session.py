@@ -26,6 +26,7 @@ from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.status import StationStatus
+from edge.logs import about_press
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
 
@@ -95,7 +96,8 @@ class InspectionSession:
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
         while self._unrecorded:
-            report = self._recorder.record(self._unrecorded[0])
+            with about_press(self._unrecorded[0].press.press_id):
+                report = self._recorder.record(self._unrecorded[0])
             self._unrecorded.popleft()
             self.see_gel(report.gel)
             self._status.gel_wear(report.gel)

@@ -20,7 +20,8 @@ from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import COMMANDS
-from edge.gateway.opening import BundleOpener, device_opener
+from edge.gateway.metrics import ADDRESS, served
+from edge.gateway.opening import BundleOpener, device_opener, try_once
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
 from edge.store.press_store import Store
@@ -114,6 +115,9 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
+    port = config.metrics.port
+    if port is not None:
+        found.try_part("metrics", lambda: _metrics(port))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found
@@ -165,6 +169,12 @@ def _commands(config: Config) -> str:
     words = [f"{verb} (unsigned)" for verb in sorted(policy.unsigned)]
     words += [f"{verb} (signed)" for verb in sorted(policy.signed)]
     return ", ".join(words) or "none"
+
+
+def _metrics(port: int) -> str:
+    """Errors: ConfigError where the extra is not installed or the port is taken."""
+    with served(port):
+        return f"http://{ADDRESS}:{port}/metrics on this machine"
 
 
 def _reachable(table: PluginTable, key: str) -> str:

@@ -19,6 +19,7 @@ from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.clock_guard import ClockGuard
+from edge.gateway.free_space import FreeSpace
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
@@ -57,6 +58,7 @@ class Parts:
     contact: ContactSettings
     place: Place
     store: Store
+    free_space: FreeSpace
     references: ReferenceFolder
     retained_state: RetainedState
     publisher: Publisher
@@ -174,6 +176,7 @@ class StationLoop:
         self._last_stats_ns = parts.clock.monotonic_ns()
         self.summary.see(parts.acquisition.status, self._session.corrupt if self._session else 0)
         self._say_load()
+        parts.status.disk(parts.free_space.check())
         try:
             self._note_clock_step()
             if self._session is not None:
@@ -190,6 +193,8 @@ class StationLoop:
             parts.acquisition.status,
             outbox,
             {name: _word(one) for name, one in counters.items()},
+            parts.free_space.bytes,
+            self._session.gel if self._session else None,
         )
         parts.status.refused(outbox.refused, [c.last_refusal for c in counters.values() if c.last_refusal])
         parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])

@@ -162,6 +162,8 @@ class StationStatus:
         sensor: AcquisitionStatus,
         outbox: OutboxStatus,
         receivers: Mapping[str, str] | None = None,
+        disk_free_bytes: int | None = None,
+        gel: GelRecord | None = None,
     ) -> None:
         """Counters since the start."""
         self._dropped(outbox)
@@ -185,9 +187,19 @@ class StationStatus:
             outbox_bytes=outbox.bytes,
             outbox_refused=outbox.refused,
             dropped=dict(outbox.dropped),
+            disk_free_bytes=disk_free_bytes,
+            gel_presses=gel.presses if gel else None,
+            gel_limit_presses=gel.limit_presses if gel else None,
             receivers=dict(receivers or {}),
         )
         self._announce(stats_message(payload))
+
+    def disk(self, sentence: str | None) -> None:
+        """An alarm while the disk of the database has little room."""
+        if sentence is None:
+            self.clear("disk")
+        else:
+            self.alarm("disk", sentence, "warning")
 
     def overload(self, sentence: str | None) -> None:
         """An alarm while this machine is too slow for its sensor."""

@@ -74,6 +74,11 @@ class LocalBroker:
     def speaks_mqtt5(self) -> bool:
         return self.kind == "mosquitto"
 
+    @property
+    def pid(self) -> int | None:
+        """The broker's process, None while it is stopped."""
+        return None if self._process is None else self._process.pid
+
     def start(self) -> Self:
         if self._process is not None:
             return self

@@ -51,6 +51,7 @@ PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25
 ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or sends broken frames",
     "store": "the database or its disk refuses writes; inspection halts",
+    "disk": "the disk of the database has little room left; when it is full, inspection halts",
     "outbox_full": "unsent messages were dropped: too old, or no room; heatmaps first, passes next, fails last",
     "refused": "a receiver refused a message; it is kept and offered again within a minute",
     "receiver": "a receiver works, with a fault that a person should correct: denied topics, its MQTT level, client id",
@@ -290,6 +291,9 @@ class StatsPayload(Payload):
     outbox_bytes: int = Field(default=0, ge=0)
     outbox_refused: int = Field(default=0, ge=0, description="rows that a receiver refuses; they are kept")
     dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
+    disk_free_bytes: int | None = Field(default=None, ge=0, description="room on the disk of the database")
+    gel_presses: int | None = Field(default=None, ge=0, description="of the mounted gel")
+    gel_limit_presses: int | None = Field(default=None, ge=1, description="presses allowed on it")
     receivers: dict[str, str] = Field(
         default_factory=dict, description="receiver to `up` or why it is not; with the MQTT level in use"
     )

@@ -1,5 +1,6 @@
 """The work of one sink, one step at a time and without a thread: state, rows in order, refusals, pauses."""
 
+import json
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +9,7 @@ from typing import Final
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Clock, Message, Sink
+from edge.logs import about_press
 from edge.messaging.payloads import as_replayed
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox, OutboxRow
@@ -104,7 +106,8 @@ class SinkWorker:
             self._offer_refused()
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
             for row in rows:
-                self._send(row)
+                with about_press(_press_id(row.message)):
+                    self._send(row)
                 self._passed = row.row_id
         except SinkError as error:
             return self._failed(error)
@@ -226,6 +229,20 @@ class SinkWorker:
         self._has_changed = True
         log.log(logging.INFO if is_up else logging.WARNING, "%s", sentence)
         self._on_change(self.name, is_up, sentence)
+
+
+def _press_id(message: Message) -> str | None:
+    """The press that a message is about, for the log."""
+    kind, _, name = message.topic.partition("/")
+    if kind == "heatmap":
+        return name
+    if kind not in ("result", "last") or message.content_type != "application/json":
+        return None
+    try:
+        found = json.loads(message.payload).get("press_id")
+    except (ValueError, AttributeError):  # a damaged row
+        return None
+    return found if isinstance(found, str) else None
 
 
 def _kind(message: Message) -> str:

@@ -7,14 +7,14 @@ the publisher read while the gateway writes; synchronous=FULL makes a committed 
 import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
-__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database"]
+__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "opened_read_only", "schema_version"]
 
 # "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
@@ -89,17 +89,42 @@ class Database:
         with self._lock:
             self._connection.close()
 
-    @contextmanager
-    def _faults(self, doing: str) -> Iterator[None]:
-        try:
-            yield
-        except (
-            sqlite3.Error,
-            OverflowError,
-        ) as error:  # a number beyond 64 bits is refused before it is written
-            code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            advice = _ADVICE.get(code, "run `gelgate check`")
-            raise StoreError(f"database {self.path}: {doing} failed ({error}); {advice}") from error
+    def _faults(self, doing: str) -> AbstractContextManager[None]:
+        return _faults(self.path, doing)
+
+
+@contextmanager
+def opened_read_only(path: Path, doing: str) -> Iterator[sqlite3.Connection]:
+    """A connection that cannot write, also while a gateway runs: one state of the file from its first query on.
+
+    Errors: StoreError (not there, of another program, newer than this program, damaged).
+    """
+    if not path.is_file():
+        raise StoreError(f"database {path} does not exist; the gateway makes it at its first run")
+    with _faults(path, doing):
+        uri = f"{path.resolve().as_uri()}?mode=ro"
+        with closing(
+            sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        ) as connection:
+            connection.text_factory = lambda data: data.decode(errors="replace")
+            _refuse_foreign(connection, path)
+            connection.execute("BEGIN")
+            yield connection
+
+
+def schema_version(connection: sqlite3.Connection) -> int:
+    """The version of the tables; 0 for an empty file."""
+    return _pragma(connection, "user_version")
+
+
+@contextmanager
+def _faults(path: Path, doing: str) -> Iterator[None]:
+    try:
+        yield
+    except (sqlite3.Error, OverflowError) as error:  # a number beyond 64 bits is refused before it is written
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        advice = _ADVICE.get(code, "run `gelgate check`")
+        raise StoreError(f"database {path}: {doing} failed ({error}); {advice}") from error
 
 
 def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool) -> None:

@@ -6,18 +6,22 @@ They are not records: a damaged or missing one is learnt again, and no count dep
 import logging
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from edge.core.contact.reference import Reference
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["ReferenceFolder"]
+__all__ = ["KEPT_GELS", "ReferenceFolder"]
 
 log = logging.getLogger(__name__)
 
 Which = Literal["first", "last"]
+
+
+# Gels of one sensor whose pictures are kept, the newest ones; 460 kB each.
+KEPT_GELS: Final = 20
 
 
 class ReferenceFolder:
@@ -47,6 +51,7 @@ class ReferenceFolder:
             first = self._path(serial, gel_id, "first")
             if not first.exists():
                 self._write(first, reference)
+                self._remove_old(serial)
         except OSError as error:
             log.warning(
                 "the no-contact reference of gel %s was not kept: %s", gel_id, error.strerror or error
@@ -64,6 +69,15 @@ class ReferenceFolder:
 
     def _path(self, serial: str, gel_id: str, which: Which) -> Path:
         return self._folder / _as_name(serial) / f"{_as_name(gel_id)}.{which}.npy"
+
+    def _remove_old(self, serial: str) -> None:
+        """Of gels that were replaced long ago: nothing is compared with them any more."""
+        lasts = sorted(
+            (self._folder / _as_name(serial)).glob("*.last.npy"), key=lambda path: path.stat().st_mtime_ns
+        )
+        for last in lasts[:-KEPT_GELS]:
+            last.unlink(missing_ok=True)
+            last.with_name(last.name.replace(".last.npy", ".first.npy")).unlink(missing_ok=True)
 
     def _write(self, path: Path, reference: Reference) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

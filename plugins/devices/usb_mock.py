@@ -61,6 +61,9 @@ class UsbMockOptions(BaseModel):
     with_webcam: bool = Field(
         default=True, description="also plug in an unrelated webcam with the same USB id"
     )
+    neighbours: tuple[str, ...] = Field(
+        default=(), description="serials of other sensors on the same bus, which show the same recording"
+    )
     controls: dict[str, int] = Field(
         default_factory=dict,
         description="pinned as on the real sensor; they change nothing in a recorded picture",
@@ -86,6 +89,10 @@ class Bench:
         )
         if options.with_webcam:
             self.bus.plug_in(VirtualCamera(WEBCAM, (), clock, port=2))
+        for port, serial in enumerate(options.neighbours, 3):
+            self.bus.plug_in(
+                VirtualCamera(_board(recording.header, serial), _Payloads(recording), clock, port=port)
+            )
         self.bus.plug_in(self.sensor)
 
     def unplug(self, seconds: float = 0.0) -> None:
@@ -118,7 +125,9 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
         """Errors: RecordingError, DeviceNotFound, DeviceBusy (also by another process that plays this recording)."""
         bench = self.bench(options, clock)
         found = choose(discover(bench.bus), options.serial)
-        lock_name = f"virtual-{options.recording.resolve()}"[-200:]
+        # Two stations of one computer may play the same recording as two sensors.
+        own = f"-{options.serial}" if options.serial else ""
+        lock_name = f"virtual-{options.recording.resolve()}{own}"[-200:]
         sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
         if options.pace == 0:
             sensor.played_ns = bench.sensor.played_ns

@@ -1,8 +1,9 @@
 """Appends messages to a file: one JSON line each, and pictures as files of their own.
 
 A line is `{"topic": ..., "retain": ..., "payload": {...}}`, or `"file": "heatmap/<press id>.png"` for a picture. A
-line is on the disk before `send` returns. What it does not do: it never rotates or deletes files, has no subscribers
-and takes no commands. A retained topic is an ordinary line, and the last one counts.
+line is on the disk before `send` returns. Beyond `keep_mb` the oldest are removed: `messages.jsonl` becomes
+`messages.1.jsonl` when it has a quarter of the room, and the oldest pictures go. What it does not do: it has no
+subscribers and takes no commands. A retained topic is an ordinary line, and the last one counts.
 """
 
 import errno
@@ -30,6 +31,13 @@ class JsonlOptions(BaseModel):
 
     folder: Path = Field(description="the folder of `messages.jsonl` and the pictures, made at first use")
 
+    keep_mb: float = Field(
+        default=1000,
+        ge=1,
+        le=1_000_000,
+        description="room for all of it; the oldest lines and pictures go first",
+    )
+
     def identity(self) -> str:
         """The folder."""
         return str(self.folder)
@@ -38,8 +46,12 @@ class JsonlOptions(BaseModel):
 class JsonlSink:
     """A folder of messages. Topics are relative to the station's root, which each line names."""
 
-    def __init__(self, folder: Path, root: str) -> None:
+    def __init__(self, folder: Path, root: str, keep_bytes: int = 1_000_000_000) -> None:
         self._folder = folder
+        self._keep_bytes = keep_bytes
+        self._unchecked_bytes = (
+            keep_bytes  # pictures written since their room was last compared; at first all
+        )
         self._root = root
         self._lock = threading.Lock()
 
@@ -73,11 +85,31 @@ class JsonlSink:
         part = path.with_name(path.name + ".part")
         part.write_bytes(message.payload)
         part.replace(path)
+        self._limit_pictures(len(message.payload))
         return name
+
+    def _limit_pictures(self, added_bytes: int) -> None:
+        """Pictures have half of the room. The folder is read again after each hundredth of the room only."""
+        self._unchecked_bytes += added_bytes
+        if self._unchecked_bytes < self._keep_bytes // 100:
+            return
+        self._unchecked_bytes = 0
+        pictures = [
+            (path, path.stat()) for suffix in _SUFFIXES.values() for path in self._folder.rglob(f"*{suffix}")
+        ]
+        excess = sum(stat.st_size for _, stat in pictures) - self._keep_bytes // 2
+        for path, stat in sorted(pictures, key=lambda one: one[1].st_mtime_ns)[:-1]:
+            if excess <= 0:
+                return
+            path.unlink(missing_ok=True)
+            excess -= stat.st_size
 
     def _append(self, line: dict[str, object]) -> None:
         data = json.dumps(line, separators=(",", ":"), ensure_ascii=False).encode() + b"\n"
-        with (self._folder / "messages.jsonl").open("ab", buffering=0) as file:
+        path = self._folder / "messages.jsonl"
+        if path.exists() and path.stat().st_size + len(data) > self._keep_bytes // 4:
+            path.replace(self._folder / "messages.1.jsonl")
+        with path.open("ab", buffering=0) as file:
             start = file.tell()
             try:
                 if file.write(data) != len(data):
@@ -95,7 +127,7 @@ class Jsonl(SinkPlugin[JsonlOptions]):
 
     def open(self, options: JsonlOptions, station: Station) -> JsonlSink:
         """The folder's sink. Birth messages are not written: the log has the same facts."""
-        return JsonlSink(options.folder, station.root)
+        return JsonlSink(options.folder, station.root, round(options.keep_mb * 1e6))
 
 
 plugin = Jsonl()

@@ -163,6 +163,25 @@ def test_a_reader_of_press_lines_that_leaves_does_not_end_the_inspection(pressed
     assert published(pressed) == 3
 
 
+def test_a_log_as_json_has_the_presses_too(pressed: Path) -> None:
+    """Each line of the standard error output is one object; press lines are not printed as well."""
+    done = subprocess.run(
+        [GELGATE, "run", "--log-json", "--config", pressed],
+        capture_output=True,
+        text=True,
+        cwd=pressed.parent,
+    )
+    lines = [json.loads(line) for line in done.stderr.splitlines()]
+    presses = [line for line in lines if line.get("event") == "press"]
+
+    assert (done.returncode, done.stdout) == (0, "")
+    assert [line["verdict"] for line in presses] == ["pass"] * 3
+    assert [line["sequence"] for line in presses] == [1, 2, 3]
+    assert len({line["press_id"] for line in presses}) == 3
+    assert lines[-1]["event"] == "summary"
+    assert all({"time", "level", "logger", "message"} <= set(line) for line in lines)
+
+
 def test_what_a_run_writes_is_not_for_every_user(pressed: Path) -> None:
     """The database, its counts and the results: no rights for others."""
     assert run(pressed, subprocess.DEVNULL).returncode == 0

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import socket
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -114,3 +115,20 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     assert [finding.error is None for finding in found] == [True, False, False]
     assert "has revision 3, and revision 4 was in use here" in found[1].text
     assert "head.onnx has SHA-256" in found[2].text
+def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A port that is taken is found by the check, not by the start; a free one is free again afterwards."""
+    path = station_config(tmp_path, recording, bundle)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        path.write_text(path.read_text() + f"[metrics]\nport = {port}\n")
+        with preflight(load_config(path), SystemClock()) as checked:
+            (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]
+    assert isinstance(finding.error, ConfigError)
+    assert f"metrics.port {port} cannot be served" in finding.text
+
+    for _ in range(2):
+        with preflight(load_config(path), SystemClock()) as checked:
+            (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]
+        assert (finding.error, finding.text) == (None, f"http://127.0.0.1:{port}/metrics on this machine")

@@ -88,3 +88,30 @@ def test_a_full_disk_leaves_no_half_line(tmp_path: Path) -> None:
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 42
     sink.send(Message("result", b'{"n":2}'))
     assert [line["payload"] for line in lines(tmp_path)] == [{"n": 1}, {"n": 2}]
+
+
+def test_lines_are_rotated_within_their_room(tmp_path: Path) -> None:
+    """A quarter of the room for the lines in use, and as much for those before; the newest are always there."""
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path, keep_mb=1), STATION)
+    text = "x" * 50_000
+    for number in range(20):
+        sink.send(Message("result", json.dumps({"number": number, "text": text}).encode()))
+
+    sizes = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert set(sizes) == {"messages.jsonl", "messages.1.jsonl"}
+    assert max(sizes.values()) <= 250_000
+    assert lines(tmp_path)[-1]["payload"] == {"number": 19, "text": text}
+
+
+def test_the_oldest_pictures_go_first(tmp_path: Path) -> None:
+    """They have half of the room; pictures of an earlier process count too."""
+    old = tmp_path / "heatmap" / "old.png"
+    old.parent.mkdir()
+    old.write_bytes(bytes(400_000))
+    os.utime(old, ns=(1, 1))
+    sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path, keep_mb=1), STATION)
+    for number in range(9):
+        sink.send(Message(f"heatmap/{number}", bytes(100_000), content_type="image/png"))
+        os.utime(tmp_path / "heatmap" / f"{number}.png", ns=(number + 2, number + 2))
+
+    assert sorted(path.name for path in old.parent.iterdir()) == [f"{number}.png" for number in range(4, 9)]

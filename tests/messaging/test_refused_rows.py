@@ -11,6 +11,7 @@ import pytest
 from scripted_sink import HandClock, ScriptedSink, drain, worker
 
 from edge.core.ports import Message
+from edge.logs import Text
 from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Store
@@ -130,3 +131,28 @@ def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_pres
         drain(one)
 
         assert outbox.status().refused == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "is_named"),
+    [
+        (Message("result", b'{"press_id": "01ABC"}'), True),
+        (Message("heatmap/01ABC", b"png", content_type="image/png"), True),
+        (Message("result", b"[1]"), False),
+        (Message("gel", b"{}"), False),
+    ],
+)
+def test_a_refusal_in_the_log_names_its_press(
+    path: Path, make_press: MakePress, caplog: pytest.LogCaptureFixture, message: Message, is_named: bool
+) -> None:
+    """The log line has the press id; a message of no press, or a damaged one, has none."""
+    caplog.handler.setFormatter(Text())
+    sink = ScriptedSink()
+    sink.refuses = {message.topic}
+    put(path, make_press, message)
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        drain(worker(outbox, sink))
+
+    (line,) = [line for line in caplog.text.splitlines() if "refused a message" in line]
+    assert line.endswith(" [01ABC]") == is_named

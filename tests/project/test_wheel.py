@@ -46,6 +46,10 @@ def sdist_names(built: Path) -> set[str]:
         return {name.partition("/")[2] for name in archive.getnames()}
 
 
+# What `deploy` ships; a plant's own certificates and bundles are next to it and never shipped.
+DEPLOYED = ("*.*", "Dockerfile", "mosquitto/*")
+
+
 def tracked_files(pattern: str) -> set[str]:
     return {
         str(path.relative_to(ROOT))
@@ -96,6 +100,7 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
         *(ROOT / "docs").rglob("*.md"),
         *(ROOT / "docs" / "images").iterdir(),
         *(ROOT / "firmware_notes").glob("*.md"),
+        *(path for name in DEPLOYED for path in (ROOT / "deploy").glob(name) if path.is_file()),
     ]
     pages = {path.relative_to(ROOT).as_posix() for path in found} | {"README.md", "CHANGELOG.md"}
     shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}

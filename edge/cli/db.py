@@ -1,0 +1,97 @@
+"""`gelgate db`: check, back up and migrate the database of a station."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["db"]
+
+db = typer.Typer(help="Check, back up or migrate the gateway's database.", no_args_is_help=True)
+
+Database = Annotated[Path | None, typer.Option(help="The gateway's database file.")]
+Config = Annotated[Path | None, typer.Option("--config", "-c", help="The configuration that names it.")]
+
+
+@db.command()
+def check(database: Database = None, config: Config = None) -> None:
+    """Compare everything that the database says twice.
+
+    The file's integrity, gel counts with presses and with their second record, and the outbox with its totals. It
+    reads only, and the gateway may run meanwhile."""
+    from edge.core.errors import StoreError
+    from edge.core.printable import printable
+    from edge.store.integrity import check_database
+
+    path = _path(database, config)
+    findings = check_database(path)
+    for finding in findings:
+        typer.echo(printable(f"{'FAULT' if finding.is_fault else 'note '}  {finding.part}: {finding.text}"))
+    faults = sum(finding.is_fault for finding in findings)
+    if faults:
+        raise StoreError(
+            f"database {path} has {faults} faults, see above; stop the gateway, keep a copy of the file and of those "
+            "with its name, and go on with the newest sound backup"
+        )
+    typer.echo(f"ok     {path} is sound")
+
+
+@db.command()
+def backup(
+    target: Annotated[Path, typer.Argument(help="A new file, or a folder: then the time is in the name.")],
+    database: Database = None,
+    config: Config = None,
+    keep: Annotated[
+        int | None, typer.Option(help="Then remove older backups in that folder, but for this number.", min=1)
+    ] = None,
+) -> None:
+    """Copy the database while the gateway runs.
+
+    The copy is complete, checked, and needs no other file."""
+    from edge.core.errors import ConfigError
+    from edge.store.backup import back_up, backups_in
+
+    path = _path(database, config)
+    if keep is not None and not target.is_dir():
+        raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
+    made = back_up(path, target)
+    typer.echo(f"{made}: {made.stat().st_size:,} bytes")
+    for old in backups_in(target, path)[:-keep] if keep else ():
+        old.unlink()
+        typer.echo(f"{old}: removed")
+
+
+@db.command()
+def migrate(database: Database = None, config: Config = None) -> None:
+    """Bring an older database to this version, after a backup.
+
+    The backup is next to the file. A start of the gateway does the same without one."""
+    from edge.messaging.publisher_lock import PublisherLock
+    from edge.store.backup import migrate as migrate_file
+    from edge.store.schema import SCHEMA_VERSION
+
+    path = _path(database, config)
+    lock = PublisherLock(path)  # an older gateway must not write meanwhile
+    try:
+        before, copy = migrate_file(path)
+    finally:
+        lock.close()
+    if copy is None:
+        typer.echo(f"{path} has version {before}; nothing to do")
+    else:
+        typer.echo(f"{path} migrated from version {before} to {SCHEMA_VERSION}; as it was: {copy}")
+
+
+def _path(database: Path | None, config: Path | None) -> Path:
+    """Errors: ConfigError."""
+    from edge.config import load_config
+    from edge.core.errors import ConfigError
+
+    if (database is None) == (config is None):
+        raise ConfigError(
+            "give either --database or --config; it selects the gateway whose database is meant"
+        )
+    path = load_config(config).store.path if config is not None else database
+    if path is None or not path.is_file():
+        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
+    return path

@@ -1,0 +1,137 @@
+"""`gelgate history`: which presses were made, by time, part, gel and verdict; as lines, JSON, CSV or Parquet."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edge.store.history import HistoryRow
+
+__all__ = ["history", "moment_ns"]
+
+# Without --count and --output, this number of presses is printed.
+PRINTED: Final = 20
+
+_MOMENT: Final = "a date, a time as 2026-01-31T06:00 (UTC unless it names a zone), or an age as 8h, 7d"
+
+
+def history(
+    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
+        "gelgate.toml"
+    ),
+    database: Annotated[
+        Path | None, typer.Option(help="A database file, such as a backup, instead of the station's.")
+    ] = None,
+    since: Annotated[str | None, typer.Option(help=f"From this moment on: {_MOMENT}.")] = None,
+    until: Annotated[str | None, typer.Option(help="Before this moment, given in the same way.")] = None,
+    part: Annotated[str | None, typer.Option(help="This part only.")] = None,
+    position: Annotated[str | None, typer.Option(help="This position only.")] = None,
+    serial: Annotated[str | None, typer.Option(help="This sensor only.")] = None,
+    gel: Annotated[str | None, typer.Option(help="This gel only.")] = None,
+    verdict: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="These verdicts only: pass, fail, unsure, rejected; error for a press without one."
+        ),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(help="The newest of this number; 20 without --output.", min=1)
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Write this .csv or .parquet file; all that fit.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
+) -> None:
+    """Show which presses were made.
+
+    Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
+    sensor, gel, part, position, verdict, score and threshold."""
+    import time
+
+    from edge.config import load_config
+    from edge.extras import needs
+    from edge.store.history import HistoryQuery, read_history
+    from edge.store.history_files import write_history
+
+    if output is not None and output.suffix.lower() == ".parquet":
+        needs("parquet", f"writing {output}")
+    now_ns = time.time_ns()
+    query = HistoryQuery(
+        None if since is None else moment_ns(since, now_ns),
+        None if until is None else moment_ns(until, now_ns),
+        part,
+        position,
+        serial,
+        gel,
+        _verdicts(verdict or []),
+        count if output or count else PRINTED,
+    )
+    rows = read_history(database or load_config(config).store.path, query)
+    if output is not None:
+        typer.echo(f"{write_history(output, rows)} presses in {output}")
+    elif as_json:
+        _print_json(rows)
+    else:
+        _print_lines(rows)
+
+
+def moment_ns(text: str, now_ns: int) -> int:
+    """The wall-clock nanoseconds that a person means. Errors: ConfigError."""
+    import datetime
+    import re
+
+    from edge.core.errors import ConfigError
+
+    if age := re.fullmatch(r"(\d{1,6})([smhd])", text):
+        return now_ns - int(age[1]) * {"s": 1, "m": 60, "h": 3600, "d": 86400}[age[2]] * 10**9
+    try:
+        moment = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        raise ConfigError(f"'{text}' is no moment; give {_MOMENT}") from None
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+    return round(moment.timestamp() * 1e6) * 1000
+
+
+def _verdicts(given: list[str]) -> tuple[str, ...]:
+    """Errors: ConfigError with the nearest verdict."""
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+    from edge.store.press_store import VERDICTS
+
+    for word in given:
+        if word not in VERDICTS:
+            raise ConfigError(f"no press has the verdict '{word}'; {suggestion(word, VERDICTS)}")
+    return tuple(given)
+
+
+def _print_json(rows: "Iterable[HistoryRow]") -> None:
+    import json
+    from dataclasses import asdict
+
+    for row in rows:
+        typer.echo(json.dumps(asdict(row)))
+
+
+def _print_lines(rows: "Iterable[HistoryRow]") -> None:
+    from collections import Counter
+
+    totals: Counter[str] = Counter()
+    for row in rows:
+        typer.echo(_line(row))
+        totals[row.verdict] += 1
+    words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(totals.items()))
+    typer.echo(f"{totals.total()} presses: {words}" if totals else "no press fits")
+
+
+def _line(row: "HistoryRow") -> str:
+    from edge.core.printable import printable
+    from edge.messaging.payloads import iso_time
+
+    score = "" if row.score is None or row.threshold is None else f"  {row.score:.4f} / {row.threshold:.4f}"
+    return printable(
+        f"{row.number}  {iso_time(row.time_ns)[:19]}  {row.part}/{row.position or '-'}  {row.verdict}{score}"
+        f"  gel {row.gel_id}"
+    )

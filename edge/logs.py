@@ -1,0 +1,73 @@
+"""Log lines: as text for a terminal and journald, or as JSON for a program; with the press that they are about."""
+
+import json
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Final, Literal
+
+__all__ = ["LogFormat", "about_press", "press_event", "start"]
+
+LogFormat = Literal["text", "json"]
+
+_press_id: Final[ContextVar[str | None]] = ContextVar("press_id", default=None)
+
+
+@contextmanager
+def about_press(press_id: str | None) -> Iterator[None]:
+    """Lines inside, of this thread, carry this press id."""
+    token = _press_id.set(press_id)
+    try:
+        yield
+    finally:
+        _press_id.reset(token)
+
+
+def press_event(log: logging.Logger, press_id: str, sentence: str, fields: Mapping[str, object]) -> None:
+    """A line about one press, with its facts as fields of their own in JSON."""
+    with about_press(press_id):
+        log.info("%s", sentence, extra={"fields": dict(fields)})
+
+
+def start(log_format: LogFormat, *, is_verbose: bool) -> None:
+    """Log to the standard error output from now on. is_verbose: each contact event too."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(Json() if log_format == "json" else Text())
+    logging.basicConfig(level=logging.DEBUG if is_verbose else logging.INFO, handlers=[handler])
+
+
+class Text(logging.Formatter):
+    """`time LEVEL part sentence`, and `[press id]` at the end of a line about one press."""
+
+    def __init__(self) -> None:
+        super().__init__("%(asctime)s %(levelname)s %(name)s %(message)s")
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        press_id = _press_id.get()
+        return super().formatMessage(record) + (f" [{press_id}]" if press_id else "")
+
+
+class Json(logging.Formatter):
+    """One JSON object on one line: time (ISO 8601, UTC), level, logger, message; press_id, traceback and the fields of
+    an event where there are any."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        line: dict[str, object] = {
+            "time": _iso(record.created),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if press_id := _press_id.get():
+            line["press_id"] = press_id
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        line |= {name: value for name, value in getattr(record, "fields", {}).items() if name not in line}
+        return json.dumps(line, ensure_ascii=False, default=str)
+
+
+def _iso(seconds: float) -> str:
+    import datetime
+
+    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,104 @@
+"""Copies of the database, made while a gateway runs.
+
+Ref: https://www.sqlite.org/backup.html. The copy is one state of the file: all pages are copied in one step, and in
+write-ahead logging a reader keeps no writer waiting.
+"""
+
+import os
+import shutil
+import sqlite3
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from edge.core.errors import StoreError
+from edge.store.database import Database, opened_read_only, schema_version
+from edge.store.schema import SCHEMA_VERSION
+
+__all__ = ["back_up", "backups_in", "migrate"]
+
+# Room that is left on the disk of the copy, so that a backup is not what fills it.
+SPARE_BYTES: Final = 64 << 20
+
+
+def back_up(database: Path, target: Path) -> Path:
+    """Copy the database to a new file, check the copy, and return its path.
+
+    target: a file that does not exist yet, or a folder, in which the copy is named after the database and the time
+    (UTC). The copy needs no other file next to it. It appears complete or not at all.
+    Errors: StoreError (not there, target exists, no room, damaged, rights).
+    """
+    if target.is_dir():
+        target = target / f"{database.stem}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.db"
+    _refuse_target(database, target)
+    part = target.with_name(target.name + ".part")
+    try:
+        _copy(database, part)
+        os.chmod(part, 0o640)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(part, target)
+    except OSError as error:
+        raise StoreError(
+            f"backup {target} cannot be written: {error.strerror or error}; check its folder and the free space"
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
+    return target
+
+
+def backups_in(folder: Path, database: Path) -> list[Path]:
+    """The copies that `back_up` made of this database in this folder, oldest first."""
+    digits = "[0-9]"
+    return sorted(folder.glob(f"{database.stem}-{digits * 8}T{digits * 6}Z.db"))
+
+
+def migrate(database: Path) -> tuple[int, Path | None]:
+    """Bring the tables to this program's version, after a copy next to the file.
+
+    Returns (version before, copy); the copy is None where nothing was to do. Errors: StoreError; the file is then as it
+    was.
+    """
+    with opened_read_only(database, "reading its version") as connection:
+        before = schema_version(connection)
+    if before == SCHEMA_VERSION:
+        return before, None
+    copy = back_up(database, database.with_name(f"{database.stem}.version{before}{database.suffix}"))
+    Database(database).close()
+    return before, copy
+
+
+def _refuse_target(database: Path, target: Path) -> None:
+    if target.exists():
+        raise StoreError(f"backup {target} exists already; name another file, or a folder")
+    if not target.parent.is_dir():
+        raise StoreError(f"backup {target}: the folder {target.parent} does not exist; make it")
+    if not database.is_file():
+        raise StoreError(f"database {database} does not exist; the gateway makes it at its first run")
+    wal = database.with_name(database.name + "-wal")
+    needed = database.stat().st_size + (wal.stat().st_size if wal.exists() else 0) + SPARE_BYTES
+    free = shutil.disk_usage(target.parent).free
+    if free < needed:
+        raise StoreError(
+            f"backup {target}: its disk has {free >> 20} MiB free, the copy needs {needed >> 20}; free space or name "
+            "another disk"
+        )
+
+
+def _copy(database: Path, part: Path) -> None:
+    """Errors: StoreError for a damaged source or copy."""
+    part.unlink(missing_ok=True)
+    with (
+        opened_read_only(database, "reading it for a backup") as source,
+        closing(sqlite3.connect(part)) as copy,
+    ):
+        source.execute("COMMIT")  # the backup takes its own read lock
+        source.backup(copy, pages=-1)
+        copy.execute("PRAGMA journal_mode = DELETE")
+        found = copy.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if found != "ok":
+        raise StoreError(
+            f"database {database} is damaged ({' '.join(str(found).split())}), and so is its copy; none is kept. "
+            "`gelgate db check` says more"
+        )

@@ -1,0 +1,101 @@
+"""`gelgate db`: what is printed, and the exit codes."""
+
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+
+from edge.messaging.publisher_lock import PublisherLock
+from edge.store.press_store import PressRecord, Store
+from edge.store.schema import SCHEMA_VERSION
+from edge.store.ulid import new_ulid
+
+T0 = 1_780_000_000 * 10**9
+KEPT = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    path = tmp_path / "gelgate.db"
+    with Store(path) as store:
+        store.record_press(PressRecord(new_ulid(T0), T0, "2BNN4ZE7", "bolt", "pass"), lambda gel: [])
+    return path
+
+
+def test_a_sound_database_ends_with_0(database: Path) -> None:
+    """One line."""
+    done = gelgate("db", "check", "--database", database)
+
+    assert (done.code, done.out) == (0, f"ok     {database} is sound\n")
+
+
+def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
+    """The line, then what to do."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("UPDATE gels SET presses = 0")
+    done = gelgate("db", "check", "--database", database)
+
+    assert done.code == 1
+    assert done.out == (
+        "FAULT  gels: gel 2BNN4ZE7-1 of sensor 2BNN4ZE7 counts 0 presses, the history has 1: the count was lowered\n"
+        "FAULT  counts: the second record has 1 presses of gel 2BNN4ZE7-1 up to number 1, the database 0 up to 1: it "
+        "was removed, cut or replaced by an old copy; look for the lost file, or start the gateway, which goes on "
+        "from the higher count\n"
+    )
+    assert "has 2 faults, see above; stop the gateway" in done.sentence()
+
+
+def test_backups_beyond_those_to_keep_are_removed(database: Path, tmp_path: Path) -> None:
+    """The oldest first; files of other names stay."""
+    folder = tmp_path / "kept"
+    folder.mkdir()
+    for name in ("gelgate-20200101T000000Z.db", "gelgate-20200102T000000Z.db", "notes.db"):
+        (folder / name).touch()
+    done = gelgate("db", "backup", folder, "--database", database, "--keep", "2")
+
+    assert done.code == 0
+    assert done.out.splitlines()[1:] == [f"{folder}/gelgate-20200101T000000Z.db: removed"]
+    assert sorted(path.name for path in folder.iterdir())[0] == "gelgate-20200102T000000Z.db"
+    assert len(list(folder.iterdir())) == 3
+
+
+def test_keep_needs_a_folder(database: Path, tmp_path: Path) -> None:
+    """With a file there is nothing to remove, and no backup is made."""
+    done = gelgate("db", "backup", tmp_path / "one.db", "--database", database, "--keep", "2")
+
+    assert done.code == 3
+    assert not (tmp_path / "one.db").exists()
+
+
+def test_migrate_says_what_was_done(tmp_path: Path) -> None:
+    """From which version to which, and where the old file is."""
+    path = Path(shutil.copy(KEPT, tmp_path / "gelgate.db"))
+    first = gelgate("db", "migrate", "--database", path)
+    second = gelgate("db", "migrate", "--database", path)
+
+    assert first.out == (
+        f"{path} migrated from version 1 to {SCHEMA_VERSION}; as it was: {tmp_path / 'gelgate.version1.db'}\n"
+    )
+    assert second.out == f"{path} has version {SCHEMA_VERSION}; nothing to do\n"
+
+
+def test_migrate_refuses_while_a_gateway_publishes(tmp_path: Path) -> None:
+    """An older gateway would write the old tables meanwhile."""
+    path = Path(shutil.copy(KEPT, tmp_path / "gelgate.db"))
+    lock = PublisherLock(path)
+    try:
+        done = gelgate("db", "migrate", "--database", path)
+    finally:
+        lock.close()
+
+    assert done.code == 1
+    assert "another gelgate process publishes" in done.sentence()
+
+
+def test_a_database_is_named(database: Path) -> None:
+    """One of the two ways, and it must be there."""
+    assert "either --database or --config" in gelgate("db", "check").sentence()
+    assert "does not exist" in gelgate("db", "check", "--database", database.with_name("typo.db")).sentence()

@@ -1,0 +1,103 @@
+"""`gelgate history`: what a person asks, and what is printed."""
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+
+from edge.cli.history import moment_ns
+from edge.core.errors import ConfigError
+from edge.store.acts import Act
+from edge.store.press_store import PressRecord, Store
+from edge.store.ulid import new_ulid
+
+T0 = 1_780_000_000 * 10**9  # 2026-05-28T20:26:40 UTC
+HOUR_NS = 3600 * 10**9
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    """25 presses, an hour apart; every fifth one fails."""
+    path = tmp_path / "gelgate.db"
+    with Store(path) as store:
+        for n in range(25):
+            time_ns, verdict = T0 + n * HOUR_NS, "fail" if n % 5 == 4 else "pass"
+            press = PressRecord(
+                new_ulid(time_ns), time_ns, "2BNN4ZE7", "bolt", verdict, score=0.5, threshold=1.0
+            )
+            store.record_press(press, lambda recorded: [])
+    return path
+
+
+def test_the_newest_presses_are_printed_with_their_totals(database: Path) -> None:
+    """Twenty, oldest first, and a last line that counts them."""
+    done = gelgate("history", "--database", database)
+    lines = done.out.splitlines()
+
+    assert done.code == 0
+    assert len(lines) == 21
+    assert lines[0] == "6  2026-05-29T01:26:40  bolt/-  pass  0.5000 / 1.0000  gel 2BNN4ZE7-1"
+    assert lines[-1] == "20 presses: 4 fail, 16 pass"
+
+
+def test_a_file_has_all_that_fit(database: Path, tmp_path: Path) -> None:
+    """Not only the newest twenty."""
+    done = gelgate("history", "--database", database, "-o", tmp_path / "all.csv")
+
+    assert done.out == f"25 presses in {tmp_path / 'all.csv'}\n"
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == 26
+
+
+def test_conditions_are_combined(database: Path) -> None:
+    """Fails from one moment up to another, as JSON lines."""
+    done = gelgate(
+        *("history", "--database", database, "--json", "--verdict", "fail", "--verdict", "unsure"),
+        *("--since", "2026-05-29T06:00", "--until", "2026-05-29T20:00"),
+    )
+
+    assert [json.loads(line)["number"] for line in done.out.splitlines()] == [15, 20]
+
+
+def test_no_press_is_an_answer(database: Path) -> None:
+    """And no fault."""
+    assert gelgate("history", "--database", database, "--part", "nut").out == "no press fits\n"
+
+
+def test_a_mistyped_verdict_is_refused(database: Path) -> None:
+    """An empty answer would look like a day without fails."""
+    done = gelgate("history", "--database", database, "--verdict", "failed")
+
+    assert done.code == 3
+    assert done.sentence() == "no press has the verdict 'failed'; did you mean 'fail'?"
+
+
+def test_acts_are_read_from_the_same_file(database: Path) -> None:
+    """A station's database is not next to its configuration where a service runs it."""
+    with Store(database) as store:
+        store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"), within_s=0)
+
+    assert "trigger  done  for shift leader" in gelgate("acts", "--database", database).out
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2026-05-28", T0 - 73_600 * 10**9),
+        ("2026-05-28T20:26:40", T0),
+        ("2026-05-28T22:26:40+02:00", T0),
+        ("2026-05-28T20:26:40Z", T0),
+        ("2h", T0 - 2 * HOUR_NS),
+        ("1d", T0 - 24 * HOUR_NS),
+    ],
+)
+def test_a_moment_is_a_date_a_time_or_an_age(text: str, expected: int) -> None:
+    """UTC where no zone is named."""
+    assert moment_ns(text, T0) == expected
+
+
+@pytest.mark.parametrize("text", ["yesterday", "2026-13-01", "-3h", ""])
+def test_what_is_no_moment_is_refused(text: str) -> None:
+    """With the ways to write one."""
+    with pytest.raises(ConfigError, match="is no moment; give a date"):
+        moment_ns(text, T0)

@@ -1,0 +1,61 @@
+"""docs/operations.md: every alarm of the program has its row, and what the page says of limits is the program's."""
+
+import re
+from pathlib import Path
+
+from edge.messaging.payloads import ALARMS
+from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
+from edge.store.database import JOURNAL_LIMIT_BYTES
+from edge.store.press_store import KEPT_PRESSES
+from edge.store.reference_files import KEPT_GELS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text(encoding="utf-8")
+
+
+def section(title: str) -> str:
+    return PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def rows(title: str) -> list[list[str]]:
+    """The cells of a section's table, without its head."""
+    lines = [line for line in section(title).splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def test_every_alarm_has_its_row_and_no_other() -> None:
+    """In the order of the program: what has happened, and what to do."""
+    assert [row[0] for row in rows("Alarms")] == [f"`{alarm}`" for alarm in ALARMS]
+    assert [row for row in rows("Alarms") if len(row) != 3 or min(map(len, row[1:])) < 12] == []
+
+
+def test_the_page_has_what_a_shift_needs() -> None:
+    """Each section, with something to do in it."""
+    titles = (
+        "Install as a service",
+        "Daily check",
+        "Gel change",
+        "Part change",
+        "Alarms",
+        "Logs and metrics",
+    )
+
+    assert [title for title in titles if len(section(title).split()) < 40] == []
+
+
+def test_the_limits_are_those_of_the_program() -> None:
+    """A changed constant is a changed row."""
+    limits = {row[0]: row[1] for row in rows("What grows, and its limit")}
+
+    assert f"the newest {KEPT_PRESSES:,}" in limits["history of presses"]
+    assert f"the newest {KEPT_ACTS:,}, and {KEPT_REFUSALS:,} refusals" in limits["acts"]
+    assert f"the newest {KEPT_GELS} gels" in limits["pictures of the free gel"]
+    assert f"{JOURNAL_LIMIT_BYTES >> 20} MiB" in limits["write-ahead log"]
+
+
+def test_links_inside_the_page_lead_to_its_sections() -> None:
+    """`#gel-change` and the others."""
+    titles = {
+        re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-")
+        for title in re.findall(r"^## (.+)$", PAGE, re.MULTILINE)
+    }
+    assert set(re.findall(r"\]\(#([^)]+)\)", PAGE)) <= titles

@@ -1,0 +1,132 @@
+"""Counters for Prometheus: every number of the stats, every alarm, on this machine alone."""
+
+import socket
+import urllib.request
+from pathlib import Path
+
+import pytest
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.errors import ConfigError
+from edge.gateway.metrics import METRICS, Metrics, served
+from edge.messaging.payloads import (
+    ALARMS,
+    AlarmPayload,
+    Payload,
+    StatePayload,
+    StatsPayload,
+    alarm_cleared,
+    alarm_message,
+    state_message,
+    stats_message,
+)
+
+T0 = 1_780_000_000 * 10**9
+
+
+@pytest.fixture
+def port() -> int:
+    """A port that was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def read(port: int) -> dict[str, float]:
+    """Metric with its label, as a scrape reads it."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
+        text = answer.read().decode()
+    lines = (line.rpartition(" ") for line in text.splitlines() if not line.startswith("#"))
+    return {name: float(value) for name, _, value in lines}
+
+
+def samples(seen: Metrics) -> dict[tuple[str, ...], float]:
+    return {
+        (one.name, *one.labels.values()): one.value for family in seen.collect() for one in family.samples
+    }
+
+
+def test_every_number_of_the_stats_is_a_metric() -> None:
+    """A new field of the payload needs its row."""
+    assert set(METRICS) == set(StatsPayload.model_fields) - set(Payload.model_fields)
+
+
+def test_the_values_are_those_of_the_report() -> None:
+    """Counters end in _total; parts have a label; what is not known is left out."""
+    seen = Metrics()
+    report = StatsPayload(
+        time_ns=T0,
+        uptime_s=5.0,
+        frames=100,
+        frames_corrupt=2,
+        delivered_fps=18.5,
+        presses=3,
+        verdicts={"pass": 2, "fail": 1},
+        dropped={"heatmap": 4},
+        receivers={"mqtt:a": "up, MQTT 5", "mqtt:b": "connection refused"},
+    )
+    seen.see(stats_message(report))
+    found = samples(seen)
+
+    assert found["gelgate_frames_total",] == 100
+    assert found["gelgate_verdicts_total", "fail"] == 1
+    assert found["gelgate_outbox_dropped_total", "heatmap"] == 4
+    assert (found["gelgate_receiver_up", "mqtt:a"], found["gelgate_receiver_up", "mqtt:b"]) == (1, 0)
+    assert found["gelgate_report_time_seconds",] == T0 / 1e9
+    assert ("gelgate_disk_free_bytes",) not in found
+
+
+def test_alarms_and_state_are_followed() -> None:
+    """Each known alarm is 0 or 1 from the first moment on, so that a rule finds it."""
+    seen = Metrics()
+    assert {
+        key[1]: value for key, value in samples(seen).items() if key[0] == "gelgate_alarm"
+    } == dict.fromkeys(ALARMS, 0.0)
+
+    seen.see(alarm_message(AlarmPayload(time_ns=T0, alarm="disk", text="low")))
+    seen.see(state_message(StatePayload(time_ns=T0, state="ready")))
+    found = samples(seen)
+    assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (1, 1)
+
+    seen.see(alarm_cleared("disk"))
+    seen.see(state_message(StatePayload(time_ns=T0, state="halted", reason="the disk is full")))
+    found = samples(seen)
+    assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (0, 0)
+
+
+def test_a_station_serves_them_until_it_is_closed(
+    tmp_path: Path, recording: Path, bundle: Path, port: int
+) -> None:
+    """Presses, gel, memory of the process; afterwards nothing answers."""
+    config = station_config(tmp_path, recording, bundle)
+    config.write_text(config.read_text() + f"[metrics]\nport = {port}\n")
+    with SteppedStation(config) as station:
+        station.play()
+        station.loop.publish_stats()
+        found = read(port)
+
+    assert found["gelgate_presses_total"] == 3
+    assert found['gelgate_verdicts_total{verdict="fail"}'] == 1
+    assert (found["gelgate_gel_presses"], found["gelgate_gel_limit_presses"]) == (3, 1000)
+    assert found["process_resident_memory_bytes"] > 0
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=10)
+
+
+def test_they_are_served_on_one_loopback_address_alone(port: int) -> None:
+    """There is no login, so no other address of the machine answers; 127.0.0.2 stands for them."""
+    with served(port):
+        socket.create_connection(("127.0.0.1", port), timeout=10).close()
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), timeout=10)
+
+
+def test_a_port_that_is_taken_is_one_sentence(port: int) -> None:
+    """Another gateway on the same machine."""
+    with (
+        served(port),
+        pytest.raises(ConfigError, match=rf"metrics.port {port} cannot be served .* choose another port"),
+        served(port),
+    ):
+        pass

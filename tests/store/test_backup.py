@@ -1,0 +1,113 @@
+"""A copy made while a gateway runs: complete, of one moment, and alone in its file."""
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from edge.core.errors import StoreError
+from edge.store import backup
+from edge.store.backup import back_up, backups_in, migrate
+from edge.store.integrity import check_database
+from edge.store.press_store import MakeMessages, PressRecord, Store
+from edge.store.schema import SCHEMA_VERSION
+
+MakePress = Callable[..., PressRecord]
+MessagesOf = Callable[..., MakeMessages]
+KEPT = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
+
+
+def presses(path: Path) -> int:
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        return int(connection.execute("SELECT count(*) FROM presses").fetchone()[0])
+
+
+def test_a_copy_has_what_is_only_in_the_journal_yet(
+    store: Store, path: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The gateway has the file open, and its last presses are in the write-ahead log."""
+    for n in (1, 2, 3):
+        store.record_press(make_press(n), messages_of(make_press(n)))
+    copy = back_up(path, tmp_path / "copy.db")
+    store.record_press(make_press(4), messages_of(make_press(4)))
+
+    assert (presses(copy), presses(path)) == (3, 4)
+    assert check_database(copy) == []
+    assert sorted(file.name for file in tmp_path.glob("copy*")) == ["copy.db"]
+    assert copy.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_copy_goes_on_as_a_database(path: Path, tmp_path: Path, make_press: MakePress) -> None:
+    """Put in the place of a lost one, without its second record."""
+    with Store(path) as store:
+        store.record_press(make_press(1), lambda recorded: [])
+    copy = back_up(path, tmp_path / "copy.db")
+
+    with Store(copy) as store:
+        assert store.record_press(make_press(2), lambda recorded: []).sequence == 2
+
+
+def test_an_existing_file_is_never_replaced(store: Store, path: Path, tmp_path: Path) -> None:
+    """Not even by a newer backup."""
+    (tmp_path / "copy.db").write_text("older")
+    with pytest.raises(StoreError, match=r"copy\.db exists already"):
+        back_up(path, tmp_path / "copy.db")
+    assert (tmp_path / "copy.db").read_text() == "older"
+
+
+def test_in_a_folder_the_time_is_in_the_name(store: Store, path: Path, tmp_path: Path) -> None:
+    """And such copies are found again, others are not."""
+    (tmp_path / "kept").mkdir()
+    copy = back_up(path, tmp_path / "kept")
+    (tmp_path / "kept" / "gelgate-mine.db").touch()
+    (tmp_path / "kept" / "gelgate-20200101T000000Z.db").touch()
+
+    assert [one.name for one in backups_in(tmp_path / "kept", path)] == [
+        "gelgate-20200101T000000Z.db",
+        copy.name,
+    ]
+
+
+def test_a_disk_without_room_is_refused_before_the_copy(
+    store: Store, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A backup is not what fills the disk."""
+
+    class Usage(NamedTuple):
+        free: int
+
+    monkeypatch.setattr(backup.shutil, "disk_usage", lambda folder: Usage(1 << 20))
+    with pytest.raises(StoreError, match="has 1 MiB free, the copy needs 64"):
+        back_up(path, tmp_path / "copy.db")
+    assert list(tmp_path.glob("copy*")) == []
+
+
+def test_a_damaged_database_leaves_no_copy(path: Path, tmp_path: Path, make_press: MakePress) -> None:
+    """Nothing that looks like a backup is kept."""
+    with Store(path) as store:
+        for n in range(1, 200):
+            store.record_press(make_press(n), lambda recorded: [])
+    with path.open("r+b") as file:
+        file.seek(4096 * 3)
+        file.write(b"\xff" * 4096 * 4)
+
+    with pytest.raises(StoreError, match=r"damaged|malformed"):
+        back_up(path, tmp_path / "copy.db")
+    assert list(tmp_path.glob("copy*")) == []
+
+
+def test_an_older_database_is_migrated_after_a_backup(tmp_path: Path) -> None:
+    """The copy is the file as it was; the presses are in both; a second time there is nothing to do."""
+    path = tmp_path / "gelgate.db"
+    path.write_bytes(KEPT.read_bytes())
+    before = presses(path)
+    version, copy = migrate(path)
+
+    assert version == 1
+    assert copy == tmp_path / "gelgate.version1.db"
+    assert presses(copy) == presses(path) == before > 0
+    assert migrate(path) == (SCHEMA_VERSION, None)
+    assert [finding for finding in check_database(path) if finding.is_fault] == []

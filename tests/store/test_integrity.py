@@ -1,0 +1,133 @@
+"""`check_database`: a sound database has no fault, and each kind of damage is named."""
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from recorded_presses import SERIAL
+
+from edge.core.errors import StoreError
+from edge.store.integrity import Finding, check_database
+from edge.store.outbox import Outbox
+from edge.store.press_counts import Count, PressCounts
+from edge.store.press_store import MakeMessages, PressRecord, Store
+
+MakePress = Callable[..., PressRecord]
+MessagesOf = Callable[..., MakeMessages]
+
+
+@pytest.fixture
+def used(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Path:
+    """A database after a shift: presses on two gels, one message acknowledged, one refused."""
+    with Store(path) as store, Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        for n in range(1, 5):
+            store.record_press(make_press(n), messages_of(make_press(n)))
+            if n == 2:
+                store.replace_gel(SERIAL, 0)
+        first, second = outbox.pending("mqtt", 2)
+        outbox.acknowledge(first.row_id, "mqtt")
+        outbox.refuse(second.row_id, "mqtt", "denied")
+    return path
+
+
+def damage(path: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
+
+
+def faults(path: Path) -> list[str]:
+    return [finding.text for finding in check_database(path) if finding.is_fault]
+
+
+def test_a_sound_database_has_no_fault(used: Path) -> None:
+    """Only what waits is noted."""
+    assert check_database(used) == [
+        Finding("outbox", "1 rows were refused by a receiver and wait", is_fault=False)
+    ]
+
+
+def test_it_may_be_checked_while_a_gateway_writes(used: Path, make_press: MakePress) -> None:
+    """An open store keeps the file; the check takes one state of it and changes nothing."""
+    with Store(used) as store:
+        store.record_press(make_press(9), lambda recorded: [])
+        assert faults(used) == []
+        store.record_press(make_press(10), lambda recorded: [])
+    assert faults(used) == []
+
+
+@pytest.mark.parametrize(
+    ("statement", "found"),
+    [
+        (
+            "UPDATE gels SET presses = 1 WHERE removed_ns IS NULL",
+            "counts 1 presses, the history has 2: the count",
+        ),
+        ("UPDATE presses SET gel_id = 'lost' WHERE number = 1", "1 are of gels that are not in the ledger"),
+        (
+            "UPDATE presses SET press_id = 'nonsense' WHERE number = 3",
+            "have an id that is no ULID; the first is number 3",
+        ),
+        ("UPDATE outbox_size SET rows = rows + 1", "its totals say"),
+        (
+            "INSERT INTO settled VALUES (999, 'mqtt', NULL)",
+            "1 acknowledgements are of rows that are not there",
+        ),
+        ("UPDATE outbox SET payload = x'ff7b' WHERE topic = 'last'", "1 rows hold a message that is no JSON"),
+        ("UPDATE outbox SET payload = x'7b7d' WHERE topic = 'gel'", "rows have another size than they say"),
+        ("DELETE FROM presses WHERE number = 4", "results of presses that the history does not have"),
+    ],
+)
+def test_each_kind_of_damage_is_a_fault(used: Path, statement: str, found: str) -> None:
+    """One sentence with the numbers, and the place."""
+    damage(used, statement)
+
+    assert any(found in fault for fault in faults(used)), check_database(used)
+
+
+def test_presses_that_were_counted_without_a_result_are_a_note(used: Path) -> None:
+    """They were made while the database refused writes: normal after a full disk."""
+    with Store(used) as store:
+        store.count_presses(SERIAL, 3, 0)
+
+    assert faults(used) == []
+    assert any(
+        "counts 5 presses, the history has 2: the others were made" in f.text for f in check_database(used)
+    )
+
+
+def test_an_old_copy_is_found_by_the_second_record(used: Path) -> None:
+    """The file with the counts knows of presses that the database does not have."""
+    PressCounts(used).write(SERIAL, Count(f"{SERIAL}-2", 7, 1000, 9))
+
+    (fault,) = faults(used)
+    assert f"has 7 presses of gel {SERIAL}-2 up to number 9, the database 2 up to 4" in fault
+
+
+def test_presses_that_wait_to_be_counted_are_a_note(used: Path) -> None:
+    """The next start counts them."""
+    PressCounts(used).set_uncounted(SERIAL, 6)
+
+    assert any("6 presses of sensor 2BNN4ZE7 wait to be counted" in f.text for f in check_database(used))
+
+
+def test_a_damaged_page_is_found(used: Path) -> None:
+    """And nothing else is said about such a file."""
+    with used.open("r+b") as file:
+        file.seek(4096 * 6)
+        file.write(b"\xff" * 4096)
+
+    findings = check_database(used)
+    assert findings
+    assert {finding.part for finding in findings} == {"file"}
+
+
+def test_a_file_of_another_program_is_refused(tmp_path: Path) -> None:
+    """It is not a damaged one of ours."""
+    damage(tmp_path / "other.db", "CREATE TABLE t (x)")
+
+    with pytest.raises(StoreError, match="belongs to another program"):
+        check_database(tmp_path / "other.db")

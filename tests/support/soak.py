@@ -1,0 +1,291 @@
+"""Rounds of a gateway that plays presses, each with one fault; then how many presses were made, delivered and counted.
+
+    python tests/support/soak.py --rounds 60
+
+Each round is a gateway process of its own on the same database, with a real broker and a subscriber. *Made* is a press
+that the database has; *delivered*, one whose result the subscriber has; *counted*, one that the gel's count has.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import random
+import signal
+import sqlite3
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+
+import paho.mqtt.client as paho
+from paho.mqtt.enums import CallbackAPIVersion
+from station import MQTT, Motion, press_recording, small_bundle, station_config
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.gateway import Gateway
+from edge.messaging.local_broker import LocalBroker
+from edge.store.integrity import check_database
+from edge.store.outbox import Outbox
+
+__all__ = ["FAULTS", "Outcome", "soak"]
+
+PRESSES = 6  # of the recording that each round plays
+# Far more than any round needs; only a gateway that hangs comes to this.
+ROUND_S = 120.0
+PROCESSES = multiprocessing.get_context("forkserver")
+
+
+@dataclass
+class Outcome:
+    """What was done, and what became of the presses. doubled: results that came twice with another content. findings:
+    faults of the database at the end."""
+
+    faults: Counter[str] = field(default_factory=Counter)
+    made: int = 0
+    delivered: int = 0
+    counted: int = 0
+    lost: int = 0
+    doubled: int = 0
+    findings: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        words = ", ".join(f"{n} {fault}" for fault, n in sorted(self.faults.items()))
+        return (
+            f"faults injected {self.faults.total()} ({words})\npresses made {self.made}, delivered {self.delivered}, "
+            f"counted {self.counted}, lost {self.lost}, doubled {self.doubled}"
+            + "".join(f"\nthe database: {finding}" for finding in self.findings)
+        )
+
+
+class Subscriber:
+    """Every result, by press id: the contents that it came with."""
+
+    def __init__(self, port: int) -> None:
+        self.results: dict[str, set[str]] = defaultdict(set)
+        self._is_subscribed = threading.Event()
+        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client.on_connect = lambda client, *_: client.subscribe("gelgate/#", 1)
+        self._client.on_subscribe = lambda *_: self._is_subscribed.set()
+        self._client.on_disconnect = lambda *_: self._is_subscribed.clear()
+        self._client.on_message = self._arrived
+        self._client.reconnect_delay_set(0.05, 0.2)  # type: ignore[arg-type]  # paho takes fractions
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+        self.wait()
+
+    def wait(self) -> None:
+        """Until the broker sends everything from now on. Errors: TimeoutError."""
+        if not self._is_subscribed.wait(ROUND_S):
+            raise TimeoutError("the subscriber has no broker")
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _arrived(self, client: object, data: object, message: paho.MQTTMessage) -> None:
+        if message.topic.endswith("/gel/v1/result"):
+            content = json.loads(message.payload)
+            content.pop("is_replayed")
+            self.results[content["press_id"]].add(json.dumps(content, sort_keys=True))
+
+
+def play(config: Path, empties_outbox: bool) -> None:
+    """A gateway process: play the recording to its end, or until SIGTERM."""
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    loaded = load_config(config)
+    with Gateway.open(loaded, SystemClock()) as gateway:
+        gateway.run(stop)
+        if empties_outbox:
+            _await_delivery(loaded.store.path)
+
+
+def _await_delivery(database: Path) -> None:
+    with Outbox(database) as outbox:
+        deadline = time.monotonic() + ROUND_S
+        while outbox.status().rows and time.monotonic() < deadline:
+            time.sleep(0.02)
+
+
+class Bench:
+    """The station, its broker and its subscriber, in one folder."""
+
+    def __init__(self, folder: Path, broker: LocalBroker, rng: random.Random) -> None:
+        self.broker = broker
+        self.rng = rng
+        self.folder = folder
+        self.database = folder / "gelgate.db"
+        nominal = press_recording(folder / "nominal", 12, seed=1)
+        self._bundle = small_bundle(folder / "bundle", nominal)
+        motion = Motion(free=36, hold=12, idle=6)
+        self._recording = press_recording(folder / "presses", PRESSES, dented=[1], seed=2, motion=motion)
+        self.subscriber = Subscriber(broker.port)
+
+    def start(self, *faults: str, empties_outbox: bool = False) -> ForkServerProcess:
+        """The next gateway. faults: of its virtual sensor."""
+        sinks = MQTT % self.broker.port
+        config = station_config(self.folder, self._recording, self._bundle, faults=faults, sinks=sinks)
+        process = PROCESSES.Process(target=play, args=(config, empties_outbox))
+        process.start()
+        return process
+
+    def wait_for_press(self) -> None:
+        """Until this round's gateway has recorded one more press."""
+        before, deadline = self.presses(), time.monotonic() + ROUND_S
+        while self.presses() == before and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+    def some_time(self) -> None:
+        """So that a fault comes at another moment each time."""
+        time.sleep(self.rng.uniform(0, 0.1))
+
+    def presses(self) -> int:
+        with suppress(sqlite3.OperationalError), closing(sqlite3.connect(self.database)) as connection:
+            return int(connection.execute("SELECT count(*) FROM presses").fetchone()[0])
+        return 0  # the first gateway has not made it yet
+
+    def execute(self, statement: str) -> None:
+        with closing(sqlite3.connect(self.database, timeout=30)) as connection, connection:
+            connection.execute(statement)
+
+
+def _kill_the_gateway(bench: Bench) -> None:
+    process = bench.start()
+    bench.wait_for_press()
+    bench.some_time()
+    process.kill()
+    _end(process)
+
+
+def _stop_the_gateway(bench: Bench) -> None:
+    process = bench.start()
+    bench.wait_for_press()
+    bench.some_time()
+    process.terminate()
+    _end(process)
+
+
+def _restart_the_broker(bench: Bench) -> None:
+    """The gateway goes on without it; the subscriber is back before the next gateway sends."""
+    process = bench.start()
+    bench.wait_for_press()
+    bench.broker.stop()
+    _end(process)
+    bench.broker.start()
+    bench.subscriber.wait()
+
+
+def _freeze_the_broker(bench: Bench) -> None:
+    process = bench.start()
+    bench.some_time()
+    pid = bench.broker.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        bench.wait_for_press()
+        bench.some_time()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    _end(process)
+
+
+def _refuse_writes(bench: Bench) -> None:
+    bench.execute(
+        "CREATE TRIGGER IF NOT EXISTS no BEFORE INSERT ON presses BEGIN SELECT RAISE(FAIL, 'no room'); END"
+    )
+    process = bench.start()
+    bench.some_time()
+    time.sleep(1.0)
+    bench.execute("DROP TRIGGER no")
+    _end(process)
+
+
+def _unplug_the_sensor(bench: Bench) -> None:
+    _end(bench.start(f"unplug@{bench.rng.randint(40, 80)}:0.3"))
+
+
+def _damage_frames(bench: Bench) -> None:
+    first = bench.rng.randint(40, 80)
+    _end(bench.start(f"drop@{first}", f"truncate@{first + 3}"))
+
+
+FAULTS: dict[str, Callable[[Bench], None]] = {
+    "no fault": lambda bench: _end(bench.start()),  # first: it makes the database
+    "gateway killed": _kill_the_gateway,
+    "gateway stopped": _stop_the_gateway,
+    "broker restarted": _restart_the_broker,
+    "broker frozen": _freeze_the_broker,
+    "writes refused": _refuse_writes,
+    "sensor unplugged": _unplug_the_sensor,
+    "frames damaged": _damage_frames,
+}
+
+
+def _end(process: ForkServerProcess) -> None:
+    """Errors: TimeoutError for a gateway that hangs."""
+    process.join(ROUND_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+        raise TimeoutError(f"a gateway did not end within {ROUND_S:.0f} s")
+
+
+def soak(folder: Path, rounds: int, seed: int = 0, say: Callable[[str], None] = lambda line: None) -> Outcome:
+    """Rounds of every fault in turn, and one that empties the outbox."""
+    outcome = Outcome()
+    with LocalBroker() as broker:
+        bench = Bench(folder, broker, random.Random(seed))
+        try:
+            for number in range(rounds):
+                name = list(FAULTS)[number % len(FAULTS)]
+                FAULTS[name](bench)
+                outcome.faults[name] += name != "no fault"
+                say(f"{number + 1}/{rounds}  {name}: {bench.presses()} presses made")
+            _end(bench.start(empties_outbox=True))
+            _await(lambda: len(bench.subscriber.results) >= bench.presses())
+        finally:
+            bench.subscriber.close()
+        outcome.faults += Counter()  # without zeros
+        _judge(bench, outcome)
+    return outcome
+
+
+def _await(is_so: Callable[[], bool], within_s: float = 10.0) -> None:
+    """The last messages may still be on their way from the broker."""
+    deadline = time.monotonic() + within_s
+    while not is_so() and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def _judge(bench: Bench, outcome: Outcome) -> None:
+    with closing(sqlite3.connect(bench.database)) as connection:
+        made = {row[0] for row in connection.execute("SELECT press_id FROM presses")}
+        outcome.counted = connection.execute("SELECT coalesce(sum(presses), 0) FROM gels").fetchone()[0]
+    results = bench.subscriber.results
+    outcome.made, outcome.delivered = len(made), len(made & set(results))
+    outcome.lost = outcome.made - outcome.delivered
+    outcome.doubled = sum(len(contents) > 1 for contents in results.values())
+    outcome.findings = [finding.text for finding in check_database(bench.database) if finding.is_fault]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rounds", type=int, default=60, help="one fault each, in turn")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments of the faults")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="gelgate-soak-") as folder:
+        outcome = soak(Path(folder), given.rounds, given.seed, lambda line: print(line, flush=True))
+    print(outcome)
+    if outcome.lost or outcome.doubled or outcome.findings or outcome.counted != outcome.made:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
