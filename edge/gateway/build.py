@@ -16,6 +16,7 @@ from edge.gateway.acquisition import Acquisition
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
 from edge.gateway.inspector import Inspector
+from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import device_opener, open_scorer
 from edge.gateway.preflight import Preflight
@@ -61,6 +62,8 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
+    io = station_io(config, clock, status, calls)
+    closing.callback(io.close)
     opener = _opener(config, scorer.bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(opener, clock, status.sensor_changed)
     closing.callback(acquisition.close)
@@ -76,6 +79,7 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
         acquisition=acquisition,
         calls=calls,
         clock=clock,
+        io=io,
     )
 
 

@@ -17,6 +17,7 @@ from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import COMMANDS
+from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.opening import device_opener, open_scorer, try_once
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
@@ -109,6 +110,10 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
+    for trigger in config.triggers:
+        found.try_part(f"trigger {trigger.plugin}", partial(found_trigger, trigger))
+    for actuator in config.actuators:
+        found.try_part(f"actuator {actuator.plugin}", partial(found_actuator, actuator))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found

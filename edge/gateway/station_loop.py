@@ -17,8 +17,9 @@ from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.clock_guard import ClockGuard
+from edge.gateway.digital_io.station_io import StationIo
 from edge.gateway.inspection_session import InspectionSession
-from edge.gateway.inspector import Inspector
+from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
 from edge.gateway.recorder import PressReport, Recorder
@@ -61,6 +62,7 @@ class Parts:
     acquisition: Acquisition
     calls: "LoopCalls[StationLoop]"
     clock: Clock
+    io: StationIo
 
 
 class StationLoop:
@@ -138,6 +140,7 @@ class StationLoop:
             self._set_store_fault(error)
         if self.is_halted and self._session is not None:
             self._parts.store.note_uncounted(self._session.gel.serial, self._session.unrecorded)
+        self._parts.io.turn(self._parts.status.view())
         if self._parts.clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
             self.publish_stats()
 
@@ -145,6 +148,19 @@ class StationLoop:
         """Record that a new gel is mounted, and learn its picture. Errors: DeviceNotFound, StoreError."""
         serial, time_ns = self.session.gel.serial, self._parts.clock.time_ns()
         self.session.see_gel(self._parts.store.replace_gel(serial, time_ns, gel_id, limit_presses, note))
+
+    def trigger(self) -> None:
+        """A pedal or button asks for a verdict. Nobody waits for an answer, so a refusal is in the log."""
+        try:
+            refusal = self.session.trigger()
+        except DeviceNotFound as error:
+            refusal = str(error)
+        if refusal is not None:
+            log.warning("the trigger gave no verdict: %s", refusal)
+
+    def acknowledge(self) -> None:
+        """A person has seen the last verdict, and the pulses that were not given."""
+        self._parts.io.acknowledge()
 
     def publish_stats(self) -> None:
         """Publish the counts so far, and check whether another process replaced the gel."""
@@ -207,7 +223,14 @@ class StationLoop:
         recorder = Recorder(parts.store, parts.inspector, identity.serial, parts.place, parts.clock)
         parts.status.info(parts.inspector.bundle, identity)
         self._session = InspectionSession(
-            gel, parts.inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
+            gel,
+            parts.inspector,
+            parts.contact,
+            parts.references,
+            recorder,
+            parts.status,
+            parts.clock,
+            self._judged,
         )
         return self._session
 
@@ -219,6 +242,13 @@ class StationLoop:
                 f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
                 f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
             )
+
+    def _judged(self, inspection: Inspection) -> None:
+        self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
+
+    def _since(self, judged_ns: int | None) -> int:
+        """From when deadlines count: the judged frame, or now where there is none."""
+        return self._parts.clock.monotonic_ns() if judged_ns is None else judged_ns
 
     def _count_lost(self, frame: CameraFrame, session: InspectionSession) -> None:
         """Count the frames for which this machine was too slow."""
@@ -234,6 +264,7 @@ class StationLoop:
         for report in self._session.record() if self._session else ():
             self._parts.status.clear_fault("store")
             self._parts.publisher.wake()
+            self._parts.io.recorded(report.word, self._since(report.judged_ns))
             self.summary.add(report)
             self._on_press(report)
 
