@@ -1,8 +1,8 @@
 """USB relay boards of dcttech, product `USBRelay1` to `USBRelay8`.
 
-# Ref: github.com/pavel-a/usb-relay-hid, github.com/JPEWdev/pyhid-usb-relay. A feature report of 8 bytes: 0xFF n switches
-# channel n on, 0xFD n off. Reading it gives the board's name (5 characters) and in byte 7 a bit for each relay. All
-# boards have one USB id and one USB serial number, so only that name tells two boards apart.
+# Ref: github.com/pavel-a/usb-relay-hid, github.com/JPEWdev/pyhid-usb-relay. A feature report of 8 bytes: 0xFF n
+# switches channel n on, 0xFD n off. Reading it gives the board's name (5 characters) and in byte 7 a bit for each
+# relay. All boards have one USB id and one USB serial number, so only that name tells two boards apart.
 # Not seen on a board by us. Boards that look alike (CH551G) answer other reports: they are refused by what they answer.
 """
 
@@ -42,7 +42,7 @@ class DcttechRelay:
         self.channels = _channels(info)
         self._handle: HidHandle | None = bus.open(info)
         try:
-            self.serial, _ = self._report()
+            self.serial = self._report()[0]
         except DeviceError:
             self.close()
             raise
@@ -107,9 +107,9 @@ def _discovered(bus: HidBus, info: HidInfo, options: RelayOptions) -> Discovered
     except DeviceError as error:
         return DiscoveredPort(info.place, info.product, None, str(error))
     board.close()
-    wrong = options.serial is not None and board.serial != options.serial
-    refusal = f"{info.place}: it is board '{board.serial}', expected '{options.serial}'" if wrong else None
-    return DiscoveredPort(info.place, info.product, board.serial, refusal)
+    is_other = options.serial is not None and board.serial != options.serial
+    other = f"{info.place}: it is board '{board.serial}', expected '{options.serial}'"
+    return DiscoveredPort(info.place, info.product, board.serial, other if is_other else None)
 
 
 def open_relay(bus: HidBus, options: RelayOptions) -> DcttechRelay:

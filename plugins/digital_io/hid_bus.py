@@ -1,7 +1,8 @@
 """HID devices through hidapi, behind a boundary that `virtual_hid` replaces.
 
 # Ref: hidapi 0.15.0 (github.com/trezor/cython-hidapi). Seen on Linux 6.1: a read of a vanished device returns nothing
-# and raises nothing, so presence is asked of `enumerate`. The module `hidraw` sees devices that `hid` (libusb) does not.
+# and raises nothing, so presence is asked of `enumerate`. The module `hidraw` sees devices that `hid` (libusb) does
+# not.
 # Known: it is not safe for threads (libusb/hidapi issues 45, 133, 649; cython-hidapi 148): here every search, opening
 # and closing has one lock, and one thread uses an open device.
 """

@@ -104,9 +104,8 @@ def open_pedal(bus: HidBus, options: PedalOptions, clock: Clock) -> HidPedal:
     usable = [info for info, refusal in found if refusal is None]
     if not usable:
         seen = "; ".join(refusal for _, refusal in found if refusal)
-        raise DeviceNotFound(
-            f"no pedal {options.device or ''} is plugged in; {seen or 'check its cable, then `gelgate devices`'}"
-        )
+        which = f"pedal {options.device}" if options.device else "pedal"
+        raise DeviceNotFound(f"no {which} is plugged in; {seen or 'check its cable, then `gelgate devices`'}")
     return HidPedal(bus, usable[0], clock, options.key)
 
 

@@ -4,11 +4,12 @@ What it does not simulate: the time that a report takes, the pedal's typing, and
 """
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from pydantic import BaseModel, Field, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from edge.clock import SystemClock
 from edge.core.digital_io import DiscoveredPort
@@ -18,7 +19,7 @@ from plugins.digital_io.dcttech_relay import ON, DcttechRelay, RelayOptions, dis
 from plugins.digital_io.hid_bus import HidHandle, HidInfo
 from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, discovered_pedals, open_pedal
 
-__all__ = ["VirtualHidBus", "VirtualHidOptions", "actuator", "trigger"]
+__all__ = ["VirtualHidBus", "VirtualHidOptions", "actuator", "bus_of", "trigger"]
 
 BOARD: Final = b"VIRT1"
 F13: Final = 0x68
@@ -26,8 +27,10 @@ PEDAL_INFO: Final = HidInfo(b"virtual/pedal", 0x0C45, 0x7404, "FootSwitch", usag
 RELAY_INFO: Final = HidInfo(b"virtual/relay", 0x16C0, 0x05DF, "USBRelay8")
 
 
-class VirtualHidOptions(BaseModel, extra="forbid", frozen=True):
+class VirtualHidOptions(BaseModel):
     """What happens on the virtual bus. Times are seconds after its first use; opened again, it continues."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     presses_s: tuple[float, ...] = Field(default=(), description="when the pedal goes down")
     held_s: float = Field(default=0.3, gt=0, le=60, description="how long it stays down")
@@ -40,9 +43,10 @@ class VirtualHidOptions(BaseModel, extra="forbid", frozen=True):
 
 
 class VirtualHidBus:
-    """One pedal and one board with 8 relays. `is_plugged_in` and `relays` are for tests and demonstrations.
+    """One pedal and one board with 8 relays. Its attributes are for tests and demonstrations.
 
-    is_silent: after unplugging, reads and reports do nothing instead of failing, as hidapi was seen to do on Linux.
+    is_stuck: the relays do not switch. is_silent: without its cable the pedal reads as empty instead of failing, as
+    hidapi was seen to do on Linux.
     """
 
     def __init__(self, options: VirtualHidOptions, clock: Clock) -> None:
@@ -50,6 +54,7 @@ class VirtualHidBus:
         self.is_plugged_in = True
         self.is_silent = True
         self.is_stuck = False
+        self.pedal_is_down = False
         self.options, self.clock = options, clock
         self._started_ns = clock.monotonic_ns()
 
@@ -62,6 +67,16 @@ class VirtualHidBus:
         """Whether they are plugged in now."""
         away = self.options.unplugged_s
         return self.is_plugged_in and not (away and away[0] <= self.now_s < away[1])
+
+    def is_down(self) -> bool:
+        """Whether the pedal is pressed now, by its script or by hand."""
+        now_s, held_s = self.now_s, self.options.held_s
+        return self.pedal_is_down or any(at <= now_s < at + held_s for at in self.options.presses_s)
+
+    def next_change_s(self) -> float:
+        """Seconds until the script changes the pedal."""
+        edges = [at + after for at in self.options.presses_s for after in (0.0, self.options.held_s)]
+        return min((edge - self.now_s for edge in edges if edge > self.now_s), default=math.inf)
 
     def enumerate(self) -> list[HidInfo]:
         return [PEDAL_INFO, RELAY_INFO] if self.has_devices() else []
@@ -90,30 +105,23 @@ class _Pedal:
     """Its reports are those of a boot keyboard that types F13."""
 
     def __init__(self, bus: VirtualHidBus) -> None:
-        self._bus, self._seen_s = bus, bus.now_s
+        self._bus, self._is_down = bus, bus.is_down()
 
     def read(self, most: int, timeout_s: float) -> bytes:
         bus = self._bus
-        end_s = self._seen_s if timeout_s < 0 else bus.now_s + timeout_s
-        following = next((one for one in self._changes() if self._seen_s < one[0] <= end_s), None)
-        wait_s = (following[0] if following else end_s) - bus.now_s
-        bus.clock.sleep(max(0.0, wait_s))
+        if bus.is_down() == self._is_down:
+            bus.clock.sleep(min(timeout_s, bus.next_change_s()))
         if not bus.has_devices():
             return self._gone()
-        if following is None:
+        if bus.is_down() == self._is_down:
             return b""
-        self._seen_s = following[0]
-        return bytes([0, 0, F13 if following[1] else 0, 0, 0, 0, 0, 0])[:most]
+        self._is_down = bus.is_down()
+        return bytes([0, 0, F13 if self._is_down else 0, 0, 0, 0, 0, 0])[:most]
 
     def _gone(self) -> bytes:
         if not self._bus.is_silent:
             raise DeviceLost("FootSwitch at virtual/pedal is gone")
         return b""
-
-    def _changes(self) -> list[tuple[float, bool]]:
-        options = self._bus.options
-        ups = [(at + options.held_s, False) for at in options.presses_s]
-        return sorted([*((at, True) for at in options.presses_s), *ups])
 
     def send_feature(self, report: bytes) -> None:
         self._bus.check(PEDAL_INFO)
