@@ -2,7 +2,7 @@
 
 Each check is a function whose docstring states a fact. `check_detector`, `check_device`, `check_sink`, `check_trigger`
 and `check_actuator` run all checks of a kind and raise one exception group with every fact that is not true. Faults are
-included: a pulled cable, an absent receiver, a refused message, features that are not finite, no presses, closing twice.
+included: a pulled cable, an absent receiver, a refused message, features that are not finite, closing twice.
 
 Prior art: the check functions of trio.testing.
 """

@@ -57,20 +57,20 @@ class StationIo:
         drivers: Sequence[ActuatorDriver] = (),
         alarms: IoAlarms | None = None,
     ) -> None:
-        self._readers, self._drivers, self._alarms = tuple(readers), tuple(drivers), alarms
+        self.readers, self.drivers, self._alarms = tuple(readers), tuple(drivers), alarms
         self._verdict: str | None = None
         self._judged_ns = 0
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""
-        for driver in self._drivers:
+        for driver in self.drivers:
             driver.start()
-        for reader in self._readers:
+        for reader in self.readers:
             reader.start()
 
     def turn(self, view: StationView) -> None:
         """What the station is now, without the verdict; also the sign that its loop is alive."""
-        for driver in self._drivers:
+        for driver in self.drivers:
             driver.show(replace(view, verdict=self._verdict))
 
     def judged(self, verdict: str, judged_ns: int) -> None:
@@ -91,13 +91,13 @@ class StationIo:
 
     def close(self) -> None:
         """Switch to the outputs of the state `stopped`, and release every device. May be called again."""
-        for reader in self._readers:
+        for reader in self.readers:
             reader.close()
-        for driver in self._drivers:
+        for driver in self.drivers:
             driver.close()
 
     def _show(self, verdict: str, judged_ns: int) -> None:
         if judged_ns >= self._judged_ns:  # a pass may be recorded after a later press was judged
             self._verdict, self._judged_ns = verdict, judged_ns
-        for driver in self._drivers:
+        for driver in self.drivers:
             driver.pulse(verdict, judged_ns)
