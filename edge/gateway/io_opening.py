@@ -71,7 +71,7 @@ def _reader(
         _trigger_opener(table, clock),
         clock,
         partial(calls.post, _ACTIONS[table.action]),
-        partial(alarms.fault, "trigger", name),
+        partial(alarms.fault, "trigger_device", name),
         debounce_ns=round(table.debounce_ms * 1e6),
     )
 

@@ -58,7 +58,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "free_gel": "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at rest",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
-    "trigger": "a pedal or button cannot be used",
+    "trigger_device": "a pedal or button cannot be used",
     "actuator": "a light or relay cannot be used, or its watchdog has put it into its safe state",
     "pulse": "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",
 }

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from edge.cli.run import EXAMPLE
 from edge.config import load_config
 from edge.core.errors import ConfigError
 
@@ -129,3 +130,14 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(path)
+
+
+def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
+    """Without their `# `, a pedal and a relay board with four outputs."""
+    before, _, commented = EXAMPLE.partition("# A pedal, and")
+    tables = "\n".join(line.removeprefix("#").removeprefix(" ") for line in commented.splitlines()[1:])
+    (tmp_path / "gelgate.toml").write_text(before + tables, encoding="utf-8")
+    config = load_config(tmp_path / "gelgate.toml")
+
+    assert [trigger.action for trigger in config.triggers] == ["acknowledge"]
+    assert [output.channel for output in config.actuators[0].outputs] == [1, 2, 2, 3]

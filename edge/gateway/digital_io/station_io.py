@@ -15,14 +15,14 @@ log = logging.getLogger(__name__)
 
 
 class IoAlarms:
-    """The alarms `trigger`, `actuator` and `pulse`, of all devices together. The owner threads call it.
+    """The alarms `trigger_device`, `actuator` and `pulse`, of all devices together. The owner threads call it.
 
     say: raises the alarm with a text, or clears it with None.
     """
 
     def __init__(self, say: Callable[[str, str | None], None]) -> None:
         self._say = say
-        self._faults: dict[str, dict[str, str]] = {"trigger": {}, "actuator": {}}
+        self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
         self._late: Counter[str] = Counter()
 
     def fault(self, alarm: str, name: str, fault: str | None) -> None:
