@@ -150,7 +150,7 @@ class StationLoop:
         self.session.see_gel(self._parts.store.replace_gel(serial, time_ns, gel_id, limit_presses, note))
 
     def trigger(self) -> None:
-        """A pedal or button asks for a verdict. Nobody waits for an answer, so a refusal is in the log."""
+        """A pedal or button asks for a verdict. No one waits for an answer, so a refusal is in the log."""
         try:
             refusal = self.session.trigger()
         except DeviceNotFound as error:

@@ -139,7 +139,7 @@ def test_a_pedal_asks_for_the_verdict(tmp_path: Path, recording: Path, bundle: P
 def test_a_pedal_without_a_press_is_in_the_log(
     tmp_path: Path, recording: Path, bundle: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Nobody waits for an answer, so the reason is there, before the first frame and after it."""
+    """No one waits for an answer, so the reason is there, before the first frame and after it."""
     config = configured(tmp_path, recording, bundle, PEDAL.format(action="trigger"))
     with IoStation(config) as station:
         station.step_on_the_pedal()
