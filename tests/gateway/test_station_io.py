@@ -1,6 +1,7 @@
 """A station with a pedal and a relay board, one step at a time, on the virtual HID bus."""
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,12 @@ import pytest
 from station import JSONL, station_config
 from stepped_station import SteppedStation
 
+from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.digital_io import StationView
 from edge.core.errors import ConfigError, DeviceNotFound
 from edge.gateway.digital_io.station_io import IoAlarms, StationIo
+from edge.gateway.gateway import Gateway
 from edge.gateway.io_opening import found_actuator
 
 ANDON = """
@@ -232,3 +235,16 @@ def test_a_pass_that_is_recorded_after_a_later_fail_is_not_shown() -> None:
     io.turn(StationView("ready"))
 
     assert shown[-1].verdict == "fail"
+
+
+def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """With its threads, from the start to the end of a recording: the last writing is that of `stopped`."""
+    config = load_config(configured(tmp_path, recording, bundle, ANDON.format(deadline_ms=60_000)))
+    with Gateway.open(config, SystemClock()) as gateway:
+        gateway.run(threading.Event())
+
+    lines = [json.loads(line) for line in (tmp_path / "switched.jsonl").read_text().splitlines()]
+    last = {line["channel"]: line["on"] for line in lines}
+    assert last == {1: False, 2: False, 3: False, 4: True}
