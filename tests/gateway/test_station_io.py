@@ -218,23 +218,42 @@ def test_faults_of_several_devices_are_one_alarm() -> None:
     assert [text for _, text in said] == ["b: gone", "a: stuck; b: gone", "a: stuck", None]
 
 
+class Driver:
+    """What an owner of a board is asked for."""
+
+    def __init__(self) -> None:
+        self.views: list[StationView] = []
+        self.pulses: list[str] = []
+
+    def show(self, view: StationView) -> None:
+        self.views.append(view)
+
+    def pulse(self, verdict: str, judged_ns: int) -> None:
+        self.pulses.append(verdict)
+
+
 def test_a_pass_that_is_recorded_after_a_later_fail_is_not_shown() -> None:
     """The lights are those of the newest press."""
-    shown: list[StationView] = []
-
-    class Driver:
-        def show(self, view: StationView) -> None:
-            shown.append(view)
-
-        def pulse(self, verdict: str, judged_ns: int) -> None:
-            """None is wanted."""
-
-    io = StationIo((), (Driver(),))  # type: ignore[arg-type]
+    driver = Driver()
+    io = StationIo((), (driver,))  # type: ignore[arg-type]
     io.judged("fail", 200)
     io.recorded("pass", 100)
     io.turn(StationView("ready"))
 
-    assert shown[-1].verdict == "fail"
+    assert driver.views[-1].verdict == "fail"
+
+
+def test_the_pulse_of_a_pass_waits_for_the_database_and_that_of_a_fail_does_not() -> None:
+    """Each is given once."""
+    driver = Driver()
+    io = StationIo((), (driver,))  # type: ignore[arg-type]
+    io.judged("pass", 100)
+    assert driver.pulses == []
+    io.recorded("pass", 100)
+    io.judged("fail", 200)
+    io.recorded("fail", 200)
+
+    assert driver.pulses == ["pass", "fail"]
 
 
 def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(

@@ -188,6 +188,20 @@ def test_a_pulse_does_not_outlast_a_loop_that_hangs() -> None:
     assert bench.relay.on == set()
 
 
+def test_a_loop_that_hangs_gives_no_pulse() -> None:
+    """What it asked for before is reported."""
+    bench = Bench((OutputRule(3, frozenset({"fail"}), pulse_ns=MS, deadline_ns=9_000 * MS),))
+    bench.run(1, READY)
+    bench.clock.sleep(2.5)
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+
+    assert bench.late == [
+        "the pulse on channel 3 for 'fail' was not given: the station's loop does not answer"
+    ]
+    assert bench.relay.on == set()
+
+
 def test_closing_leaves_the_outputs_of_stopped_and_gives_no_pulse() -> None:
     """A pulse that waits is reported."""
     bench = Bench((*RULES[:3], OutputRule(4, frozenset({"stopped"}))))
