@@ -28,6 +28,7 @@ class FakeRelay:
         self.clock = clock
         self.plugged_in, self.silent, self.write_s = True, False, 0.0
         self.state: dict[int, bool] = {}
+        self.error: Exception | None = None
         self.history: list[tuple[int, int, bool]] = []
         self.openings = self.closings = 0
 
@@ -39,6 +40,8 @@ class FakeRelay:
 
     def write(self, channel: int, is_on: bool) -> None:
         self.clock.sleep(self.write_s)
+        if self.error is not None:
+            raise self.error
         if not self.plugged_in:
             raise DeviceLost("the relay is gone")
         self.state[channel] = is_on
@@ -62,6 +65,7 @@ class FakePedal:
 
     def __init__(self, clock: FakeClock, *changes: tuple[float, bool]) -> None:
         self.clock, self.plugged_in, self.silent = clock, True, False
+        self.error: Exception | None = None
         self.changes = deque((clock.monotonic_ns() + round(ms * 1e6), is_down) for ms, is_down in changes)
         self.openings = self.closings = 0
 
@@ -72,6 +76,8 @@ class FakePedal:
         return self
 
     def read(self, deadline_ns: int) -> bool | None:
+        if self.error is not None:
+            raise self.error
         if not self.plugged_in:
             raise DeviceLost("the pedal is gone")
         until = min([deadline_ns, *(at for at, _ in list(self.changes)[:1])])

@@ -103,7 +103,7 @@ class ActuatorDriver:
                 self._connection.check_presence()
                 self._turn(actuator)
                 self._connection.works()
-        except DeviceError as error:
+        except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm
             self._written, self._on_until_ns = {}, {}
             self._connection.lost(error)
         self._expire()
@@ -124,7 +124,7 @@ class ActuatorDriver:
             return
         try:
             self._write(actuator, pulse.channel, True)
-        except DeviceError as error:
+        except Exception as error:
             self._late(pulse, f"not given: {error}")
             raise
         now_ns = self._clock.monotonic_ns()

@@ -3,12 +3,15 @@
 A HID device that was unplugged reads as silent, without an error (hidapi 0.15 on Linux), so that only a search tells.
 """
 
+import logging
 from collections.abc import Callable
 from typing import Final, Generic, Protocol, TypeVar
 
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceLost
 from edge.core.ports import Clock
+
+log = logging.getLogger(__name__)
 
 __all__ = ["FIRST_PAUSE_S", "LONGEST_PAUSE_S", "Connection", "OnFault"]
 
@@ -63,11 +66,16 @@ class Connection(Generic[P]):
         self._backoff.succeeded()
         self._set(None)
 
-    def lost(self, error: DeviceError) -> None:
-        """Close it, and note why and when to try again."""
+    def lost(self, error: Exception) -> None:
+        """Close it, and note why and when to try again. A fault of a driver does not end its owner: that would be a
+        silence."""
+        if not isinstance(error, DeviceError):
+            log.error("the driver failed", exc_info=error)
         self.close()
         self.retry_ns = self._clock.monotonic_ns() + round(self._backoff.failed() * 1e9)
-        self._set(str(error))
+        self._set(
+            str(error) if isinstance(error, DeviceError) else f"its driver failed: {error!r}; see the log"
+        )
 
     def close(self) -> None:
         """Release the device; may be called again."""

@@ -7,7 +7,6 @@ from typing import Final
 
 from edge.core.backoff import Backoff
 from edge.core.digital_io import Debounce, Trigger
-from edge.core.errors import DeviceError
 from edge.core.ports import Clock
 from edge.gateway.digital_io.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
 
@@ -52,7 +51,7 @@ class TriggerReader:
                 self._read(trigger)
                 self._connection.works()
                 return 0.0
-        except DeviceError as error:
+        except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm
             self._debounce = Debounce(self._debounce_ns)  # held down or not: nothing is known of the next one
             self._connection.lost(error)
         return max(0.0, (self._connection.retry_ns - self._clock.monotonic_ns()) / 1e9)

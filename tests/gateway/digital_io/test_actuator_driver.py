@@ -1,5 +1,6 @@
 """The owner of a relay board, on the test's own clock and without its thread."""
 
+import pytest
 from fake_io import FakeRelay, FixedBackoff, run
 from small_recordings import FakeClock
 
@@ -186,6 +187,22 @@ def test_a_pulse_does_not_outlast_a_loop_that_hangs() -> None:
     bench.run(2.5)
 
     assert bench.relay.on == set()
+
+
+def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again(caplog: pytest.LogCaptureFixture) -> None:
+    """Not a thread that ends in silence: the traceback is in the log, and a pulse that waits is reported."""
+    bench = Bench()
+    bench.run(0.5, READY)
+    bench.relay.error = KeyError("defect")
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+    assert bench.faults == ["its driver failed: KeyError('defect'); see the log"]
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: 'defect'"]
+    assert "Traceback" in caplog.text
+    bench.relay.error = None
+    bench.run(2, READY)
+
+    assert bench.faults[-1] is None
 
 
 def test_a_loop_that_hangs_gives_no_pulse() -> None:

@@ -85,3 +85,17 @@ def test_the_owner_thread_releases_the_pedal() -> None:
     bench.reader.close()
 
     assert bench.pedal.closings == bench.pedal.openings
+
+
+def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again() -> None:
+    """Not a thread that ends in silence."""
+    bench = Bench((5000, True))
+    bench.run(0.5)
+    bench.pedal.error = KeyError("defect")
+    bench.run(0.3)
+    assert bench.faults == ["its driver failed: KeyError('defect'); see the log"]
+    bench.pedal.error = None
+    bench.run(5)
+
+    assert bench.faults[-1] is None
+    assert bench.presses == [5040]
