@@ -11,9 +11,9 @@ from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceLost
 from edge.core.ports import Clock
 
-log = logging.getLogger(__name__)
-
 __all__ = ["FIRST_PAUSE_S", "LONGEST_PAUSE_S", "Connection", "OnFault"]
+
+log = logging.getLogger(__name__)
 
 OnFault = Callable[[str | None], None]
 """Called with the reason when a device cannot be used, and with None when it can again."""
