@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -136,7 +137,16 @@ def _default(value: Any) -> str:
 
 def config_page() -> str:
     """Every key of the configuration, and every option of every plugin that comes with the product."""
-    return "\n".join([NOTICE, *_config(), *_plugins("devices", "device"), *_plugins("sinks", "sinks")])
+    return "\n".join([NOTICE, *_config(), *chain.from_iterable(map(_plugins, _PLUGIN_TABLES))])
+
+
+# The groups with a table in the configuration, and the key of that table.
+_PLUGIN_TABLES: Final[dict[registry.PluginGroup, str]] = {
+    "devices": "device",
+    "sinks": "sinks",
+    "triggers": "triggers",
+    "actuators": "actuators",
+}
 
 
 def _config() -> Iterator[str]:
@@ -161,6 +171,17 @@ def _config() -> Iterator[str]:
                 yield from _table(listed, schema["$defs"])
     yield "## [device] and [[sinks]]\n\nOne plugin each, with its own options below. Sinks have `name`.\n"
     yield from _table(schema["$defs"]["SinkTable"], schema["$defs"])
+    for heading, model in _IO_TABLES.items():
+        inner = schema["$defs"][model]
+        yield f"## {heading}\n\n{_paragraphs(inner['description'])}\n"
+        yield from _table(inner, schema["$defs"])
+
+
+_IO_TABLES: Final = {
+    "[[triggers]]": "TriggerTable",
+    "[[actuators]]": "ActuatorTable",
+    "[[actuators.outputs]]": "OutputTable",
+}
 
 
 def _tables(schema: Mapping[str, Any]) -> dict[str, str]:
@@ -172,7 +193,8 @@ def _tables(schema: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _plugins(kind: str, key: str) -> Iterator[str]:
+def _plugins(kind: registry.PluginGroup) -> Iterator[str]:
+    key = _PLUGIN_TABLES[kind]
     for name in registry.names(kind):
         options = registry.options(kind, name)
         schema = options.model_json_schema()
@@ -216,8 +238,10 @@ def _value(field: Mapping[str, Any]) -> str:
     if field.get("format") == "path":
         return "path"
     if field.get("type") == "array":
-        inner = "string" if field["items"].get("$ref", "").endswith("/Fault") else field["items"].get("type")
-        return "list of " + {"string": "texts", "integer": "whole numbers"}.get(inner, "tables")
+        item = field.get("items") or field["prefixItems"][0]
+        inner = "string" if item.get("$ref", "").endswith("/Fault") else item.get("type")
+        words = {"string": "texts", "integer": "whole numbers", "number": "numbers"}
+        return "list of " + words.get(inner, "tables")
     names = {
         "integer": "whole number",
         "number": "number",

@@ -7,14 +7,12 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
-    StringConstraints,
     ValidationError,
     model_validator,
 )
@@ -25,6 +23,7 @@ from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.plugins import HasIdentity
 from edge.core.sink_context import topic_level
+from edge.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
 from edge.validation_messages import numbered, sentences, types_in
 
 __all__ = [
@@ -44,30 +43,7 @@ T = TypeVar("T", bound="PluginTable")
 TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class PluginTable(_Table):
-    """One plugin, chosen by name."""
-
-    plugin: str = Field(description="its name")
-    options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
-
-
-PlainText = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
-
-
-class SinkTable(PluginTable):
-    """One receiver of results."""
-
-    name: PlainText | None = Field(
-        default=None,
-        description="under which the outbox remembers what the receiver has; by default plugin and address",
-    )
-
-
-class StationTable(_Table):
+class StationTable(Table):
     """The place of this gateway in the plant: the levels of its MQTT topics.
 
     Each has 1 to 64 characters, no space, and none of + # / $.
@@ -81,7 +57,7 @@ class StationTable(_Table):
     )
 
 
-class BundleTable(_Table):
+class BundleTable(Table):
     """One bundle of a station with several, and the names that select it."""
 
     path: Path = Field(description="folder or .zip made by `gelgate fit`")
@@ -91,7 +67,7 @@ class BundleTable(_Table):
     )
 
 
-class InspectionTable(_Table):
+class InspectionTable(Table):
     """What is inspected. Exactly one of `bundle`, `bundles` and `bundle_folder` is given.
 
     With several bundles, `cmd/select_part` chooses the one that inspects; all have the same sensor profile but for
@@ -126,7 +102,7 @@ class InspectionTable(_Table):
     threads: int = Field(default=2, ge=1, le=64, description="threads that score one press")
     trigger: Literal["automatic", "command"] = Field(
         default="automatic",
-        description="automatic: every press is scored; command: only one that `cmd/trigger` asks for",
+        description="automatic: every press is scored; command: only one that `cmd/trigger` or a pedal asks for",
     )
 
     @model_validator(mode="after")
@@ -149,7 +125,7 @@ class InspectionTable(_Table):
         return self
 
 
-class ContactTable(_Table):
+class ContactTable(Table):
     """When a contact counts as a press, and which of its frames is scored: see contact.md."""
 
     settle_s: float = Field(
@@ -188,7 +164,7 @@ class ContactTable(_Table):
         return ContactSettings(is_external=is_external, **self.model_dump())
 
 
-class GelTable(_Table):
+class GelTable(Table):
     """When the gel is due."""
 
     limit_presses: int = Field(
@@ -212,7 +188,7 @@ def _database_file(path: Path) -> Path:
     return path
 
 
-class StoreTable(_Table):
+class StoreTable(Table):
     """The database of presses, gels and unsent messages, and the room for unsent messages."""
 
     path: Annotated[Path, AfterValidator(_database_file)] = Field(
@@ -238,13 +214,13 @@ class StoreTable(_Table):
     )
 
 
-class MetricsTable(_Table):
+class MetricsTable(Table):
     """Counters for Prometheus, on this machine alone: http://127.0.0.1:<port>/metrics. Needs the extra `metrics`."""
 
     port: int | None = Field(default=None, ge=1024, le=65535, description="TCP port; none: not served")
 
 
-class CommandTable(_Table):
+class CommandTable(Table):
     """Which requests over MQTT are served, and from whom; all others are refused. mqtt.md has the verbs."""
 
     unsigned: tuple[str, ...] = Field(
@@ -271,7 +247,7 @@ class CommandTable(_Table):
         return self
 
 
-class Config(_Table):
+class Config(Table):
     """The complete file."""
 
     version: Literal[1] = Field(description="the version of this format")
@@ -284,6 +260,12 @@ class Config(_Table):
     commands: CommandTable = CommandTable()
     metrics: MetricsTable = MetricsTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
+    triggers: list[TriggerTable] = Field(
+        default_factory=list, description="pedals and buttons; one table each"
+    )
+    actuators: list[ActuatorTable] = Field(
+        default_factory=list, description="lights and relays; one table each"
+    )
 
 
 def load_config(path: Path, state_dir: Path | None = None) -> Config:
@@ -355,10 +337,14 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
     device = table.get("device")
     if isinstance(device, dict) and "plugin" in device:
         yield "devices", "device", device
-    sinks = table.get("sinks")
-    for index, sink in enumerate(sinks if isinstance(sinks, list) else []):
-        if isinstance(sink, dict) and "plugin" in sink:
-            yield "sinks", f"sinks.{index}", sink
+    for kind in _LISTS:
+        listed = table.get(kind)
+        for index, one in enumerate(listed if isinstance(listed, list) else []):
+            if isinstance(one, dict) and "plugin" in one:
+                yield kind, f"{kind}.{index}", one
+
+
+_LISTS: Final[tuple[registry.PluginGroup, ...]] = ("sinks", "triggers", "actuators")
 
 
 def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None) -> Config:
@@ -376,14 +362,16 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
     secret = _under(folder, config.commands.secret_file)
     commands = config.commands.model_copy(update={"secret_file": secret})
     device = _with_options_from(folder, "devices", config.device)
-    sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]
     return config.model_copy(
         update={
             "inspection": inspection,
             "store": store,
             "commands": commands,
             "device": device,
-            "sinks": sinks,
+            **{
+                kind: [_with_options_from(folder, kind, one) for one in getattr(config, kind)]
+                for kind in _LISTS
+            },
         }
     )
 

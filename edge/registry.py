@@ -7,7 +7,7 @@ of its group (`edge.core.plugins`) is refused here, so that no other code has to
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
 
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from edge.core.detector import Detector
-    from edge.core.plugins import Backbone, DevicePlugin, SinkPlugin
+    from edge.core.plugins import ActuatorPlugin, Backbone, DevicePlugin, SinkPlugin, TriggerPlugin
 
 __all__ = [
     "Group",
     "PluginGroup",
     "Verb",
+    "actuator",
     "backbone",
     "command",
     "detector",
@@ -31,13 +32,24 @@ __all__ = [
     "names",
     "options",
     "sink",
+    "trigger",
 ]
 
-Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "importers", "commands"]
+Group: TypeAlias = Literal[
+    "devices", "sinks", "triggers", "actuators", "detectors", "backbones", "importers", "commands"
+]
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
-PluginGroup: TypeAlias = Literal["devices", "sinks"]
+PluginGroup: TypeAlias = Literal["devices", "sinks", "triggers", "actuators"]
 """The groups with a table in the configuration."""
+
+
+class HasOptions(Protocol):
+    """What the plugins of every `PluginGroup` have."""
+
+    @property
+    def Options(self) -> "type[BaseModel]": ...
+
 
 Verb: TypeAlias = "typer.Typer | Callable[..., None]"
 
@@ -69,6 +81,26 @@ def sink(name: str) -> "SinkPlugin[BaseModel]":
     if isinstance(found, SinkPlugin):
         return found
     raise _no_plugin("sinks", name, found, SinkPlugin)
+
+
+def trigger(name: str) -> "TriggerPlugin[BaseModel]":
+    """The plugin of pedals and buttons of that name. Errors: as `device`."""
+    from edge.core.plugins import TriggerPlugin
+
+    found = _load("triggers", name)
+    if isinstance(found, TriggerPlugin):
+        return found
+    raise _no_plugin("triggers", name, found, TriggerPlugin)
+
+
+def actuator(name: str) -> "ActuatorPlugin[BaseModel]":
+    """The plugin of lights and relays of that name. Errors: as `device`."""
+    from edge.core.plugins import ActuatorPlugin
+
+    found = _load("actuators", name)
+    if isinstance(found, ActuatorPlugin):
+        return found
+    raise _no_plugin("actuators", name, found, ActuatorPlugin)
 
 
 def detector(name: str) -> "Detector":
@@ -106,7 +138,15 @@ def command(name: str) -> Verb:
 
 def options(group: PluginGroup, name: str) -> "type[BaseModel]":
     """The model of a plugin's TOML table. Errors: as `device`."""
-    return device(name).Options if group == "devices" else sink(name).Options
+    return _PLUGINS[group](name).Options
+
+
+_PLUGINS: "dict[PluginGroup, Callable[[str], HasOptions]]" = {
+    "devices": device,
+    "sinks": sink,
+    "triggers": trigger,
+    "actuators": actuator,
+}
 
 
 @cache

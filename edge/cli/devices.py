@@ -1,6 +1,6 @@
-"""`gelgate devices`: the sensors that are plugged in, by plugin, and why a similar device is refused."""
+"""`gelgate devices`: the sensors, pedals and relays that are plugged in, and why a similar device is refused."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, Literal
 
 import typer
 
@@ -19,9 +19,9 @@ Reset = Annotated[
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the sensors that are plugged in, by plugin.
+    """List the sensors, pedals and relays that are plugged in.
 
-    A device that is refused is listed with the reason."""
+    They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
     from edge import registry
     from edge.core.errors import ConfigError
 
@@ -32,6 +32,8 @@ def devices(
     if device is not None:
         registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
+    if device is None:
+        reports += [_port_report(group, name) for group in _PORTS for name in registry.names(group)]
     if as_json:
         import json
 
@@ -66,11 +68,40 @@ def _report(name: str, given: list[str]) -> dict[str, Any]:
         return {"plugin": name, "seen": [], "note": str(error)}
 
 
+_PORTS: Final[tuple[Literal["triggers", "actuators"], ...]] = ("triggers", "actuators")
+
+
+def _port_report(group: Literal["triggers", "actuators"], name: str) -> dict[str, Any]:
+    """What a plugin of pedals or relays finds with its usual options, or why it cannot search."""
+    from dataclasses import asdict
+
+    from edge import registry
+    from edge.core.errors import GelgateError
+
+    report: dict[str, Any] = {"plugin": name, "group": group, "seen": [], "note": ""}
+    try:
+        plugin = registry.trigger(name) if group == "triggers" else registry.actuator(name)
+        missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
+        if missing:
+            return {
+                **report,
+                "note": f"needs options.{missing[0]}; `gelgate check` looks for the configured one",
+            }
+        seen = [asdict(one) for one in plugin.discover(plugin.Options())]
+        return {**report, "seen": seen, "note": "" if seen else "nothing found"}
+    except GelgateError as error:
+        return {**report, "note": str(error)}
+
+
 def _as_text(report: dict[str, Any]) -> str:
-    lines = [f"{report['plugin']}:{' ' + report['note'] if report['note'] else ''}"]
+    group = f" ({report['group']})" if "group" in report else ""
+    lines = [f"{report['plugin']}{group}:{' ' + report['note'] if report['note'] else ''}"]
     for one in report["seen"]:
-        who = one["identity"]
-        if who is None:
+        who = one.get("identity")
+        if "group" in report and one["refusal"] is None:
+            serial = f", serial {one['serial']}" if one["serial"] else ""
+            lines.append(f"  found    {one['product']}{serial}, {one['place']}")
+        elif who is None:
             lines.append(f"  refused  {one['place']}: {one['refusal']}")
         else:
             mode = f"{who['mode'][0]}x{who['mode'][1]}"

@@ -23,7 +23,7 @@ _BEFORE: Final = (
 )  # fmt: skip
 _AFTER: Final = (
     "udevadm control --reload",
-    "udevadm trigger --subsystem-match=usb --subsystem-match=video4linux",
+    "udevadm trigger --subsystem-match=usb --subsystem-match=video4linux --subsystem-match=hidraw",
     "systemctl daemon-reload",
 )
 _START: Final = "systemctl enable --now gelgate"

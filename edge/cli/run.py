@@ -1,5 +1,6 @@
 """`gelgate run` and `gelgate check`."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -49,6 +50,21 @@ free_mb = 500                 # less room on the disk is an alarm
 [[sinks]]
 plugin = "mqtt"
 options = { host = "localhost", port = 1883 }
+
+# A pedal, and a relay board with an andon light and a reject gate (pip install 'gelgate[hid]'; docs/operations.md):
+#
+# [[triggers]]
+# plugin = "hid_pedal"
+# action = "acknowledge"      # or "trigger", with inspection.trigger = "command"
+#
+# [[actuators]]
+# plugin = "dcttech_relay"
+# outputs = [
+#   { channel = 1, when = ["pass"] },
+#   { channel = 2, when = ["fail"] },
+#   { channel = 2, when = ["halted"], blink_ms = 500 },
+#   { channel = 3, when = ["fail", "error"], pulse_ms = 300, deadline_ms = 500 },
+# ]
 """
 
 # What a line of the log says of a press; the rest is in the result that is published.

@@ -4,6 +4,8 @@ An entry point is always `package.module:value`, and the value is an object that
 
     gelgate.devices    DevicePlugin
     gelgate.sinks      SinkPlugin
+    gelgate.triggers   TriggerPlugin
+    gelgate.actuators  ActuatorPlugin
     gelgate.detectors  Detector, in edge.core.detector
     gelgate.backbones  Backbone
 
@@ -15,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
+from edge.core.digital_io import Actuator, DiscoveredPort, Trigger
 from edge.core.ports import Clock, Device, DiscoveredDevice, Sink
 from edge.core.sink_context import Station
 
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 __all__ = [
+    "ActuatorPlugin",
     "Backbone",
     "DevicePlugin",
     "HasAddress",
@@ -31,6 +35,7 @@ __all__ = [
     "PlaysRecording",
     "Resettable",
     "SinkPlugin",
+    "TriggerPlugin",
 ]
 
 OptionsT = TypeVar("OptionsT", bound="BaseModel")
@@ -115,6 +120,41 @@ class HasWarnings(Protocol):
 
     def warnings(self) -> Sequence[str]:
         """One sentence for each."""
+        ...
+
+
+@runtime_checkable
+class TriggerPlugin(Protocol[OptionsT]):
+    """Finds and opens pedals and buttons of one kind. The same options value is passed to every `open`."""
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def discover(self, options: OptionsT) -> Sequence[DiscoveredPort]:
+        """Every device found that is, or looks like, one of this kind, in a fixed order. Errors: ConfigError for a
+        package that is not installed."""
+        ...
+
+    def open(self, options: OptionsT, clock: Clock) -> Trigger:
+        """The device selected by the options. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
+        ...
+
+
+@runtime_checkable
+class ActuatorPlugin(Protocol[OptionsT]):
+    """Finds and opens relay boards, lights and buzzers of one kind. Every `open` gets the same options value."""
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def discover(self, options: OptionsT) -> Sequence[DiscoveredPort]:
+        """Every device found that is, or looks like, one of this kind, in a fixed order. It switches nothing. Errors:
+        ConfigError for a package that is not installed."""
+        ...
+
+    def open(self, options: OptionsT, clock: Clock) -> Actuator:
+        """The device selected by the options; its outputs stay as they are. Errors: DeviceNotFound, DeviceBusy,
+        DeviceLost."""
         ...
 
 

@@ -20,6 +20,7 @@ from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
 from edge.gateway.free_space import FreeSpace
+from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import served
 from edge.gateway.opening import BundleOpener, Opened, device_opener
@@ -75,6 +76,8 @@ def build(
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
+    io = station_io(config, clock, status, calls)
+    closing.callback(io.close)
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
@@ -94,6 +97,7 @@ def build(
         acquisition=acquisition,
         calls=calls,
         clock=clock,
+        io=io,
     )
 
 

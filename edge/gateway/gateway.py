@@ -54,6 +54,7 @@ class Gateway:
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
         """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
+        self._parts.io.start()
         self._parts.acquisition.start()
         self._parts.stage.start()
         manager = ServiceManager(self._parts.clock)

@@ -5,7 +5,7 @@ It exists from the first frame on: before that the sensor, and so the gel of a p
 
 import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from edge.core.contact.events import (
@@ -48,7 +48,8 @@ DOUBTED: Final = (
 class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
-    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order.
+    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. on_judged: called
+    before that, for outputs that cannot wait.
     """
 
     def __init__(
@@ -60,8 +61,10 @@ class InspectionSession:
         recorder: Recorder,
         status: StationStatus,
         clock: Clock,
+        on_judged: Callable[[Inspection], None] = lambda inspection: None,
     ) -> None:
         self.gel = gel
+        self._on_judged = on_judged
         self._references = references
         self._recorder = recorder
         self._status = status
@@ -138,6 +141,7 @@ class InspectionSession:
 
     def _add(self, inspections: list[Inspection]) -> None:
         for inspection in inspections:
+            self._on_judged(inspection)
             if len(self._unrecorded) < MOST_WAITING:
                 self._unrecorded.append(self._recorder.prepare(inspection))
             else:

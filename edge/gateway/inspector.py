@@ -30,7 +30,7 @@ class Inspection:
     """The result of one frame: a verdict, or an error and then no verdict.
 
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
-    get that far. latency_ms: stage to milliseconds.
+    get that far. latency_ms: stage to milliseconds. judged_ns: when the judged frame came, monotonic; None without one.
     """
 
     verdict: Verdict | None
@@ -38,6 +38,12 @@ class Inspection:
     rgb: NDArray[np.uint8] | None = None
     score_map: NDArray[np.float32] | None = None
     latency_ms: dict[str, float] = field(default_factory=dict)
+    judged_ns: int | None = None
+
+    @property
+    def word(self) -> str:
+        """The verdict, or `error`."""
+        return "error" if self.verdict is None else self.verdict.kind.value
 
 
 class Inspector:

@@ -18,7 +18,7 @@ ANSWER_S: Final = 5.0
 
 
 class LoopCalls(Generic[C]):
-    """The calls of other threads, which use `ask`; the loop uses `serve` and `close`.
+    """The calls of other threads, which use `ask` or `post`; the loop uses `serve` and `close`.
 
     A call gets the argument of `serve`: the loop's own state, which no other thread may use.
     """
@@ -56,6 +56,12 @@ class LoopCalls(Generic[C]):
             raise GelgateError(
                 f"the station did not answer within {self._answer_s:g} s, and has not done it; see its state"
             ) from None
+
+    def post(self, do: Callable[[C], object]) -> None:
+        """Let the loop call `do`, without waiting for it. After the end it is not called. `do` handles its errors."""
+        with self._lock:
+            if not self._is_closed:
+                self._waiting.append(lambda state: (do(state), None)[1])
 
     def serve(self, state: C) -> None:
         """Do the waiting calls."""

@@ -20,8 +20,9 @@ from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import COMMANDS
+from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
-from edge.gateway.opening import BundleOpener, device_opener, try_once
+from edge.gateway.opening import BundleOpener, device_opener
 from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
 from edge.store.press_store import Store
@@ -118,6 +119,10 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     port = config.metrics.port
     if port is not None:
         found.try_part("metrics", lambda: _metrics(port))
+    for trigger in config.triggers:
+        found.try_part(f"trigger {trigger.plugin}", partial(found_trigger, trigger))
+    for actuator in config.actuators:
+        found.try_part(f"actuator {actuator.plugin}", partial(found_actuator, actuator))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found

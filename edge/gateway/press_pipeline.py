@@ -84,4 +84,6 @@ class PressPipeline:
             return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
-        return replace(inspection, latency_ms={**inspection.latency_ms, "total": total})
+        # A frame that was made on demand has its recorded time.
+        judged_ns = started_ns if frame.is_on_demand else frame.timestamp_ns
+        return replace(inspection, latency_ms={**inspection.latency_ms, "total": total}, judged_ns=judged_ns)

@@ -21,21 +21,28 @@ __all__ = ["JudgedPress", "PressReport", "Recorder"]
 class JudgedPress:
     """One press with everything known before it is counted, made once: a repeated write is the same press.
 
-    result: the fields of the ResultPayload except those from the ledger.
+    result: the fields of the ResultPayload except those from the ledger. judged_ns: of its inspection.
     """
 
     press: PressRecord
     result: dict[str, Any]
     heatmap_png: bytes | None
+    judged_ns: int | None = None
 
 
 @dataclass(frozen=True)
 class PressReport:
-    """One press as recorded and as published."""
+    """One press as recorded and as published. judged_ns: when the judged frame came, monotonic; None without one."""
 
     result: ResultPayload
     gel: GelRecord
     heatmap_png: bytes | None
+    judged_ns: int | None = None
+
+    @property
+    def word(self) -> str:
+        """The verdict, or `error`."""
+        return "error" if self.result.verdict is None else self.result.verdict.value
 
 
 class Recorder:
@@ -67,7 +74,7 @@ class Recorder:
             **self._defects(inspection),
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
         }
-        return JudgedPress(press, result, heatmap)
+        return JudgedPress(press, result, heatmap, inspection.judged_ns)
 
     def record(self, judged: JudgedPress) -> PressReport:
         """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
@@ -80,7 +87,7 @@ class Recorder:
         recorded = self._store.record_press(judged.press, messages)
         # No messages are made for a press that the database already has.
         result = made[-1] if made else _result(judged, recorded)
-        return PressReport(result, recorded.gel, judged.heatmap_png)
+        return PressReport(result, recorded.gel, judged.heatmap_png, judged.judged_ns)
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""
@@ -95,7 +102,7 @@ class Recorder:
             serial=self._serial,
             part=manifest.part,
             position=manifest.position,
-            verdict="error" if verdict is None else verdict.kind.value,
+            verdict=inspection.word,
             score=verdict.score if verdict else None,
             threshold=manifest.threshold.value,
             wear_index=self.wear_index,

@@ -19,8 +19,10 @@ from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.clock_guard import ClockGuard
+from edge.gateway.digital_io.station_io import StationIo
 from edge.gateway.free_space import FreeSpace
 from edge.gateway.inspection_session import InspectionSession
+from edge.gateway.inspector import Inspection
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
 from edge.gateway.part_selection import PartSelection
@@ -66,6 +68,7 @@ class Parts:
     acquisition: Acquisition
     calls: "LoopCalls[StationLoop]"
     clock: Clock
+    io: StationIo
 
 
 class StationLoop:
@@ -144,6 +147,7 @@ class StationLoop:
             self._set_store_fault(error)
         if self.is_halted and self._session is not None:
             self._parts.store.note_uncounted(self._session.gel.serial, self._session.unrecorded)
+        self._parts.io.turn(self._parts.status.view())
         if self._parts.clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
             self.publish_stats()
 
@@ -169,6 +173,19 @@ class StationLoop:
     def select_named(self, name: str) -> None:
         """The same by name: for a code reader, with the text that it has read. Errors as `select_part`."""
         self._select(self.selection.bundles.named(name))
+
+    def trigger(self) -> None:
+        """A pedal or button asks for a verdict. No one waits for an answer, so a refusal is in the log."""
+        try:
+            refusal = self.session.trigger()
+        except DeviceNotFound as error:
+            refusal = str(error)
+        if refusal is not None:
+            log.warning("the trigger gave no verdict: %s", refusal)
+
+    def acknowledge(self) -> None:
+        """A person has seen the last verdict, and the pulses that were not given."""
+        self._parts.io.acknowledge()
 
     def publish_stats(self) -> None:
         """Publish the counts so far, and check whether another process replaced the gel."""
@@ -255,7 +272,14 @@ class StationLoop:
         recorder = Recorder(parts.store, inspector, identity.serial, parts.place, parts.clock)
         parts.status.info(inspector.bundle, identity)
         self._session = InspectionSession(
-            gel, inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
+            gel,
+            inspector,
+            parts.contact,
+            parts.references,
+            recorder,
+            parts.status,
+            parts.clock,
+            self._judged,
         )
         return self._session
 
@@ -267,6 +291,13 @@ class StationLoop:
                 f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
                 f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
             )
+
+    def _judged(self, inspection: Inspection) -> None:
+        self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
+
+    def _since(self, judged_ns: int | None) -> int:
+        """From when deadlines count: the judged frame, or now where there is none."""
+        return self._parts.clock.monotonic_ns() if judged_ns is None else judged_ns
 
     def _count_lost(self, frame: CameraFrame, session: InspectionSession) -> None:
         """Count the frames for which this machine was too slow."""
@@ -282,6 +313,7 @@ class StationLoop:
         for report in self._session.record() if self._session else ():
             self._parts.status.clear_fault("store")
             self._parts.publisher.wake()
+            self._parts.io.recorded(report.word, self._since(report.judged_ns))
             self.summary.add(report)
             self._on_press(report)
 

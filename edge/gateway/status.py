@@ -7,6 +7,7 @@ from importlib.metadata import version
 from statistics import median
 from typing import Literal
 
+from edge.core.digital_io import StationView
 from edge.core.gel import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
@@ -200,6 +201,19 @@ class StationStatus:
             self.clear("disk")
         else:
             self.alarm("disk", sentence, "warning")
+
+    def io_alarm(self, alarm: str, text: str | None) -> None:
+        """Raise or clear an alarm of the digital inputs and outputs. Called from their threads."""
+        with self._lock:
+            if text is None:
+                self.clear(alarm)
+            else:
+                self.alarm(alarm, text)
+
+    def view(self) -> StationView:
+        """The state and the raised alarms, for lights and relays."""
+        with self._lock:
+            return StationView(self._state()[0], alarms=frozenset(self._raised))
 
     def overload(self, sentence: str | None) -> None:
         """An alarm while this machine is too slow for its sensor."""

@@ -61,6 +61,9 @@ ALARMS: Final[Mapping[str, str]] = {
     "golden": "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
+    "trigger_device": "a pedal or button cannot be used",
+    "actuator": "a light or relay cannot be used, or its watchdog has put it into its safe state",
+    "pulse": "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",
 }
 """Alarm id to meaning. All are cleared at start, so that no alarm outlives the process that raised it."""
 

@@ -14,17 +14,19 @@ def require(is_so: bool, found: str) -> None:
         raise AssertionError(found)
 
 
-def raises(expected: type[Exception], what: str, call: Callable[[], object]) -> None:
-    """The call ends with this error. Errors: AssertionError when it returns or ends with another error."""
+def raises(
+    expected: type[Exception] | tuple[type[Exception], ...], what: str, call: Callable[[], object]
+) -> None:
+    """The call ends with this error, or one of these. Errors: AssertionError when it returns or ends otherwise."""
+    kinds = expected if isinstance(expected, tuple) else (expected,)
+    words = " or ".join(kind.__name__ for kind in kinds)
     try:
         result = call()
-    except expected:
+    except kinds:
         return
     except Exception as error:
-        raise AssertionError(
-            f"{what}: {type(error).__name__} ({error}), expected {expected.__name__}"
-        ) from error
-    raise AssertionError(f"{what}: it returned {result!r:.80}, expected {expected.__name__}")
+        raise AssertionError(f"{what}: {type(error).__name__} ({error}), expected {words}") from error
+    raise AssertionError(f"{what}: it returned {result!r:.80}, expected {words}")
 
 
 def run_all(name: str, checks: Iterable[Callable[[CaseT], None]], make: Callable[[], CaseT]) -> None:

@@ -44,6 +44,16 @@ def test_devices_lists_every_plugin() -> None:
     assert "usb_mock: needs --option recording=..." in text
 
 
+def test_devices_lists_pedals_and_relays() -> None:
+    """With place and serial; one object per plugin and group for programs."""
+    text = run("devices")
+    assert "hid_pedal (triggers): nothing found" in text
+    assert "virtual_hid (triggers):\n  found    FootSwitch, virtual/pedal" in text
+    assert "virtual_hid (actuators):\n  found    USBRelay8, serial VIRT1, virtual/relay" in text
+    groups = [(one["group"], one["plugin"]) for one in json.loads(run("devices", "--json")) if "group" in one]
+    assert ("actuators", "dcttech_relay") in groups
+
+
 def test_record_from_a_device(tmp_path: Path) -> None:
     """Recorded through the virtual sensor: the same bytes, header and number; corrupt frames are left out."""
     folder = write_recording(tmp_path / "r", 6)

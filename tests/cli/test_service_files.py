@@ -8,19 +8,38 @@ import pytest
 from edge.cli import EXIT_CODES
 from edge.core.errors import BundleError, ConfigError
 from plugins.devices.uvc.identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
+from plugins.digital_io.dcttech_relay import RELAY_IDS
+from plugins.digital_io.hid_pedal import PEDALS
 
 SERVICE = Path(__file__).resolve().parents[2] / "edge/service"
 
 
 def test_udev_rules_match_the_sensor_and_no_webcam() -> None:
     """Every rule asks for the id and the product string of plugins.devices.uvc.identity."""
-    rules = (SERVICE / "60-gelgate.rules").read_text().replace("\\\n", "")
-    lines = [line for line in rules.splitlines() if line and not line.startswith("#")]
+    lines = [line for line in rules() if '"hidraw"' not in line]
     assert len(lines) == 3
     for line in lines:
         assert f'{{idVendor}}=="{VENDOR_ID:04x}"' in line
         assert f'{{idProduct}}=="{PRODUCT_ID:04x}"' in line
         assert f'{{product}}=="{PRODUCT_PREFIX}*"' in line
+
+
+def rules() -> list[str]:
+    text = (SERVICE / "60-gelgate.rules").read_text().replace("\\\n", "")
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
+
+
+def test_udev_rules_match_every_known_pedal_and_board() -> None:
+    """The ids are those of the drivers; a board by its product, because its id is shared."""
+    found = {
+        f"{vendor}:{product}": line
+        for line in rules()
+        if '"hidraw"' in line
+        for vendor, products in [re.findall(r'{id(?:Vendor|Product)}=="([0-9a-f|]+)"', line)]
+        for product in products.split("|")
+    }
+    assert set(found) == {*PEDALS, RELAY_IDS}
+    assert '{product}=="USBRelay*"' in found[RELAY_IDS]
 
 
 def test_the_unit_starts_without_a_sensor() -> None:

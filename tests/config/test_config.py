@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from edge.cli.run import EXAMPLE
 from edge.config import load_config
 from edge.core.errors import ConfigError
 
@@ -153,3 +154,14 @@ def test_several_bundles_are_relative_to_the_file(tmp_path: Path) -> None:
     table = load_config(written(tmp_path, SOUND.replace('bundle = "bundles/pz1"', line))).inspection
 
     assert (table.bundle, [one.path for one in table.bundles]) == (None, [tmp_path / "a"])
+
+
+def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
+    """Without their `# `, a pedal and a relay board with four outputs."""
+    before, _, commented = EXAMPLE.partition("# A pedal, and")
+    tables = "\n".join(line.removeprefix("#").removeprefix(" ") for line in commented.splitlines()[1:])
+    (tmp_path / "gelgate.toml").write_text(before + tables, encoding="utf-8")
+    config = load_config(tmp_path / "gelgate.toml")
+
+    assert [trigger.action for trigger in config.triggers] == ["acknowledge"]
+    assert [output.channel for output in config.actuators[0].outputs] == [1, 2, 2, 3]

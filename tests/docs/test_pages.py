@@ -70,7 +70,10 @@ def test_every_key_of_the_configuration_is_in_the_manual() -> None:
     """Keys of the file, and options of every plugin in its own section."""
     page = PRINTED["config.md"]
     missing = [key for key in keys(Config) if f"`{key}`" not in page and f"## [{key}]" not in page]
-    for kind, place in (("devices", "device"), ("sinks", "sinks")):
+    for kind, place in (
+        ("devices", "device"),
+        *((kind, kind) for kind in ("sinks", "triggers", "actuators")),
+    ):
         for name in registry.names(kind):
             section = page.partition(f"## {place}: {name}\n")[2].partition("\n## ")[0]
             assert section, name

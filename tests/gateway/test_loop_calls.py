@@ -60,3 +60,16 @@ def test_after_the_end_nothing_is_taken() -> None:
 
     with pytest.raises(GelgateError, match="the station is ending"):
         calls.ask(lambda _: None)
+
+
+def test_a_posted_call_is_done_once_and_not_after_the_end() -> None:
+    """Its caller does not wait: a pedal has no one who reads an answer."""
+    calls, done = LoopCalls[str](), []
+    calls.post(lambda state: done.append(state))
+    calls.serve("first")
+    calls.serve("second")
+    calls.close("end")
+    calls.post(lambda state: done.append("late"))
+    calls.serve("after")
+
+    assert done == ["first"]

@@ -115,6 +115,8 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     assert [finding.error is None for finding in found] == [True, False, False]
     assert "has revision 3, and revision 4 was in use here" in found[1].text
     assert "head.onnx has SHA-256" in found[2].text
+
+
 def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """A port that is taken is found by the check, not by the start; a free one is free again afterwards."""
     path = station_config(tmp_path, recording, bundle)

@@ -9,12 +9,14 @@ import pytest
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import ConfigError
-from edge.core.plugins import Backbone, DevicePlugin, SinkPlugin
+from edge.core.plugins import ActuatorPlugin, Backbone, DevicePlugin, SinkPlugin, TriggerPlugin
 
 ROOT = Path(__file__).resolve().parents[2]
 PROTOCOLS = {
     "devices": (registry.device, DevicePlugin),
     "sinks": (registry.sink, SinkPlugin),
+    "triggers": (registry.trigger, TriggerPlugin),
+    "actuators": (registry.actuator, ActuatorPlugin),
     "detectors": (registry.detector, Detector),
     "backbones": (registry.backbone, Backbone),
 }

@@ -100,7 +100,9 @@ def test_an_older_database_is_not_changed_by_a_question(tmp_path: Path) -> None:
     )
     connection.close()
 
-    with pytest.raises(StoreError, match=f"version 1, this program reads {SCHEMA_VERSION}; `gelgate db migrate`"):
+    with pytest.raises(
+        StoreError, match=f"version 1, this program reads {SCHEMA_VERSION}; `gelgate db migrate`"
+    ):
         numbers(old, HistoryQuery())
 
 

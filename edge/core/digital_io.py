@@ -1,0 +1,183 @@
+"""Pedals, lights and relays: their ports, and the pure rules of what is switched when."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, Protocol, get_args, runtime_checkable
+
+__all__ = [
+    "Actuator",
+    "Condition",
+    "Debounce",
+    "DiscoveredPort",
+    "OutputRule",
+    "StationView",
+    "Trigger",
+    "levels",
+    "next_blink_ns",
+]
+
+State = Literal["starting", "ready", "halted", "stopped"]
+Word = Literal["pass", "fail", "unsure", "rejected", "error"]
+Condition = Literal[State, Word, "alarm", "gel"]
+"""What an output can show: a state of the station, the verdict on the last press, any alarm, a gel that is due."""
+
+VERDICTS: Final[tuple[str, ...]] = get_args(Word)
+
+
+@dataclass(frozen=True)
+class DiscoveredPort:
+    """A trigger or an actuator that a plugin found, or something similar that is refused.
+
+    place: where it is, such as `/dev/hidraw3`. serial: None where it has none. refusal: why it cannot be opened.
+    """
+
+    place: str
+    product: str
+    serial: str | None = None
+    refusal: str | None = None
+
+
+@runtime_checkable
+class Trigger(Protocol):
+    """An open pedal or button. One thread uses it."""
+
+    @property
+    def name(self) -> str:
+        """Such as `PCsensor FootSwitch at /dev/hidraw3`."""
+        ...
+
+    def read(self, deadline_ns: int) -> bool | None:
+        """True when it went down, False when it was released, None when neither happened until the deadline.
+
+        Each change is returned once. A vanished device may read as unchanged. Errors: DeviceLost.
+        """
+        ...
+
+    def is_present(self) -> bool:
+        """Whether it is still plugged in."""
+        ...
+
+    def close(self) -> None:
+        """Release it. May be called again."""
+        ...
+
+
+@runtime_checkable
+class Actuator(Protocol):
+    """An open relay board, light or buzzer: `channels` outputs, numbered from 1. One thread uses it."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def channels(self) -> int: ...
+
+    def write(self, channel: int, is_on: bool) -> None:
+        """Switch, and return when it is switched. Errors: DeviceLost, DeviceStalled when it does not switch;
+        ValueError for a channel that it does not have."""
+        ...
+
+    def is_present(self) -> bool:
+        """Whether it is still plugged in."""
+        ...
+
+    def close(self) -> None:
+        """Release it, and leave the outputs as they are. May be called again."""
+        ...
+
+
+class Debounce:
+    """From the changes of a contact to presses: down for `hold_ns`, then up for `hold_ns` before the next one."""
+
+    def __init__(self, hold_ns: int) -> None:
+        self._hold_ns = hold_ns
+        self._is_down = False
+        self._since_ns = 0
+        self._has_fired = False
+
+    def step(self, change: bool | None, now_ns: int) -> bool:
+        """True once for each press."""
+        if change is not None and change != self._is_down:
+            self._is_down, self._since_ns = change, now_ns
+        if self._is_down == self._has_fired or now_ns - self._since_ns < self._hold_ns:
+            return False
+        self._has_fired = self._is_down
+        return self._is_down
+
+    def due_ns(self) -> int | None:
+        """When `step` must be called again although nothing changes; None where only a change matters."""
+        return None if self._is_down == self._has_fired else self._since_ns + self._hold_ns
+
+
+@dataclass(frozen=True)
+class OutputRule:
+    """One output of an actuator. All times in nanoseconds.
+
+    when: the conditions that switch it on. safe: its level in a state that is not named in `when`, except `ready`.
+    pulse_ns: on for this time after a verdict, instead of until the next one; the pulse starts within `deadline_ns`
+    of the judged frame, or not at all. blink_ns: on and off for this time each.
+    """
+
+    channel: int
+    when: frozenset[str]
+    safe: bool = False
+    pulse_ns: int | None = None
+    deadline_ns: int | None = None
+    blink_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.channel < 1:
+            raise ValueError(f"channels are numbered from 1, found {self.channel}")
+        if not self.when:
+            raise ValueError(f"the output on channel {self.channel} names nothing that switches it on")
+        if (self.pulse_ns is None) != (self.deadline_ns is None):
+            raise ValueError(f"the output on channel {self.channel} has a pulse and a deadline, or neither")
+        if self.pulse_ns is not None:
+            self._check_pulse()
+
+    def _check_pulse(self) -> None:
+        if self.safe or self.blink_ns is not None:
+            raise ValueError(f"the pulse on channel {self.channel} starts from off: no `safe`, no blinking")
+        if others := sorted(self.when - set(VERDICTS)):
+            raise ValueError(
+                f"the pulse on channel {self.channel} follows a verdict ({', '.join(VERDICTS)}), "
+                f"found {', '.join(others)}"
+            )
+
+
+@dataclass(frozen=True)
+class StationView:
+    """What outputs show. verdict: of the last press, None before the first one and after an acknowledgement."""
+
+    state: State = "starting"
+    verdict: str | None = None
+    alarms: frozenset[str] = frozenset()
+
+    def conditions(self) -> frozenset[str]:
+        """Every condition that is true now. A verdict counts only while the station inspects."""
+        found = {self.state, *(["alarm"] if self.alarms else []), *(self.alarms & {"gel"})}
+        if self.state == "ready" and self.verdict is not None:
+            found.add(self.verdict)
+        return frozenset(found)
+
+
+def levels(rules: Sequence[OutputRule], view: StationView, now_ns: int) -> Mapping[int, bool]:
+    """Channel to level, without pulses. A channel of several rules is on where one of them switches it on."""
+    conditions = view.conditions()
+    found = {rule.channel: False for rule in rules}
+    for rule in rules:
+        if rule.pulse_ns is None:
+            found[rule.channel] |= _is_on(rule, conditions, view.state, now_ns)
+    return found
+
+
+def _is_on(rule: OutputRule, conditions: frozenset[str], state: State, now_ns: int) -> bool:
+    if rule.when & conditions:
+        return rule.blink_ns is None or now_ns // rule.blink_ns % 2 == 0
+    return rule.safe and state != "ready"
+
+
+def next_blink_ns(rules: Iterable[OutputRule], now_ns: int) -> int | None:
+    """When the next output that blinks changes; None where none does."""
+    periods = {rule.blink_ns for rule in rules if rule.blink_ns is not None}
+    return min(((now_ns // period + 1) * period for period in periods), default=None)

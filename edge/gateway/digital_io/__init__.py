@@ -1,0 +1,1 @@
+"""The digital inputs and outputs of a station: one owner thread per device."""

@@ -1,0 +1,240 @@
+"""The owner of one relay board, light or buzzer: keeps its outputs at what the station shows, and gives pulses in time.
+
+A pulse that cannot start before its deadline is not given: it would hit the next part. It is reported instead. Without
+a sign of life from the loop the outputs go to those of the state `halted`.
+"""
+
+import random
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from edge.core.backoff import Backoff
+from edge.core.digital_io import Actuator, OutputRule, StationView, levels, next_blink_ns
+from edge.core.errors import DeviceError
+from edge.core.ports import Clock
+from edge.gateway.digital_io.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+
+__all__ = ["ActuatorDriver"]
+
+_LONGEST_WAIT_NS: Final = 250_000_000
+
+
+@dataclass(frozen=True)
+class _Pulse:
+    """Asked for: on `channel`, started by `start_by_ns`, for `length_ns`."""
+
+    channel: int
+    start_by_ns: int
+    length_ns: int
+    verdict: str
+
+
+class ActuatorDriver:
+    """Owns the device from `start` to `close`.
+
+    on_late: called with one sentence for every pulse that was not given in time. watchdog_ns: without `show` for this
+    time the loop hangs. `step` is one turn of the owner without its thread; a test may call it instead of `start`.
+    `show` and `pulse` are for other threads, and return at once.
+    """
+
+    def __init__(
+        self,
+        open_actuator: Callable[[], Actuator],
+        rules: Sequence[OutputRule],
+        clock: Clock,
+        on_fault: OnFault,
+        on_late: Callable[[str], None],
+        *,
+        watchdog_ns: int,
+        backoff: Backoff | None = None,
+    ) -> None:
+        pauses = backoff or Backoff(random.Random(), FIRST_PAUSE_S, LONGEST_PAUSE_S)
+        self._connection = Connection(open_actuator, clock, pauses, self._device_changed)
+        self._rules, self._clock = tuple(rules), clock
+        self._on_fault, self._on_late, self._watchdog_ns = on_fault, on_late, watchdog_ns
+        self._changed = threading.Condition()
+        self._view, self._shown_ns = StationView(), clock.monotonic_ns()
+        self._asked: deque[_Pulse] = deque()
+        self._written: dict[int, bool] = {}
+        self._on_until_ns: dict[int, int] = {}
+        self._device_fault: str | None = None
+        self._is_hanging = False
+        self._is_closing = False
+        self._has_news = False
+        self._thread = threading.Thread(target=self._run, name="actuator", daemon=True)
+
+    def start(self) -> None:
+        """Begin to connect and switch, in the background. The watchdog counts from now."""
+        self._shown_ns = self._clock.monotonic_ns()
+        self._thread.start()
+
+    def show(self, view: StationView) -> None:
+        """What the station is now, and the sign that its loop is alive."""
+        with self._changed:
+            is_new, self._view = view != self._view, view
+            self._shown_ns = self._clock.monotonic_ns()
+            if is_new:
+                self._wake()
+
+    def pulse(self, verdict: str, judged_ns: int) -> None:
+        """Give the pulses of this verdict. judged_ns: when the judged frame came, from which deadlines count."""
+        with self._changed:
+            for rule in self._rules:
+                if rule.pulse_ns is not None and rule.deadline_ns is not None and verdict in rule.when:
+                    start_by_ns = judged_ns + rule.deadline_ns
+                    self._asked.append(_Pulse(rule.channel, start_by_ns, rule.pulse_ns, verdict))
+                    self._wake()
+
+    def _wake(self) -> None:
+        self._has_news = True
+        self._changed.notify_all()
+
+    # The owner thread
+
+    def step(self) -> float:
+        """One turn: open where it is away, give pulses, switch levels; returns the seconds until the next one."""
+        try:
+            self._watch()
+            actuator = self._connection.opened()
+            if actuator is not None:
+                self._connection.check_presence()
+                self._turn(actuator)
+                self._connection.works()
+        except Exception as error:  # noqa: BLE001 - the owner's edge: any fault becomes an alarm
+            self._written, self._on_until_ns = {}, {}
+            self._connection.lost(error)
+        self._expire()
+        return max(0.0, (self._next_ns() - self._clock.monotonic_ns()) / 1e9)
+
+    def _turn(self, actuator: Actuator) -> None:
+        self._check_channels(actuator)
+        while (pulse := self._taken()) is not None:
+            self._give(actuator, pulse)
+        now_ns = self._clock.monotonic_ns()
+        for channel, is_on in levels(self._rules, self._present_view(), now_ns).items():
+            self._write(actuator, channel, is_on or self._on_until_ns.get(channel, 0) > now_ns)
+
+    def _give(self, actuator: Actuator, pulse: _Pulse) -> None:
+        refusal = self._refusal(pulse)
+        if refusal is not None:
+            self._late(pulse, refusal)
+            return
+        try:
+            self._write(actuator, pulse.channel, True)
+        except Exception as error:
+            self._late(pulse, f"not given: {error}")
+            raise
+        now_ns = self._clock.monotonic_ns()
+        if now_ns > pulse.start_by_ns:  # the levels that follow switch it off
+            self._late(pulse, f"{_after(pulse, now_ns)}, and is switched off at once")
+        else:
+            end_ns = max(self._on_until_ns.get(pulse.channel, 0), now_ns + pulse.length_ns)
+            self._on_until_ns[pulse.channel] = end_ns
+
+    def _refusal(self, pulse: _Pulse) -> str | None:
+        """Why this pulse is not given, or None."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns > pulse.start_by_ns:
+            return f"not given: it is {_after(pulse, now_ns)}"
+        if self._is_hanging:
+            return "not given: the station's loop does not answer"
+        if self._present_view().state == "stopped":
+            return "not given: the station ends"
+        return None
+
+    def _write(self, actuator: Actuator, channel: int, is_on: bool) -> None:
+        if self._written.get(channel) != is_on:
+            actuator.write(channel, is_on)
+            self._written[channel] = is_on
+
+    def _taken(self) -> _Pulse | None:
+        with self._changed:
+            return self._asked.popleft() if self._asked else None
+
+    def _present_view(self) -> StationView:
+        with self._changed:
+            return replace(self._view, state="halted") if self._is_hanging else self._view
+
+    def _watch(self) -> None:
+        """The watchdog: a loop that hangs cannot see a fault itself."""
+        with self._changed:
+            silent_ns = self._clock.monotonic_ns() - self._shown_ns
+            is_hanging = silent_ns > self._watchdog_ns and self._view.state != "stopped"
+        if is_hanging != self._is_hanging:
+            self._is_hanging = is_hanging
+            self._say()
+        if is_hanging:
+            self._on_until_ns = {}
+
+    def _expire(self) -> None:
+        """Pulses whose time passed while the device was away."""
+        with self._changed:
+            now_ns = self._clock.monotonic_ns()
+            late = [pulse for pulse in self._asked if now_ns > pulse.start_by_ns]
+            self._asked = deque(pulse for pulse in self._asked if now_ns <= pulse.start_by_ns)
+        for pulse in late:
+            self._late(pulse, f"not given: it is {_after(pulse, now_ns)}")
+
+    def _late(self, pulse: _Pulse, why: str) -> None:
+        self._on_late(f"the pulse on channel {pulse.channel} for '{pulse.verdict}' was {why}")
+
+    def _check_channels(self, actuator: Actuator) -> None:
+        highest = max(rule.channel for rule in self._rules)
+        if highest > actuator.channels:
+            raise DeviceError(
+                f"{actuator.name} has {actuator.channels} channels, the configuration names channel {highest}; "
+                "correct [[actuators.outputs]] or plug in the larger board"
+            )
+
+    def _next_ns(self) -> int:
+        now_ns = self._clock.monotonic_ns()
+        times = [now_ns + _LONGEST_WAIT_NS, *self._on_until_ns.values()]
+        with self._changed:
+            times += [pulse.start_by_ns + 1 for pulse in self._asked]
+        if self._connection.port is None:
+            return min(*times, max(self._connection.retry_ns, now_ns))
+        blink_ns = next_blink_ns(self._rules, now_ns)
+        return min(time for time in (*times, blink_ns) if time is not None and time > now_ns)
+
+    def _device_changed(self, fault: str | None) -> None:
+        self._device_fault = fault
+        self._say()
+
+    def _say(self) -> None:
+        hanging = "the station's loop does not answer; its outputs are in the state `halted`"
+        words = [self._device_fault, hanging if self._is_hanging else None]
+        self._on_fault("; ".join(word for word in words if word) or None)
+
+    def _run(self) -> None:
+        while not self._is_closing:
+            pause_s = self.step()
+            with self._changed:
+                if not self._has_news:
+                    self._changed.wait(pause_s)
+                self._has_news = False
+        self._end()
+
+    def _end(self) -> None:
+        """The outputs of the state `stopped`, as far as the device can be reached; then it is released."""
+        with self._changed:
+            self._view, self._is_hanging = StationView("stopped"), False
+        self._on_until_ns = {}
+        self.step()
+        self._connection.close()
+
+    def close(self) -> None:
+        """Switch to the outputs of the state `stopped` and release the device; may be called again."""
+        with self._changed:
+            self._is_closing = True
+            self._wake()
+        if self._thread.is_alive():
+            self._thread.join()
+        elif self._connection.port is not None:
+            self._end()
+
+
+def _after(pulse: _Pulse, now_ns: int) -> str:
+    return f"{(now_ns - pulse.start_by_ns) / 1e6:.0f} ms after its deadline"

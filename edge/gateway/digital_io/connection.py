@@ -1,0 +1,89 @@
+"""A pedal or relay that may disappear: opened again with pauses, and its presence polled.
+
+A HID device that was unplugged reads as silent, without an error (hidapi 0.15 on Linux), so that only a search tells.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import Final, Generic, Protocol, TypeVar
+
+from edge.core.backoff import Backoff
+from edge.core.errors import DeviceError, DeviceLost
+from edge.core.ports import Clock
+
+__all__ = ["FIRST_PAUSE_S", "LONGEST_PAUSE_S", "Connection", "OnFault"]
+
+log = logging.getLogger(__name__)
+
+OnFault = Callable[[str | None], None]
+"""Called with the reason when a device cannot be used, and with None when it can again."""
+
+FIRST_PAUSE_S: Final = 0.5
+LONGEST_PAUSE_S: Final = 5.0
+_PRESENCE_NS: Final = 1_000_000_000
+
+
+class _Port(Protocol):
+    @property
+    def name(self) -> str: ...
+    def is_present(self) -> bool: ...
+    def close(self) -> None: ...
+
+
+P = TypeVar("P", bound=_Port)
+
+
+class Connection(Generic[P]):
+    """One device of its owner thread. `port` is None while it is away, and `retry_ns` then says when to try again."""
+
+    def __init__(self, open_port: Callable[[], P], clock: Clock, backoff: Backoff, on_fault: OnFault) -> None:
+        self.port: P | None = None
+        self.retry_ns = clock.monotonic_ns()
+        self.check_ns = 0
+        self._open_port, self._clock, self._backoff, self._on_fault = open_port, clock, backoff, on_fault
+        self._fault: str | None = None
+
+    def opened(self) -> P | None:
+        """The device, opened where it is time to try; None while it is away. Errors: DeviceError."""
+        now_ns = self._clock.monotonic_ns()
+        if self.port is None:
+            if now_ns < self.retry_ns:
+                return None
+            self.port = self._open_port()
+            self.check_ns = now_ns + _PRESENCE_NS
+        return self.port
+
+    def check_presence(self) -> None:
+        """Once a second. Errors: DeviceLost when the device is gone."""
+        now_ns = self._clock.monotonic_ns()
+        if self.port is not None and now_ns >= self.check_ns:
+            self.check_ns = now_ns + _PRESENCE_NS
+            if not self.port.is_present():
+                raise DeviceLost(f"{self.port.name} is gone; plug it in again")
+
+    def works(self) -> None:
+        """The device did what it was asked for."""
+        self._backoff.succeeded()
+        self._set(None)
+
+    def lost(self, error: Exception) -> None:
+        """Close it, and note why and when to try again. A fault of a driver does not end its owner: that would be a
+        silence."""
+        if not isinstance(error, DeviceError):
+            log.error("the driver failed", exc_info=error)
+        self.close()
+        self.retry_ns = self._clock.monotonic_ns() + round(self._backoff.failed() * 1e9)
+        self._set(
+            str(error) if isinstance(error, DeviceError) else f"its driver failed: {error!r}; see the log"
+        )
+
+    def close(self) -> None:
+        """Release the device; may be called again."""
+        port, self.port = self.port, None
+        if port is not None:
+            port.close()
+
+    def _set(self, fault: str | None) -> None:
+        if fault != self._fault:
+            self._fault = fault
+            self._on_fault(fault)

@@ -1,0 +1,122 @@
+"""The tables of a configuration that name a plugin: device, sinks, triggers and actuators."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+from edge.core.digital_io import Condition, OutputRule
+
+__all__ = ["ActuatorTable", "OutputTable", "PlainText", "PluginTable", "SinkTable", "Table", "TriggerTable"]
+
+
+class Table(BaseModel):
+    """One table of the file: unknown keys are refused, and the values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PluginTable(Table):
+    """One plugin, chosen by name."""
+
+    plugin: str = Field(description="its name")
+    options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
+
+
+PlainText = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
+
+
+class SinkTable(PluginTable):
+    """One receiver of results."""
+
+    name: PlainText | None = Field(
+        default=None,
+        description="under which the outbox remembers what the receiver has; by default plugin and address",
+    )
+
+
+class TriggerTable(PluginTable):
+    """A pedal or button."""
+
+    action: Literal["trigger", "acknowledge"] = Field(
+        default="trigger",
+        description="trigger: score the press that is held now; acknowledge: a person has seen the last verdict, which "
+        "goes off, and the alarm `pulse`",
+    )
+    debounce_ms: float = Field(
+        default=40,
+        ge=0,
+        le=1000,
+        description="it counts when it is held for this time, and released for it before",
+    )
+
+
+class OutputTable(Table):
+    """What one channel of an actuator shows."""
+
+    channel: int = Field(ge=1, le=64, description="the output, numbered from 1")
+    when: tuple[Condition, ...] = Field(
+        min_length=1,
+        description="what switches it on: a state (starting, ready, halted, stopped), the last verdict while the "
+        "station is ready (pass, fail, unsure, rejected, error), `alarm` for any alarm, `gel` for a gel that is due",
+    )
+    safe: bool = Field(
+        default=False,
+        description="its level in a state that `when` does not name, except ready; also by watchdog",
+    )
+    pulse_ms: float | None = Field(
+        default=None,
+        gt=0,
+        le=60_000,
+        description="on for this time after a verdict, instead of until the next one",
+    )
+    deadline_ms: float | None = Field(
+        default=None,
+        gt=0,
+        le=60_000,
+        description="with pulse_ms: it starts within this time after the judged frame, or not at all: alarm `pulse`",
+    )
+    blink_ms: float | None = Field(
+        default=None, ge=100, le=60_000, description="on and off for this time each, instead of steady"
+    )
+
+    @model_validator(mode="after")
+    def _as_a_rule(self) -> "OutputTable":
+        self.rule()
+        return self
+
+    def rule(self) -> OutputRule:
+        """For the driver."""
+        return OutputRule(
+            self.channel,
+            frozenset(self.when),
+            self.safe,
+            _ns(self.pulse_ms),
+            _ns(self.deadline_ms),
+            _ns(self.blink_ms),
+        )
+
+
+def _ns(ms: float | None) -> int | None:
+    return None if ms is None else round(ms * 1e6)
+
+
+class ActuatorTable(PluginTable):
+    """A relay board, light or buzzer. It is never a safety function."""
+
+    watchdog_s: float = Field(
+        default=5,
+        ge=1,
+        le=60,
+        description="without a sign of life from the loop for this time its outputs go to those of the state halted",
+    )
+    outputs: list[OutputTable] = Field(min_length=1, description="what its channels show; one table each")
+
+    @model_validator(mode="after")
+    def _one_pulse_a_channel(self) -> "ActuatorTable":
+        pulsed = {one.channel for one in self.outputs if one.pulse_ms is not None}
+        for channel in pulsed:
+            if sum(one.channel == channel for one in self.outputs) > 1:
+                raise ValueError(
+                    f"channel {channel} gives a pulse, so it has one output alone; use another channel"
+                )
+        return self

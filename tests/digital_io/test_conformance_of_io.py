@@ -1,0 +1,97 @@
+"""Every built-in pedal and relay passes the published checks, and each check notices what it is about."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from io_benches import ACTUATORS, TRIGGERS, VirtualPedalBench, VirtualRelayBench
+
+from edge.core.errors import GelgateError
+from plugins.conformance import ACTUATOR_CHECKS, TRIGGER_CHECKS, check_actuator, check_trigger
+
+
+def named(check: Callable[..., None]) -> str:
+    return check.__name__
+
+
+@pytest.mark.parametrize("check", TRIGGER_CHECKS, ids=named)
+@pytest.mark.parametrize("make_bench", TRIGGERS.values(), ids=TRIGGERS)
+def test_a_built_in_trigger_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
+    """The check's own docstring states the fact."""
+    check(make_bench())
+
+
+@pytest.mark.parametrize("check", ACTUATOR_CHECKS, ids=named)
+@pytest.mark.parametrize("make_bench", ACTUATORS.values(), ids=ACTUATORS)
+def test_a_built_in_actuator_conforms(make_bench: Callable[[], Any], check: Callable[[Any], None]) -> None:
+    """The check's own docstring states the fact."""
+    check(make_bench())
+
+
+class Wrong:
+    """A device that is wrong in one way; the bench that opens it is otherwise the true one."""
+
+    def __init__(self, bench: Any, **parts: Any) -> None:
+        self._bench, self._parts = bench, parts
+
+    def open(self) -> Any:
+        return Changed(self._bench.open(), self._parts)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bench, name)
+
+
+class Changed:
+    def __init__(self, inner: Any, parts: dict[str, Any]) -> None:
+        self._inner = inner
+        vars(self).update({name: part(inner) if callable(part) else part for name, part in parts.items()})
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+
+def writes_after_closing(inner: Any) -> Callable[..., None]:
+    return lambda channel, is_on: None
+
+
+TRIGGER_FAULTS: dict[str, dict[str, Any]] = {
+    "check_it_has_a_name": {"name": ""},
+    "check_each_change_comes_once": {"read": lambda inner: lambda deadline: True},
+    "check_the_deadline_is_kept": {"read": lambda inner: lambda deadline: None},
+    "check_unplugged": {"is_present": lambda inner: lambda: True},
+    "check_closed_twice": {"close": lambda inner: lambda: None},
+}
+ACTUATOR_FAULTS: dict[str, dict[str, Any]] = {
+    "check_it_knows_its_channels": {"channels": 9},
+    "check_each_channel_switches_alone": {
+        "write": lambda inner: lambda channel, is_on: inner.write(1, is_on)
+    },
+    "check_opening_and_closing_switch_nothing": {"close": lambda inner: lambda: inner.write(1, False)},
+    "check_a_channel_that_it_does_not_have": {"write": writes_after_closing},
+    "check_unplugged": {"write": writes_after_closing},
+    "check_closed_twice": {"close": lambda inner: lambda: None},
+}
+
+
+@pytest.mark.parametrize("name", [named(check) for check in TRIGGER_CHECKS])
+def test_a_check_of_triggers_can_fail(name: str) -> None:
+    """A pedal that is wrong in that way."""
+    check = next(check for check in TRIGGER_CHECKS if named(check) == name)
+    with pytest.raises((AssertionError, GelgateError)):
+        check(Wrong(VirtualPedalBench(), **TRIGGER_FAULTS[name]))
+
+
+@pytest.mark.parametrize("name", [named(check) for check in ACTUATOR_CHECKS])
+def test_a_check_of_actuators_can_fail(name: str) -> None:
+    """A board that is wrong in that way."""
+    check = next(check for check in ACTUATOR_CHECKS if named(check) == name)
+    with pytest.raises((AssertionError, GelgateError)):
+        check(Wrong(VirtualRelayBench(), **ACTUATOR_FAULTS[name]))
+
+
+def test_all_checks_run_in_one_call() -> None:
+    """One group with every failure."""
+    check_trigger(VirtualPedalBench)
+    check_actuator(VirtualRelayBench)
+    with pytest.raises(ExceptionGroup, match="1 of 5 checks failed"):
+        check_trigger(lambda: Wrong(VirtualPedalBench(), name=""))

@@ -1,0 +1,255 @@
+"""The owner of a relay board, on the test's own clock and without its thread."""
+
+import pytest
+from fake_io import FakeRelay, FixedBackoff, run
+from small_recordings import FakeClock
+
+from edge.core.digital_io import OutputRule, StationView
+from edge.gateway.digital_io.actuator_driver import ActuatorDriver
+
+MS = 1_000_000
+RULES = (
+    OutputRule(1, frozenset({"pass"})),
+    OutputRule(2, frozenset({"fail", "halted"})),
+    OutputRule(3, frozenset({"fail"}), pulse_ns=200 * MS, deadline_ns=300 * MS),
+    OutputRule(4, frozenset({"ready"}), safe=False),
+)
+READY = StationView("ready")
+
+
+class Bench:
+    """A driver of a relay, what it reports, and the time."""
+
+    def __init__(self, rules: tuple[OutputRule, ...] = RULES) -> None:
+        self.clock = FakeClock()
+        self.relay = FakeRelay(self.clock)
+        self.faults: list[str | None] = []
+        self.late: list[str] = []
+        self.driver = ActuatorDriver(
+            self.relay.open,
+            rules,
+            self.clock,
+            self.faults.append,
+            self.late.append,
+            watchdog_ns=2_000 * MS,
+            backoff=FixedBackoff(),
+        )
+
+    def run(self, seconds: float, view: StationView | None = None) -> None:
+        """Time passes; with a view the loop is alive all the time."""
+        steps = max(1, round(seconds / 0.05))
+        for _ in range(steps):
+            if view is not None:
+                self.driver.show(view)
+            run(self.driver, self.clock, seconds / steps)
+
+
+def test_outputs_are_safe_from_the_first_turn_on() -> None:
+    """Every configured channel is written, before the loop has said anything."""
+    bench = Bench()
+    bench.driver.step()
+
+    assert bench.relay.state == {1: False, 2: False, 3: False, 4: False}
+
+
+def test_outputs_show_the_station() -> None:
+    """Each change is written once, and only channels that change."""
+    bench = Bench()
+    bench.run(1, READY)
+    bench.run(1, StationView("ready", "pass"))
+    bench.run(1, StationView("ready", "fail"))
+
+    assert [(channel, is_on) for _, channel, is_on in bench.relay.history[4:]] == [
+        (1, True),
+        (1, False),
+        (2, True),
+    ]
+
+
+def test_a_pulse_starts_in_time_and_has_its_length() -> None:
+    """On at the next step, off 200 ms later."""
+    bench = Bench()
+    bench.run(1, READY)
+    started = bench.clock.monotonic_ns() // MS
+    bench.driver.pulse("fail", bench.clock.monotonic_ns() - 299 * MS)
+    bench.run(1, StationView("ready", "fail"))
+
+    assert [one for one in bench.relay.history if one[1] == 3][1:] == [
+        (started, 3, True),
+        (started + 200, 3, False),
+    ]
+    assert bench.late == []
+
+
+def test_another_verdict_gives_no_pulse() -> None:
+    """Only the verdicts of the output."""
+    bench = Bench()
+    bench.driver.show(READY)
+    bench.driver.pulse("pass", bench.clock.monotonic_ns())
+    bench.run(1, READY)
+
+    assert (3, True) not in [one[1:] for one in bench.relay.history]
+
+
+def test_a_late_pulse_is_not_given_and_is_reported() -> None:
+    """It would hit the next part."""
+    bench = Bench()
+    bench.run(1, READY)
+    bench.driver.pulse("fail", bench.clock.monotonic_ns() - 301 * MS)
+    bench.run(1, READY)
+
+    assert (3, True) not in [one[1:] for one in bench.relay.history]
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: it is 1 ms after its deadline"]
+
+
+def test_a_pulse_that_a_slow_relay_starts_late_is_cut_and_reported() -> None:
+    """Writing took 400 ms: the gate is switched off at once."""
+    bench = Bench()
+    bench.run(1, READY)
+    bench.relay.write_s = 0.4
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+
+    assert bench.late == [
+        "the pulse on channel 3 for 'fail' was 100 ms after its deadline, and is switched off at once"
+    ]
+    assert 3 not in bench.relay.on
+
+
+def test_a_pulse_while_the_board_is_away_is_reported_at_its_deadline() -> None:
+    """Not when the board comes back, and it is not given then."""
+    bench = Bench()
+    bench.run(1, READY)
+    bench.relay.plugged_in = False
+    bench.run(2, READY)
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.run(0.2, READY)
+    assert bench.late == []
+    bench.run(0.2, READY)
+    assert len(bench.late) == 1
+    bench.relay.plugged_in = True
+    bench.run(5, READY)
+
+    assert (3, True) not in [one[1:] for one in bench.relay.history]
+    assert len(bench.late) == 1
+
+
+def test_a_pulse_whose_write_fails_is_reported() -> None:
+    """The cable was pulled since the last write."""
+    bench = Bench()
+    bench.run(0.5, READY)
+    bench.relay.plugged_in = False
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: the relay is gone"]
+
+
+def test_a_board_that_vanished_in_silence_is_noticed_and_opened_again() -> None:
+    """Nothing fails, so presence is polled; after the return every output is written again."""
+    bench = Bench()
+    bench.run(0.5, READY)
+    bench.relay.silent = True
+    bench.run(1, READY)
+    assert bench.faults == ["relay is gone; plug it in again"]
+    assert bench.relay.closings >= 1
+    bench.relay.silent = False
+    before = len(bench.relay.history)
+    bench.run(2, READY)
+
+    assert bench.faults[-1] is None
+    assert {channel for _, channel, _ in bench.relay.history[before:]} == {1, 2, 3, 4}
+
+
+def test_a_loop_that_hangs_puts_the_outputs_into_those_of_a_fault() -> None:
+    """After 2 s without a sign of life: the lamp of `halted` is on, the pass is off; with the loop it is as before."""
+    bench = Bench()
+    bench.run(1, StationView("ready", "pass"))
+    assert bench.relay.on == {1, 4}
+    bench.run(1.9)
+    assert bench.relay.on == {1, 4}
+    bench.run(0.5)
+
+    assert bench.relay.on == {2}
+    assert bench.faults == ["the station's loop does not answer; its outputs are in the state `halted`"]
+    bench.run(0.5, StationView("ready", "pass"))
+    assert bench.relay.on == {1, 4}
+    assert bench.faults[-1] is None
+
+
+def test_a_pulse_does_not_outlast_a_loop_that_hangs() -> None:
+    """A gate that is open when the watchdog ends is closed."""
+    bench = Bench((OutputRule(3, frozenset({"fail"}), pulse_ns=60_000 * MS, deadline_ns=300 * MS),))
+    bench.run(1, READY)
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.run(1, READY)
+    assert bench.relay.on == {3}
+    bench.run(2.5)
+
+    assert bench.relay.on == set()
+
+
+def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again(caplog: pytest.LogCaptureFixture) -> None:
+    """Not a thread that ends in silence: the traceback is in the log, and a pulse that waits is reported."""
+    bench = Bench()
+    bench.run(0.5, READY)
+    bench.relay.error = KeyError("defect")
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+    assert bench.faults == ["its driver failed: KeyError('defect'); see the log"]
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: 'defect'"]
+    assert "Traceback" in caplog.text
+    bench.relay.error = None
+    bench.run(2, READY)
+
+    assert bench.faults[-1] is None
+
+
+def test_a_loop_that_hangs_gives_no_pulse() -> None:
+    """What it asked for before is reported."""
+    bench = Bench((OutputRule(3, frozenset({"fail"}), pulse_ns=MS, deadline_ns=9_000 * MS),))
+    bench.run(1, READY)
+    bench.clock.sleep(2.5)
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.step()
+
+    assert bench.late == [
+        "the pulse on channel 3 for 'fail' was not given: the station's loop does not answer"
+    ]
+    assert bench.relay.on == set()
+
+
+def test_closing_leaves_the_outputs_of_stopped_and_gives_no_pulse() -> None:
+    """A pulse that waits is reported."""
+    bench = Bench((*RULES[:3], OutputRule(4, frozenset({"stopped"}))))
+    bench.run(1, StationView("ready", "pass"))
+    bench.driver.pulse("fail", bench.clock.monotonic_ns())
+    bench.driver.close()
+    bench.driver.close()
+
+    assert bench.relay.on == {4}
+    assert bench.late == ["the pulse on channel 3 for 'fail' was not given: the station ends"]
+    assert bench.relay.closings == 1
+
+
+def test_a_channel_that_the_board_does_not_have_is_a_fault() -> None:
+    """With both numbers and where to correct it."""
+    bench = Bench((OutputRule(8, frozenset({"fail"})),))
+    bench.run(0.1, READY)
+
+    assert bench.faults[0] is not None
+    assert (
+        "has 4 channels, the configuration names channel 8; correct [[actuators.outputs]]" in bench.faults[0]
+    )
+
+
+def test_the_owner_thread_switches_and_ends() -> None:
+    """Started and closed: the outputs of `stopped`, and the board is released by its owner."""
+    bench = Bench()
+    bench.driver.start()
+    bench.driver.show(READY)
+    bench.driver.close()
+
+    assert bench.relay.openings == 1
+    assert bench.relay.closings == 1
+    assert bench.relay.on == set()

@@ -1,0 +1,101 @@
+"""The owner of a pedal, on the test's own clock and without its thread."""
+
+from fake_io import FakePedal, FixedBackoff, run
+from small_recordings import FakeClock
+
+from edge.gateway.digital_io.trigger_reader import TriggerReader
+
+MS = 1_000_000
+
+
+class Bench:
+    """A reader of a pedal, the times of its presses in milliseconds, and its faults."""
+
+    def __init__(self, *changes: tuple[float, bool]) -> None:
+        self.clock = FakeClock(0)
+        self.pedal = FakePedal(self.clock, *changes)
+        self.presses: list[int] = []
+        self.faults: list[str | None] = []
+        self.reader = TriggerReader(
+            self.pedal.open,
+            self.clock,
+            lambda: self.presses.append(self.clock.monotonic_ns() // MS),
+            self.faults.append,
+            debounce_ns=40 * MS,
+            backoff=FixedBackoff(),
+        )
+
+    def run(self, seconds: float) -> None:
+        run(self.reader, self.clock, seconds)
+
+
+def test_a_press_is_reported_once_after_the_debounce_time() -> None:
+    """Held for a second with a bounce at each end; then again."""
+    bench = Bench(
+        (500, True), (505, False), (508, True), (1500, False), (1503, True), (1506, False), (2000, True)
+    )
+    bench.run(3)
+
+    assert bench.presses == [548, 2040]
+    assert bench.faults == []
+
+
+def test_a_pedal_that_vanished_in_silence_is_noticed_and_opened_again() -> None:
+    """It reads as unchanged, so presence is polled; presses count again after the return."""
+    bench = Bench((5000, True))
+    bench.run(0.5)
+    bench.pedal.silent = True
+    bench.run(1)
+    assert bench.faults == ["pedal is gone; plug it in again"]
+    bench.pedal.silent = False
+    bench.run(5)
+
+    assert bench.faults[-1] is None
+    assert bench.pedal.openings > 1
+    assert bench.presses == [5040]
+
+
+def test_a_pedal_that_is_lost_while_down_gives_no_press_when_it_is_back() -> None:
+    """Nothing is known of what happened in between."""
+    bench = Bench((450, True))
+    bench.run(0.45)
+    bench.pedal.plugged_in = False
+    bench.run(0.1)
+    bench.pedal.plugged_in = True
+    bench.run(5)
+
+    assert bench.presses == []
+
+
+def test_a_missing_pedal_is_tried_again_with_pauses() -> None:
+    """Not in a busy loop."""
+    bench = Bench()
+    bench.pedal.plugged_in = False
+
+    assert bench.reader.step() == 1.0
+    assert bench.reader.step() == 1.0
+    assert bench.faults == ["no pedal is plugged in"]
+
+
+def test_the_owner_thread_releases_the_pedal() -> None:
+    """Closing during a read hangs in hidapi, so the owner closes; closing again is harmless."""
+    bench = Bench()
+    bench.reader.start()
+    bench.reader.close()
+    bench.reader.close()
+
+    assert bench.pedal.closings == bench.pedal.openings
+
+
+def test_a_driver_with_a_defect_is_an_alarm_and_is_tried_again() -> None:
+    """Not a thread that ends in silence."""
+    bench = Bench((5000, True))
+    bench.run(0.5)
+    bench.pedal.error = KeyError("defect")
+    bench.run(0.3)
+    assert bench.faults == ["its driver failed: KeyError('defect'); see the log"]
+    bench.pedal.error = None
+    bench.run(5)
+
+    assert bench.faults[-1] is None
+    assert bench.presses == [5040]
