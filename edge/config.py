@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
     StringConstraints,
     ValidationError,
@@ -25,25 +24,16 @@ from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.plugins import HasIdentity
 from edge.core.sink_context import topic_level
+from edge.overview_table import OverviewTable
+from edge.plugin_table import PluginTable, Table
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["Config", "PluginTable", "SinkTable", "StationTable", "load_config", "sink_names"]
+__all__ = ["Config", "OverviewTable", "PluginTable", "SinkTable", "StationTable", "load_config", "sink_names"]
 
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T", bound="PluginTable")
 
 TopicLevel = Annotated[str, AfterValidator(topic_level)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class PluginTable(_Table):
-    """One plugin, chosen by name."""
-
-    plugin: str = Field(description="its name")
-    options: dict[str, Any] = Field(default_factory=dict, description="the options of that plugin")
 
 
 PlainText = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -58,7 +48,7 @@ class SinkTable(PluginTable):
     )
 
 
-class StationTable(_Table):
+class StationTable(Table):
     """The place of this gateway in the plant: the levels of its MQTT topics.
 
     Each has 1 to 64 characters, no space, and none of + # / $.
@@ -72,7 +62,7 @@ class StationTable(_Table):
     )
 
 
-class InspectionTable(_Table):
+class InspectionTable(Table):
     """What is inspected."""
 
     bundle: Path = Field(description="folder or .zip made by `gelgate fit`")
@@ -96,7 +86,7 @@ class InspectionTable(_Table):
         return self
 
 
-class ContactTable(_Table):
+class ContactTable(Table):
     """When a contact counts as a press, and which of its frames is scored: see contact.md."""
 
     settle_s: float = Field(
@@ -135,7 +125,7 @@ class ContactTable(_Table):
         return ContactSettings(is_external=is_external, **self.model_dump())
 
 
-class GelTable(_Table):
+class GelTable(Table):
     """When the gel is due."""
 
     limit_presses: int = Field(
@@ -159,7 +149,7 @@ def _database_file(path: Path) -> Path:
     return path
 
 
-class StoreTable(_Table):
+class StoreTable(Table):
     """The database of presses, gels and unsent messages, and the room for unsent messages."""
 
     path: Annotated[Path, AfterValidator(_database_file)] = Field(
@@ -179,7 +169,7 @@ class StoreTable(_Table):
     )
 
 
-class CommandTable(_Table):
+class CommandTable(Table):
     """Which requests over MQTT are served, and from whom; all others are refused. mqtt.md has the verbs."""
 
     unsigned: tuple[str, ...] = Field(
@@ -206,12 +196,13 @@ class CommandTable(_Table):
         return self
 
 
-class Config(_Table):
+class Config(Table):
     """The complete file."""
 
     version: Literal[1] = Field(description="the version of this format")
     station: StationTable = StationTable()
     device: PluginTable = Field(description="the sensor")
+    overview: OverviewTable | None = Field(default=None, description="a camera that sees the part")
     inspection: InspectionTable
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
@@ -289,6 +280,9 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
     device = table.get("device")
     if isinstance(device, dict) and "plugin" in device:
         yield "devices", "device", device
+    overview = table.get("overview")
+    if isinstance(overview, dict) and "plugin" in overview:
+        yield "overviews", "overview", overview
     sinks = table.get("sinks")
     for index, sink in enumerate(sinks if isinstance(sinks, list) else []):
         if isinstance(sink, dict) and "plugin" in sink:
@@ -308,6 +302,7 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
     secret = config.commands.secret_file
     commands = config.commands.model_copy(update={"secret_file": None if secret is None else folder / secret})
     device = _with_options_from(folder, "devices", config.device)
+    overview = _overview_from(folder, config.overview)
     sinks = [_with_options_from(folder, "sinks", sink) for sink in config.sinks]
     return config.model_copy(
         update={
@@ -315,9 +310,17 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
             "store": store,
             "commands": commands,
             "device": device,
+            "overview": overview,
             "sinks": sinks,
         }
     )
+
+
+def _overview_from(folder: Path, table: OverviewTable | None) -> OverviewTable | None:
+    if table is None:
+        return None
+    rooted = _with_options_from(folder, "overviews", table)
+    return rooted.model_copy(update={"empty": None if table.empty is None else folder / table.empty})
 
 
 def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:

@@ -17,6 +17,7 @@ _PACKAGES = {
     "peers": (*_STUDIES, "torch", "anomalib"),
     "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),
+    "oak": ("depthai",),
 }
 
 

@@ -30,13 +30,14 @@ __all__ = [
     "importer",
     "names",
     "options",
+    "overview",
     "sink",
 ]
 
-Group: TypeAlias = Literal["devices", "sinks", "detectors", "backbones", "importers", "commands"]
+Group: TypeAlias = Literal["devices", "overviews", "sinks", "detectors", "backbones", "importers", "commands"]
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
-PluginGroup: TypeAlias = Literal["devices", "sinks"]
+PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks"]
 """The groups with a table in the configuration."""
 
 Verb: TypeAlias = "typer.Typer | Callable[..., None]"
@@ -53,12 +54,21 @@ def device(name: str) -> "DevicePlugin[BaseModel]":
     Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for
     a plugin that cannot be loaded; and for an object without the protocol of this group.
     """
+    return _source("devices", name)
+
+
+def overview(name: str) -> "DevicePlugin[BaseModel]":
+    """The overview camera's plugin of that name. Errors: as `device`."""
+    return _source("overviews", name)
+
+
+def _source(group: Group, name: str) -> "DevicePlugin[BaseModel]":
     from edge.core.plugins import DevicePlugin
 
-    found = _load("devices", name)
+    found = _load(group, name)
     if isinstance(found, DevicePlugin):
         return found
-    raise _no_plugin("devices", name, found, DevicePlugin)
+    raise _no_plugin(group, name, found, DevicePlugin)
 
 
 def sink(name: str) -> "SinkPlugin[BaseModel]":
@@ -106,7 +116,7 @@ def command(name: str) -> Verb:
 
 def options(group: PluginGroup, name: str) -> "type[BaseModel]":
     """The model of a plugin's TOML table. Errors: as `device`."""
-    return device(name).Options if group == "devices" else sink(name).Options
+    return sink(name).Options if group == "sinks" else _source(group, name).Options
 
 
 @cache

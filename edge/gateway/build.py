@@ -7,6 +7,8 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
+from typing import Final
 
 from edge import registry
 from edge.config import Config, sink_names
@@ -17,7 +19,8 @@ from edge.gateway.command_policy import policy_of
 from edge.gateway.commands import Commands, station_handlers
 from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.opening import device_opener, open_scorer
+from edge.gateway.opening import device_opener, open_scorer, overview_opener
+from edge.gateway.overview import Overview
 from edge.gateway.preflight import Preflight
 from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
@@ -30,6 +33,9 @@ from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
 __all__ = ["build"]
+
+# An overview camera may give one picture a second.
+OVERVIEW_STALL_S: Final = 5.0
 
 
 def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight | None = None) -> Parts:
@@ -64,6 +70,7 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
     opener = _opener(config, scorer.bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(opener, clock, status.sensor_changed)
     closing.callback(acquisition.close)
+    overview = _overview(config, clock, status, closing)
     return Parts(
         inspector=Inspector(scorer, clock),
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
@@ -76,7 +83,23 @@ def build(config: Config, clock: Clock, closing: ExitStack, checked: Preflight |
         acquisition=acquisition,
         calls=calls,
         clock=clock,
+        overview=overview,
     )
+
+
+def _overview(config: Config, clock: Clock, status: StationStatus, closing: ExitStack) -> Overview | None:
+    """Errors: ConfigError for a picture of the empty station that cannot be read."""
+    table = config.overview
+    if table is None:
+        return None
+    rules = table.rules()
+    changed = partial(status.overview_changed, is_needed=rules.is_asking)
+    camera = Acquisition(
+        overview_opener(table, clock), clock, changed, depth=1, stall_after_s=OVERVIEW_STALL_S
+    )
+    overview = Overview(camera, rules, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px)
+    closing.callback(overview.close)
+    return overview
 
 
 def _names_before(config: Config) -> dict[str, str]:

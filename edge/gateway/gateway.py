@@ -52,6 +52,8 @@ class Gateway:
         """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
         self._parts.acquisition.start()
+        if self._parts.overview is not None:
+            self._parts.overview.start()
         manager = ServiceManager(self._parts.clock)
         manager.ready()
         self.loop.run(stop, presses, manager.alive)

@@ -17,6 +17,7 @@ from edge.core.imaging.quality import (
     check_light,
 )
 from edge.core.imaging.sensor_check import check_sensor
+from edge.core.overview.rules import OverviewView
 from edge.core.ports import Clock
 from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
@@ -30,7 +31,7 @@ class Inspection:
     """The result of one frame: a verdict, or an error and then no verdict.
 
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
-    get that far. latency_ms: stage to milliseconds.
+    get that far. latency_ms: stage to milliseconds. overview: the look before the press, None without such a camera.
     """
 
     verdict: Verdict | None
@@ -38,6 +39,7 @@ class Inspection:
     rgb: NDArray[np.uint8] | None = None
     score_map: NDArray[np.float32] | None = None
     latency_ms: dict[str, float] = field(default_factory=dict)
+    overview: OverviewView | None = None
 
 
 class Inspector:

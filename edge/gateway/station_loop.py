@@ -21,6 +21,7 @@ from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.inspector import Inspector
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
+from edge.gateway.overview import Overview
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import StationStatus
 from edge.gateway.summary import Summary
@@ -61,6 +62,7 @@ class Parts:
     acquisition: Acquisition
     calls: "LoopCalls[StationLoop]"
     clock: Clock
+    overview: Overview | None = None
 
 
 class StationLoop:
@@ -207,7 +209,14 @@ class StationLoop:
         recorder = Recorder(parts.store, parts.inspector, identity.serial, parts.place, parts.clock)
         parts.status.info(parts.inspector.bundle, identity)
         self._session = InspectionSession(
-            gel, parts.inspector, parts.contact, parts.references, recorder, parts.status, parts.clock
+            gel,
+            parts.inspector,
+            parts.contact,
+            parts.references,
+            recorder,
+            parts.status,
+            parts.clock,
+            parts.overview,
         )
         return self._session
 

@@ -82,6 +82,19 @@ class StationStatus:
             log.warning("%s", reason)
             self.set_fault("device", reason)
 
+    def overview_changed(self, camera: AcquisitionStatus, *, is_needed: bool) -> None:
+        """Called from the thread of the overview camera, once per change. is_needed: without it presses are refused."""
+        if camera.state is AcquisitionState.STREAMING:
+            log.info(
+                "overview camera %s delivers pictures", camera.identity.serial if camera.identity else "?"
+            )
+            self.clear("overview")
+        elif camera.fault is not None:
+            effect = "presses are refused" if is_needed else "results come without its still"
+            self.alarm(
+                "overview", f"{camera.fault}; until it is back {effect}", "error" if is_needed else "warning"
+            )
+
     def stopped(self) -> None:
         """The intended end."""
         with self._lock:

@@ -18,6 +18,7 @@ MAY_IMPORT = {
     "plugins.detectors": ("edge.core", "edge.validation_messages", "plugins.onnx_builder"),
     "plugins.backbones": ("edge.core", "plugins.onnx_builder"),
     "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),
+    "plugins.overviews": ("edge.core", "edge.extras", "plugins.devices.v4l2"),
     "plugins.sinks": ("edge.core", "edge.messaging"),
     "calibration": ("edge", "plugins.detectors", "plugins.backbones", "plugins.onnx_builder"),
     "export": (

@@ -34,9 +34,14 @@ class Zone:
 
     def of(self, grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """This part of a picture, at least one pixel. grey: uint8 (h, w)."""
-        h, w = grey.shape
-        x, y = min(int(self.left * w), w - 1), min(int(self.top * h), h - 1)
-        return grey[y : max(y + 1, round((self.top + self.height) * h)), x : max(x + 1, round((self.left + self.width) * w))]
+        rows = _span(grey.shape[0], self.top, self.height)
+        return grey[rows, _span(grey.shape[1], self.left, self.width)]
+
+
+def _span(pixels: int, start: float, length: float) -> slice:
+    """At least one pixel."""
+    first = min(int(start * pixels), pixels - 1)
+    return slice(first, max(first + 1, round((start + length) * pixels)))
 
 
 def changed_share(grey: NDArray[np.uint8], empty: NDArray[np.uint8]) -> float:

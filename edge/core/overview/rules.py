@@ -19,12 +19,14 @@ class OverviewView:
     """One look before a press.
 
     jpeg: the still, or None where there was none; fault: then why. changed: the share of the region that differs from
-    the empty station, None where no picture of it is configured. codes: those read in the region.
+    the empty station, None where no picture of it is configured. is_present: whether a part is there, None where
+    nothing says so. codes: those read in the region.
     """
 
     jpeg: bytes | None
     fault: str | None = None
     changed: float | None = None
+    is_present: bool | None = None
     codes: tuple[Code, ...] = ()
 
     def __post_init__(self) -> None:
@@ -60,13 +62,13 @@ class OverviewRules:
         seen = np.ascontiguousarray(self.zone.of(grey))
         changed = None if self.empty is None else changed_share(seen, self.zone.of(self.empty))
         codes = read_codes(seen, self.codes, self.family) if self.codes else ()
-        return OverviewView(jpeg, changed=changed, codes=codes)
+        return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes)
 
-    def is_present(self, view: OverviewView) -> bool | None:
-        """Whether a part is there; a code that can be read is a part. None where nothing says so."""
-        if view.codes:
+    def _is_present(self, changed: float | None, codes: tuple[Code, ...]) -> bool | None:
+        """A code that can be read is a part."""
+        if codes:
             return True
-        return None if view.changed is None else view.changed >= self.present_share
+        return None if changed is None else changed >= self.present_share
 
     def part_in(self, code: Code) -> str | None:
         """The part that a code names, None where its text does not fit the pattern."""
@@ -85,7 +87,7 @@ class OverviewRules:
         if view.fault is not None:
             text = f"the part was not seen before the press: {view.fault}"
             return Rejection(Reason.NO_OVERVIEW, text)
-        if self.is_present(view) is False and view.changed is not None:
+        if view.is_present is False and view.changed is not None:
             return Rejection(
                 Reason.NO_PART,
                 f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "

@@ -101,15 +101,15 @@ def test_presence_is_a_change_of_the_empty_station() -> None:
     assert changed_share(empty + np.uint8(40), empty) == 0.0
     assert reason(looked(part, rules), rules) is None
     assert reason(looked(empty, rules), rules) is Reason.NO_PART
-    assert rules.is_present(looked(part, rules)) is True
-    assert rules.is_present(looked(empty, rules)) is False
+    assert looked(part, rules).is_present is True
+    assert looked(empty, rules).is_present is False
 
 
 def test_a_code_that_is_read_is_a_part() -> None:
     """Also where the picture of the empty station shows no change."""
     rules = OverviewRules(codes=("apriltag",), parts={"17": "PZ0"}, empty=with_tag(17))
 
-    assert rules.is_present(looked(with_tag(17), rules)) is True
+    assert looked(with_tag(17), rules).is_present is True
     assert reason(looked(with_tag(17), rules), rules) is None
 
 
@@ -127,7 +127,7 @@ def test_stills_alone_ask_for_nothing() -> None:
     view = looked(with_tag(17), OverviewRules())
 
     assert reason(view, OverviewRules()) is None
-    assert (view.codes, OverviewRules().is_present(view)) == ((), None)
+    assert (view.codes, view.is_present) == ((), None)
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0, 0.999), st.floats(0, 0.999))
@@ -138,8 +138,16 @@ def test_a_region_is_never_empty(w: int, h: int, left: float, top: float) -> Non
     assert zone.of(np.zeros((h, w), np.uint8)).size >= 1
 
 
-@pytest.mark.parametrize("sides", [(0.5, 0, 0.6, 1), (0, 0, 0, 1), (-0.1, 0, 0.5, 1), (0, float("nan"), 1, 1)])
+@pytest.mark.parametrize(
+    "sides", [(0.5, 0, 0.6, 1), (0, 0, 0, 1), (-0.1, 0, 0.5, 1), (0, float("nan"), 1, 1)]
+)
 def test_a_region_lies_in_the_picture(sides: tuple[float, float, float, float]) -> None:
     """Anything else is refused with what was found."""
     with pytest.raises(ValueError, match="lies in it, found"):
         Zone(*sides)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (1, 300), (300, 1), (20, 20), (21, 21)])
+def test_a_region_too_small_for_a_code_has_none(size: tuple[int, int]) -> None:
+    """OpenCV's readers are not given what they cannot take."""
+    assert read_codes(np.full(size, 150, np.uint8), ["qr", "apriltag"]) == ()
