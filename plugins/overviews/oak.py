@@ -67,7 +67,7 @@ class OakCamera:
         left_s = max(0.0, (deadline_ns - self._clock.monotonic_ns()) / 1e9)
         try:
             message = self._queue.get(timedelta(seconds=left_s))
-        except RuntimeError as error:  # a closed queue, or a broken XLink
+        except (RuntimeError, self._queue.QueueException) as error:  # a broken XLink, or a closed queue
             self._gone = self._ending(error)
             raise self._gone from error
         if message is None:
@@ -79,7 +79,7 @@ class OakCamera:
     def _name(self) -> str:
         return f"{self.identity.product} {self.identity.serial}"
 
-    def _ending(self, error: RuntimeError) -> DeviceLost | RecordingEnded:
+    def _ending(self, error: Exception) -> DeviceLost | RecordingEnded:
         if self._is_film:
             return RecordingEnded(f"{self._name} has ended after {self._sequence} pictures")
         return DeviceLost(f"{self._name} is gone ({error}); it is opened again")
@@ -118,7 +118,8 @@ def _identity(serial: str, options: OakOptions) -> DeviceIdentity:
 def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
     info = _chosen(dai.Device.getAllAvailableDevices(), options.serial)
     try:
-        pipeline = dai.Pipeline(dai.Device(info))
+        device = dai.Device(info)
+        pipeline = dai.Pipeline(device)
         camera = pipeline.create(dai.node.Camera).build(getattr(dai.CameraBoardSocket, options.socket))
         size = (options.width, options.height)
         queue = camera.requestOutput(size, fps=options.fps).createOutputQueue(1, False)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edge.core.errors import DeviceLost
 from edge.core.imaging.frames import CameraFrame
@@ -19,6 +19,7 @@ __all__ = ["VirtualCamera", "VirtualOverview", "VirtualOverviewOptions", "plugin
 IDENTITY = DeviceIdentity("virtual overview camera", "VIRTUAL1", (640, 480), 1.0)
 # Levels of the table, of the part, and the standard deviation of the noise: as a webcam in a lit cell.
 TABLE, PART, NOISE = 110, 220, 2.0
+LAST_TAG = 586
 CODE_PX, MARGIN_PX = 210, 30
 
 
@@ -35,6 +36,13 @@ class VirtualOverviewOptions(BaseModel):
     kind: Literal["qr", "apriltag"] = Field(
         default="qr", description="kind of code; an apriltag is a number from 0 to 586 of the family 36h11"
     )
+
+    @model_validator(mode="after")
+    def _tags_are_numbers(self) -> "VirtualOverviewOptions":
+        for text in self.parts if self.kind == "apriltag" else ():
+            if text and not (text.isascii() and text.isdigit() and int(text) <= LAST_TAG):
+                raise ValueError(f"an AprilTag of 36h11 is a number from 0 to {LAST_TAG}, found '{text}'")
+        return self
 
 
 class VirtualCamera:
