@@ -136,7 +136,12 @@ def _default(value: Any) -> str:
 
 def config_page() -> str:
     """Every key of the configuration, and every option of every plugin that comes with the product."""
-    return "\n".join([NOTICE, *_config(), *_plugins("devices", "device"), *_plugins("sinks", "sinks")])
+    return "\n".join([NOTICE, *_config(), *_pages()])
+
+
+def _pages() -> Iterator[str]:
+    for kind, key in (("devices", "device"), ("overviews", "overview"), ("sinks", "sinks")):
+        yield from _plugins(kind, key)
 
 
 def _config() -> Iterator[str]:
@@ -156,6 +161,9 @@ def _config() -> Iterator[str]:
         yield from _table(inner, schema["$defs"])
     yield "## [device] and [[sinks]]\n\nOne plugin each, with its own options below. Sinks have `name`.\n"
     yield from _table(schema["$defs"]["SinkTable"], schema["$defs"])
+    overview = schema["$defs"]["OverviewTable"]
+    yield f"## [overview]\n\n{_paragraphs(overview['description'])}\n"
+    yield from _table(overview, schema["$defs"])
 
 
 def _tables(schema: Mapping[str, Any]) -> dict[str, str]:
@@ -212,7 +220,7 @@ def _value(field: Mapping[str, Any]) -> str:
         return "path"
     if field.get("type") == "array":
         inner = "string" if field["items"].get("$ref", "").endswith("/Fault") else field["items"].get("type")
-        return "list of " + {"string": "texts", "integer": "whole numbers"}.get(inner, "tables")
+        return "list of " + {"string": "texts", "integer": "whole numbers", "number": "numbers"}.get(inner, "tables")
     names = {
         "integer": "whole number",
         "number": "number",
