@@ -220,7 +220,9 @@ def _value(field: Mapping[str, Any]) -> str:
         return "path"
     if field.get("type") == "array":
         inner = "string" if field["items"].get("$ref", "").endswith("/Fault") else field["items"].get("type")
-        return "list of " + {"string": "texts", "integer": "whole numbers", "number": "numbers"}.get(inner, "tables")
+        return "list of " + {"string": "texts", "integer": "whole numbers", "number": "numbers"}.get(
+            inner, "tables"
+        )
     names = {
         "integer": "whole number",
         "number": "number",

@@ -32,7 +32,8 @@ class OverviewTable(PluginTable):
 
     codes: tuple[CodeKind, ...] = Field(
         default=(),
-        description="kinds of code to read on the part: qr, apriltag; without any no id is asked for",
+        description="kinds of code to read on the part: qr, apriltag (OpenCV reads no DataMatrix); without any no id "
+        "is asked for",
     )
     apriltag_family: TagFamily = Field(default="36h11", description="the family of the AprilTags")
     part_pattern: Annotated[str, AfterValidator(_with_part)] | None = Field(
