@@ -113,3 +113,15 @@ def test_a_picture_of_the_empty_station_must_be_one(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match=r"overview\.empty: .*empty\.jpg is no picture"):
         table.rules()
+
+
+def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
+    """As it is printed there."""
+    page = (Path(__file__).resolve().parents[2] / "docs/operations.md").read_text(encoding="utf-8")
+    table = page.partition("[overview]\n")[2].partition("```")[0]
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace('plugin = "virtual_overview"\n', table))
+    overview = load_config(path).overview
+
+    assert overview is not None
+    assert (overview.codes, overview.parts) == (("qr", "apriltag"), {"17": "PZ0"})
