@@ -18,9 +18,11 @@ def with_tag(number: int, family: int = cv2.aruco.DICT_APRILTAG_36h11) -> NDArra
     return _with(cv2.aruco.generateImageMarker(dictionary, number, 100))
 
 
-def with_qr(text: str) -> NDArray[np.uint8]:
+def with_qr(text: str, mode: int = cv2.QRCODE_ENCODER_MODE_AUTO) -> NDArray[np.uint8]:
     """A white part with a QR code."""
-    code = cv2.QRCodeEncoder.create().encode(text)
+    parameters = cv2.QRCodeEncoder.Params()
+    parameters.mode = mode
+    code = cv2.QRCodeEncoder.create(parameters).encode(text)
     return _with(cv2.resize(code, (150, 150), interpolation=cv2.INTER_NEAREST))
 
 

@@ -40,7 +40,11 @@ def read_codes(
 
 
 def _qr_codes(grey: NDArray[np.uint8]) -> list[Code]:
-    _, texts, _, _ = _qr_reader().detectAndDecodeMulti(grey)
+    # OpenCV hands a code in Kanji mode to Python as UTF-8, which it is not: the id cannot be read, and others neither.
+    try:
+        _, texts, _, _ = _qr_reader().detectAndDecodeMulti(grey)
+    except UnicodeDecodeError:
+        return []
     return [Code("qr", printable(text)[:MOST_LETTERS]) for text in texts if text]
 
 

@@ -47,6 +47,14 @@ def test_control_characters_of_a_code_do_not_reach_a_terminal() -> None:
     assert read_codes(with_qr("PZ0\x1b[2J"), ["qr"]) == (Code("qr", "PZ0\\x1b[2J"),)
 
 
+def test_a_code_that_is_no_utf_8_is_not_read_and_ends_nothing() -> None:
+    """OpenCV raises UnicodeDecodeError for a code in Kanji mode; the press is refused as one without a code."""
+    still, rules = with_qr("部品", cv2.QRCODE_ENCODER_MODE_KANJI), OverviewRules(codes=("qr",))
+
+    assert read_codes(still, ["qr"]) == ()
+    assert reason(looked(still, rules), rules) is Reason.NO_PART_ID
+
+
 def test_a_tag_of_another_family_is_no_code() -> None:
     """16h5 is read as 16h5 alone."""
     still = with_tag(3, cv2.aruco.DICT_APRILTAG_16h5)
