@@ -89,11 +89,12 @@ class StationStatus:
                 "overview camera %s delivers pictures", camera.identity.serial if camera.identity else "?"
             )
             self.clear("overview")
-        elif camera.fault is not None:
+            return
+        is_over = camera.state is AcquisitionState.ENDED
+        fault = "the recording of the overview camera is over" if is_over else camera.fault
+        if fault is not None:
             effect = "presses are refused" if is_needed else "results come without its still"
-            self.alarm(
-                "overview", f"{camera.fault}; until it is back {effect}", "error" if is_needed else "warning"
-            )
+            self.alarm("overview", f"{fault}; until it is back {effect}", "error" if is_needed else "warning")
 
     def stopped(self) -> None:
         """The intended end."""
