@@ -1,6 +1,6 @@
-"""`gelgate devices`: the sensors that are plugged in, by plugin, and why a similar device is refused."""
+"""`gelgate devices`: the sensors and overview cameras that are plugged in, by plugin, and why one is refused."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -19,7 +19,7 @@ Reset = Annotated[
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the sensors that are plugged in, by plugin.
+    """List the sensors and overview cameras that are plugged in, by plugin.
 
     A device that is refused is listed with the reason."""
     from edge import registry
@@ -32,6 +32,9 @@ def devices(
     if device is not None:
         registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
+    if device is None:
+        cameras = [name for name in registry.names("overviews") if name not in registry.names("devices")]
+        reports += [_report(name, [], "overviews") for name in cameras]
     if as_json:
         import json
 
@@ -41,7 +44,9 @@ def devices(
             typer.echo(_as_text(report))
 
 
-def _report(name: str, given: list[str]) -> dict[str, Any]:
+def _report(
+    name: str, given: list[str], group: Literal["devices", "overviews"] = "devices"
+) -> dict[str, Any]:
     """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
     from dataclasses import asdict
 
@@ -49,21 +54,22 @@ def _report(name: str, given: list[str]) -> dict[str, Any]:
     from edge.cli.plugin_options import plugin_options
     from edge.core.errors import GelgateError
 
+    about = {"plugin": name, "kind": "sensor" if group == "devices" else "overview"}
     try:
-        plugin = registry.device(name)
+        plugin = registry.device(name) if group == "devices" else registry.overview(name)
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
-            return {"plugin": name, "seen": [], "note": f"needs --option {missing[0]}=..."}
-        seen = plugin.discover(plugin_options("devices", name, plugin.Options, given))
+            return {**about, "seen": [], "note": f"needs --option {missing[0]}=..."}
+        seen = plugin.discover(plugin_options(group, name, plugin.Options, given))
         return {
-            "plugin": name,
+            **about,
             "seen": [asdict(one) for one in seen],
             "note": "" if seen else "nothing found",
         }
     except GelgateError as error:
         if given:
             raise
-        return {"plugin": name, "seen": [], "note": str(error)}
+        return {**about, "seen": [], "note": str(error)}
 
 
 def _as_text(report: dict[str, Any]) -> str:
@@ -74,9 +80,9 @@ def _as_text(report: dict[str, Any]) -> str:
             lines.append(f"  refused  {one['place']}: {one['refusal']}")
         else:
             mode = f"{who['mode'][0]}x{who['mode'][1]}"
+            rate = f" at nominal {who['nominal_fps']:g} fps" if who["nominal_fps"] else ""
             lines.append(
-                f"  sensor   {who['product']}, serial {who['serial']}, {mode} at nominal {who['nominal_fps']:g} fps, "
-                f"{one['place']}"
+                f"  {report['kind']:<8} {who['product']}, serial {who['serial']}, {mode}{rate}, {one['place']}"
             )
     return "\n".join(lines)
 
