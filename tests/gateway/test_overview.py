@@ -17,6 +17,7 @@ from edge.core.ports import DeviceIdentity
 from edge.core.verdict import Kind
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.overview import Overview, still_of
+from edge.recording.format import RecordingHeader, RecordingWriter
 
 IDENTITY = DeviceIdentity("camera", "C1", (320, 240), 5.0)
 
@@ -105,6 +106,43 @@ def test_a_station_without_an_overview_camera_says_nothing_of_it(
         result = station.reports[0].result
 
     assert (result.overview_topic, result.part_codes, result.part_present) == (None, None, None)
+
+
+def test_the_part_is_looked_at_when_the_contact_begins(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A station whose overview camera shows another part before the press rests: the first one was pressed."""
+    table = 'plugin = "virtual_overview"\ncodes = ["apriltag"]\nparts = { 1 = "PZ0" }'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        overview = station.parts.overview
+        assert overview is not None
+        device = ScriptedCamera(
+            station.clock, [encoded(with_tag(n)) for n in (1, 2)], DeviceLost("unplugged")
+        )
+        overview.camera = Acquisition(lambda: device, station.clock, depth=1)
+        station.play(2)
+        overview.camera.step()
+        overview.camera.step()
+        station.play_until(lambda: station.loop.session.has_contact)
+        overview.camera.step()
+        station.play_until(lambda: bool(station.reports))
+
+    assert station.reports[0].result.part_codes == ["1"]
+
+
+def test_a_station_keeps_the_newest_still_alone(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Three pictures came since the last press: the part before this press is in the third."""
+    header = RecordingHeader("webcam", "W1", (320, 240), 10.0)
+    with RecordingWriter(tmp_path / "parts", header) as writer:
+        for number in (1, 2, 3):
+            writer.add(encoded(with_tag(number)), number * 10**8)
+    table = f'plugin = "recorded"\ncodes = ["apriltag"]\noptions = {{ recording = "{tmp_path / "parts"}" }}'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        overview = station.parts.overview
+        assert overview is not None
+        for _ in range(4):
+            overview.camera.step()
+        view = overview.take()
+
+    assert [code.text for code in view.codes] == ["3"]
 
 
 def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
