@@ -19,7 +19,7 @@ Reset = Annotated[
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the sensors and overview cameras that are plugged in, by plugin.
+    """List the plugged-in sensors and overview cameras.
 
     A device that is refused is listed with the reason."""
     from edge import registry
