@@ -14,6 +14,7 @@ from edge.core.plugins import Backbone, DevicePlugin, SinkPlugin
 ROOT = Path(__file__).resolve().parents[2]
 PROTOCOLS = {
     "devices": (registry.device, DevicePlugin),
+    "overviews": (registry.overview, DevicePlugin),
     "sinks": (registry.sink, SinkPlugin),
     "detectors": (registry.detector, Detector),
     "backbones": (registry.backbone, Backbone),
