@@ -115,10 +115,13 @@ debian:
 	command -v mosquitto >/dev/null || missing="$$missing mosquitto"; \
 	command -v qemu-x86_64 >/dev/null || missing="$$missing qemu-user"; \
 	command -v chromium >/dev/null || missing="$$missing chromium"; \
-	[ -z "$$missing" ] || \
+	[ -z "$$missing" ] || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq; } || true; \
+	for package in $$missing; do \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$missing >/dev/null; }; } || \
-	  echo "cannot be installed here:$$missing; without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
+	    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$package >/dev/null; } || \
+	    echo "$$package cannot be installed here"; \
+	done; \
+	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
 	rm -rf $(VENV) $(VENV)-importers build dist *.egg-info
