@@ -143,6 +143,7 @@ def config_page() -> str:
 # The groups with a table in the configuration, and the key of that table.
 _PLUGIN_TABLES: Final[dict[registry.PluginGroup, str]] = {
     "devices": "device",
+    "overviews": "overview",
     "sinks": "sinks",
     "triggers": "triggers",
     "actuators": "actuators",
@@ -171,13 +172,14 @@ def _config() -> Iterator[str]:
                 yield from _table(listed, schema["$defs"])
     yield "## [device] and [[sinks]]\n\nOne plugin each, with its own options below. Sinks have `name`.\n"
     yield from _table(schema["$defs"]["SinkTable"], schema["$defs"])
-    for heading, model in _IO_TABLES.items():
+    for heading, model in _OWN_TABLES.items():
         inner = schema["$defs"][model]
         yield f"## {heading}\n\n{_paragraphs(inner['description'])}\n"
         yield from _table(inner, schema["$defs"])
 
 
-_IO_TABLES: Final = {
+_OWN_TABLES: Final = {
+    "[overview]": "OverviewTable",
     "[[triggers]]": "TriggerTable",
     "[[actuators]]": "ActuatorTable",
     "[[actuators.outputs]]": "OutputTable",

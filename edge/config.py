@@ -23,6 +23,7 @@ from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.plugins import HasIdentity
 from edge.core.sink_context import topic_level
+from edge.overview_table import OverviewTable
 from edge.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
 from edge.validation_messages import numbered, sentences, types_in
 
@@ -30,6 +31,7 @@ __all__ = [
     "BundleTable",
     "Config",
     "InspectionTable",
+    "OverviewTable",
     "PluginTable",
     "SinkTable",
     "StationTable",
@@ -253,6 +255,7 @@ class Config(Table):
     version: Literal[1] = Field(description="the version of this format")
     station: StationTable = StationTable()
     device: PluginTable = Field(description="the sensor")
+    overview: OverviewTable | None = Field(default=None, description="a camera that sees the part")
     inspection: InspectionTable
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
@@ -337,6 +340,9 @@ def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
     device = table.get("device")
     if isinstance(device, dict) and "plugin" in device:
         yield "devices", "device", device
+    overview = table.get("overview")
+    if isinstance(overview, dict) and "plugin" in overview:
+        yield "overviews", "overview", overview
     for kind in _LISTS:
         listed = table.get(kind)
         for index, one in enumerate(listed if isinstance(listed, list) else []):
@@ -368,6 +374,7 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
             "store": store,
             "commands": commands,
             "device": device,
+            "overview": _overview_from(folder, config.overview),
             **{
                 kind: [_with_options_from(folder, kind, one) for one in getattr(config, kind)]
                 for kind in _LISTS
@@ -378,6 +385,13 @@ def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None
 
 def _under(folder: Path, path: Path | None) -> Path | None:
     return None if path is None else folder / path
+
+
+def _overview_from(folder: Path, table: OverviewTable | None) -> OverviewTable | None:
+    if table is None:
+        return None
+    rooted = _with_options_from(folder, "overviews", table)
+    return rooted.model_copy(update={"empty": _under(folder, table.empty)})
 
 
 def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:

@@ -19,6 +19,7 @@ _PACKAGES = {
     "signing": ("cryptography",),
     "metrics": ("prometheus_client",),
     "parquet": ("pyarrow",),
+    "oak": ("depthai",),
 }
 
 

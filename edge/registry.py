@@ -31,16 +31,25 @@ __all__ = [
     "importer",
     "names",
     "options",
+    "overview",
     "sink",
     "trigger",
 ]
 
 Group: TypeAlias = Literal[
-    "devices", "sinks", "triggers", "actuators", "detectors", "backbones", "importers", "commands"
+    "devices",
+    "overviews",
+    "sinks",
+    "triggers",
+    "actuators",
+    "detectors",
+    "backbones",
+    "importers",
+    "commands",
 ]
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
-PluginGroup: TypeAlias = Literal["devices", "sinks", "triggers", "actuators"]
+PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks", "triggers", "actuators"]
 """The groups with a table in the configuration."""
 
 
@@ -65,12 +74,21 @@ def device(name: str) -> "DevicePlugin[BaseModel]":
     Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for
     a plugin that cannot be loaded; and for an object without the protocol of this group.
     """
+    return _source("devices", name)
+
+
+def overview(name: str) -> "DevicePlugin[BaseModel]":
+    """The overview camera's plugin of that name. Errors: as `device`."""
+    return _source("overviews", name)
+
+
+def _source(group: Group, name: str) -> "DevicePlugin[BaseModel]":
     from edge.core.plugins import DevicePlugin
 
-    found = _load("devices", name)
+    found = _load(group, name)
     if isinstance(found, DevicePlugin):
         return found
-    raise _no_plugin("devices", name, found, DevicePlugin)
+    raise _no_plugin(group, name, found, DevicePlugin)
 
 
 def sink(name: str) -> "SinkPlugin[BaseModel]":
@@ -143,6 +161,7 @@ def options(group: PluginGroup, name: str) -> "type[BaseModel]":
 
 _PLUGINS: "dict[PluginGroup, Callable[[str], HasOptions]]" = {
     "devices": device,
+    "overviews": overview,
     "sinks": sink,
     "triggers": trigger,
     "actuators": actuator,

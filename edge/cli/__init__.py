@@ -48,8 +48,8 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 
 # `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
 _ORDER: Final = (
-    "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "watch", "gel", "acts",
-    "history", "db",
+    "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "overview", "watch",
+    "gel", "acts", "history", "db",
     "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
     "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
 )  # fmt: skip

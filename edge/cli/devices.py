@@ -1,4 +1,4 @@
-"""`gelgate devices`: the sensors, pedals and relays that are plugged in, and why a similar device is refused."""
+"""`gelgate devices`: sensors, overview cameras, pedals and relays that are plugged in, and why one is refused."""
 
 from typing import Annotated, Any, Final, Literal
 
@@ -19,7 +19,7 @@ Reset = Annotated[
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the sensors, pedals and relays that are plugged in.
+    """List the plugged-in sensors, overview cameras, pedals and relays.
 
     They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
     from edge import registry
@@ -33,6 +33,8 @@ def devices(
         registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
     reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
     if device is None:
+        cameras = [name for name in registry.names("overviews") if name not in registry.names("devices")]
+        reports += [_report(name, [], "overviews") for name in cameras]
         reports += [_port_report(group, name) for group in _PORTS for name in registry.names(group)]
     if as_json:
         import json
@@ -43,7 +45,9 @@ def devices(
             typer.echo(_as_text(report))
 
 
-def _report(name: str, given: list[str]) -> dict[str, Any]:
+def _report(
+    name: str, given: list[str], group: Literal["devices", "overviews"] = "devices"
+) -> dict[str, Any]:
     """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
     from dataclasses import asdict
 
@@ -51,21 +55,22 @@ def _report(name: str, given: list[str]) -> dict[str, Any]:
     from edge.cli.plugin_options import plugin_options
     from edge.core.errors import GelgateError
 
+    about = {"plugin": name, "kind": "sensor" if group == "devices" else "overview"}
     try:
-        plugin = registry.device(name)
+        plugin = registry.device(name) if group == "devices" else registry.overview(name)
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
-            return {"plugin": name, "seen": [], "note": f"needs --option {missing[0]}=..."}
-        seen = plugin.discover(plugin_options("devices", name, plugin.Options, given))
+            return {**about, "seen": [], "note": f"needs --option {missing[0]}=..."}
+        seen = plugin.discover(plugin_options(group, name, plugin.Options, given))
         return {
-            "plugin": name,
+            **about,
             "seen": [asdict(one) for one in seen],
             "note": "" if seen else "nothing found",
         }
     except GelgateError as error:
         if given:
             raise
-        return {"plugin": name, "seen": [], "note": str(error)}
+        return {**about, "seen": [], "note": str(error)}
 
 
 _PORTS: Final[tuple[Literal["triggers", "actuators"], ...]] = ("triggers", "actuators")
@@ -105,9 +110,9 @@ def _as_text(report: dict[str, Any]) -> str:
             lines.append(f"  refused  {one['place']}: {one['refusal']}")
         else:
             mode = f"{who['mode'][0]}x{who['mode'][1]}"
+            rate = f" at nominal {who['nominal_fps']:g} fps" if who["nominal_fps"] else ""
             lines.append(
-                f"  sensor   {who['product']}, serial {who['serial']}, {mode} at nominal {who['nominal_fps']:g} fps, "
-                f"{one['place']}"
+                f"  {report['kind']:<8} {who['product']}, serial {who['serial']}, {mode}{rate}, {one['place']}"
             )
     return "\n".join(lines)
 

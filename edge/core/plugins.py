@@ -3,6 +3,7 @@
 An entry point is always `package.module:value`, and the value is an object that meets the group's protocol:
 
     gelgate.devices    DevicePlugin
+    gelgate.overviews  DevicePlugin: an overview camera is a source of frames, too
     gelgate.sinks      SinkPlugin
     gelgate.triggers   TriggerPlugin
     gelgate.actuators  ActuatorPlugin

@@ -7,6 +7,8 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
+from typing import Final
 
 from edge import registry
 from edge.config import Config, sink_names
@@ -23,7 +25,8 @@ from edge.gateway.free_space import FreeSpace
 from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import served
-from edge.gateway.opening import BundleOpener, Opened, device_opener
+from edge.gateway.opening import BundleOpener, Opened, device_opener, overview_opener
+from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
 from edge.gateway.station_loop import Parts, StationLoop
@@ -37,6 +40,9 @@ from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
 __all__ = ["build"]
+
+# An overview camera may give one picture a second.
+OVERVIEW_STALL_S: Final = 5.0
 
 
 def build(
@@ -83,6 +89,7 @@ def build(
     closing.callback(acquisition.close)
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
+    overview = _overview(config, clock, status, closing)
     return Parts(
         selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
@@ -98,6 +105,7 @@ def build(
         calls=calls,
         clock=clock,
         io=io,
+        overview=overview,
     )
 
 
@@ -156,6 +164,21 @@ def _announcer(
         publish(message)
 
     return announce
+
+
+def _overview(config: Config, clock: Clock, status: StationStatus, closing: ExitStack) -> Overview | None:
+    """Errors: ConfigError for a picture of the empty station that cannot be read."""
+    table = config.overview
+    if table is None:
+        return None
+    rules = table.rules()
+    changed = partial(status.overview_changed, is_needed=rules.is_asking)
+    camera = Acquisition(
+        overview_opener(table, clock), clock, changed, depth=1, stall_after_s=OVERVIEW_STALL_S
+    )
+    overview = Overview(camera, rules, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px)
+    closing.callback(overview.close)
+    return overview
 
 
 def _names_before(config: Config) -> dict[str, str]:

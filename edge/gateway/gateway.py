@@ -57,6 +57,8 @@ class Gateway:
         self._parts.io.start()
         self._parts.acquisition.start()
         self._parts.stage.start()
+        if self._parts.overview is not None:
+            self._parts.overview.start()
         manager = ServiceManager(self._parts.clock)
         manager.ready()
 

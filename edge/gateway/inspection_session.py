@@ -23,6 +23,7 @@ from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.overview import Overview
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.status import StationStatus
@@ -62,6 +63,7 @@ class InspectionSession:
         status: StationStatus,
         clock: Clock,
         on_judged: Callable[[Inspection], None] = lambda inspection: None,
+        overview: Overview | None = None,
     ) -> None:
         self.gel = gel
         self._on_judged = on_judged
@@ -73,7 +75,7 @@ class InspectionSession:
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
-        self._pipeline = PressPipeline(detector, inspector, clock, self._see)
+        self._pipeline = PressPipeline(detector, inspector, clock, self._see, overview)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 

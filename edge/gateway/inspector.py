@@ -17,6 +17,7 @@ from edge.core.imaging.quality import (
     check_light,
 )
 from edge.core.imaging.sensor_check import check_sensor
+from edge.core.overview.rules import OverviewView
 from edge.core.ports import Clock
 from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
@@ -31,6 +32,7 @@ class Inspection:
 
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
     get that far. latency_ms: stage to milliseconds. judged_ns: when the judged frame came, monotonic; None without one.
+    overview: the look before the press, None without such a camera.
     """
 
     verdict: Verdict | None
@@ -39,6 +41,7 @@ class Inspection:
     score_map: NDArray[np.float32] | None = None
     latency_ms: dict[str, float] = field(default_factory=dict)
     judged_ns: int | None = None
+    overview: OverviewView | None = None
 
     @property
     def word(self) -> str:

@@ -25,7 +25,15 @@ from edge.model.signature import Trust, trusted_keys
 from edge.model.trial import try_bundle
 from edge.recording.format import Recording
 
-__all__ = ["BundleOpener", "Opened", "bundle_tables", "device_opener", "played_recording", "try_once"]
+__all__ = [
+    "BundleOpener",
+    "Opened",
+    "bundle_tables",
+    "device_opener",
+    "overview_opener",
+    "played_recording",
+    "try_once",
+]
 
 NewestRevision = Callable[[PartPosition], int | None]
 
@@ -153,6 +161,13 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
         given["controls"] = {**controls, **given.get("controls", {})}
     options = plugin.Options.model_validate(given)
 
+    return lambda: plugin.open(options, clock)
+
+
+def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
+    """Opens the configured overview camera, the same one each time."""
+    plugin = registry.overview(table.plugin)
+    options = plugin.Options.model_validate(table.options)
     return lambda: plugin.open(options, clock)
 
 

@@ -12,8 +12,15 @@ from functools import partial
 from typing import Self
 
 from edge import registry
-from edge.config import Config, PluginTable
-from edge.core.errors import BundleMismatch, ConfigError, DeviceNotFound, GelgateError, StoreError
+from edge.config import Config, OverviewTable, PluginTable
+from edge.core.errors import (
+    BundleMismatch,
+    ConfigError,
+    DeviceError,
+    DeviceNotFound,
+    GelgateError,
+    StoreError,
+)
 from edge.core.part_position import PartPosition
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
@@ -114,6 +121,8 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     found = Preflight(opener)
     found.open_bundles(config)
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
+    if config.overview is not None:
+        found.try_part("overview", partial(_overview, config.overview))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
     port = config.metrics.port
@@ -158,6 +167,21 @@ def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")
         )
     return device_opener(config.device, bundle.profile.controls if bundle else {}, clock)()
+
+
+def _overview(table: OverviewTable) -> str:
+    """A camera that is away is no fault: the station waits for it. Errors: ConfigError for its `empty`."""
+    rules = table.rules()
+    plugin = registry.overview(table.plugin)
+    try:
+        discovered = plugin.discover(plugin.Options.model_validate(table.options))
+    except DeviceError as error:
+        discovered, away = [], str(error)
+    else:
+        away = "; ".join(one.refusal for one in discovered if one.refusal) or "no camera is found"
+    names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
+    until = "presses are refused" if rules.is_asking else "results come without its still"
+    return ", ".join(names) or f"{away}; until it comes {until}"
 
 
 def _database(config: Config) -> str:

@@ -27,6 +27,7 @@ class JudgedPress:
     press: PressRecord
     result: dict[str, Any]
     heatmap_png: bytes | None
+    overview_jpeg: bytes | None = None
     judged_ns: int | None = None
 
 
@@ -68,13 +69,16 @@ class Recorder:
         """Everything of a press except its place in the ledger."""
         press = self._press(inspection)
         heatmap = self._heatmap(press, inspection)
+        still = inspection.overview.jpeg if inspection.overview else None
         result = {
             **self._origin(press),
             **_judgement(press, inspection),
             **self._defects(inspection),
+            **_overview(inspection),
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
+            "overview_topic": f"overview/{press.press_id}" if still else None,
         }
-        return JudgedPress(press, result, heatmap, inspection.judged_ns)
+        return JudgedPress(press, result, heatmap, still, inspection.judged_ns)
 
     def record(self, judged: JudgedPress) -> PressReport:
         """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
@@ -82,7 +86,7 @@ class Recorder:
 
         def messages(recorded: Recorded) -> Any:
             made.append(_result(judged, recorded))
-            return press_messages(made[-1], recorded.gel, judged.heatmap_png)
+            return press_messages(made[-1], recorded.gel, judged.heatmap_png, judged.overview_jpeg)
 
         recorded = self._store.record_press(judged.press, messages)
         # No messages are made for a press that the database already has.
@@ -176,6 +180,14 @@ def _judgement(press: PressRecord, inspection: Inspection) -> dict[str, Any]:
         "score_ratio": _ratio(press),
         "latency_ms": inspection.latency_ms,
     }
+
+
+def _overview(inspection: Inspection) -> dict[str, Any]:
+    """Fields of a result that say what the overview camera saw."""
+    view = inspection.overview
+    if view is None:
+        return {}
+    return {"part_codes": [code.text for code in view.codes], "part_present": view.is_present}
 
 
 def _ratio(press: PressRecord) -> float | None:

@@ -25,6 +25,7 @@ from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.inspector import Inspection
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
+from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.status import StationStatus
@@ -69,6 +70,7 @@ class Parts:
     calls: "LoopCalls[StationLoop]"
     clock: Clock
     io: StationIo
+    overview: Overview | None = None
 
 
 class StationLoop:
@@ -280,6 +282,7 @@ class StationLoop:
             parts.status,
             parts.clock,
             self._judged,
+            parts.overview,
         )
         return self._session
 

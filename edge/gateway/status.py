@@ -83,6 +83,20 @@ class StationStatus:
             log.warning("%s", reason)
             self.set_fault("device", reason)
 
+    def overview_changed(self, camera: AcquisitionStatus, *, is_needed: bool) -> None:
+        """Called from the thread of the overview camera, once per change. is_needed: without it presses are refused."""
+        if camera.state is AcquisitionState.STREAMING:
+            log.info(
+                "overview camera %s delivers pictures", camera.identity.serial if camera.identity else "?"
+            )
+            self.clear("overview")
+            return
+        is_over = camera.state is AcquisitionState.ENDED
+        fault = "the recording of the overview camera is over" if is_over else camera.fault
+        if fault is not None:
+            effect = "presses are refused" if is_needed else "results come without its still"
+            self.alarm("overview", f"{fault}; until it is back {effect}", "error" if is_needed else "warning")
+
     def stopped(self) -> None:
         """The intended end."""
         with self._lock:

@@ -38,6 +38,7 @@ __all__ = [
     "heatmap_message",
     "info_message",
     "iso_time",
+    "overview_message",
     "press_messages",
     "state_message",
     "stats_message",
@@ -59,6 +60,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "free_gel": "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at rest",
     "bundle": "a configured bundle cannot be used, or is older than one that was; the ones in use go on inspecting",
     "golden": "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
+    "overview": "the overview camera gives no pictures: presses are refused where it must see the part",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
     "trigger_device": "a pedal or button cannot be used",
@@ -219,6 +221,15 @@ class ResultPayload(Payload):
     heatmap_topic: str | None = Field(
         default=None, description="where this press's picture is sent, below the root"
     )
+    overview_topic: str | None = Field(
+        default=None, description="where the overview camera's still is sent, below the root"
+    )
+    part_codes: list[str] | None = Field(
+        default=None, description="codes read on the part before the press; null without an overview camera"
+    )
+    part_present: bool | None = Field(
+        default=None, description="whether the overview camera saw a part; null where it is not asked"
+    )
 
     @model_validator(mode="after")
     def _verdict_or_error(self) -> Self:
@@ -319,18 +330,28 @@ def heatmap_message(press_id: str, png: bytes) -> Message:
     return Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
 
 
+def overview_message(press_id: str, jpeg: bytes) -> Message:
+    """The still of the part before one press."""
+    return Message(f"overview/{press_id}", jpeg, qos=1, content_type="image/jpeg")
+
+
 def press_messages(
-    result: ResultPayload, gel: GelRecord, heatmap_png: bytes | None = None
+    result: ResultPayload,
+    gel: GelRecord,
+    heatmap_png: bytes | None = None,
+    overview_jpeg: bytes | None = None,
 ) -> Sequence[Message]:
-    """All messages of one press, in order: result, its picture, then the retained picture, `last` and `gel`.
+    """All messages of one press, in order: result, its pictures, then the retained picture, `last` and `gel`.
 
     The retained picture is always that of `last`: a press without one empties the topic.
     """
     encoded = result.encode()
     heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
+    overview = [] if overview_jpeg is None else [overview_message(result.press_id, overview_jpeg)]
     return [
         Message("result", encoded, qos=1),
         *heatmap,
+        *overview,
         Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
         Message("last", encoded, qos=1, retain=True),
         gel_message(GelPayload.of(gel, result.time_ns)),

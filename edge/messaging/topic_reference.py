@@ -48,6 +48,7 @@ TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
     ("info", 1, True, InfoPayload, "the installed software, bundle and sensor"),
     ("result", 1, False, ResultPayload, "one message per press"),
     ("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
+    ("overview/<press id>", 1, False, "JPEG", "the overview camera's still of the part before the press"),
     ("last", 1, True, ResultPayload, "the newest result, for clients that connect later"),
     (
         "last/heatmap",
@@ -139,6 +140,9 @@ A subscriber can rely on this:
 
 _PICTURES: Final = f"""
 ## Pictures
+
+`overview/<press id>` is a JPEG of the overview camera, taken when the contact began; only stations with `[overview]`
+send it. A still of at most `max_side_px` is the camera's own JPEG.
 
 `heatmap/<press id>` and `last/heatmap` are PNG files of 8-bit RGB. Left is the inspected region as the sensor saw it,
 with a line around each part above the threshold. Right are the scores in colour, from 0 to {FULL_SCALE:g} times the

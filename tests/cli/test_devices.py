@@ -54,6 +54,18 @@ def test_devices_lists_pedals_and_relays() -> None:
     assert ("actuators", "dcttech_relay") in groups
 
 
+def test_devices_lists_overview_cameras() -> None:
+    """After the sensors, each plugin once; one that serves as both is with the sensors."""
+    reports = {one["plugin"]: one for one in json.loads(run("devices", "--json"))}
+
+    assert {name for name, one in reports.items() if one["kind"] == "overview"} == {
+        "oak",
+        "usb_camera",
+        "virtual_overview",
+    }
+    assert "  overview virtual overview camera, serial VIRTUAL1, 640x480" in run("devices")
+
+
 def test_record_from_a_device(tmp_path: Path) -> None:
     """Recorded through the virtual sensor: the same bytes, header and number; corrupt frames are left out."""
     folder = write_recording(tmp_path / "r", 6)

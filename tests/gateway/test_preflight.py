@@ -18,7 +18,7 @@ from edge.core.errors import ConfigError, DeviceLost
 from edge.core.part_position import PartPosition
 from edge.gateway.acquisition import AcquisitionState
 from edge.gateway.build import build
-from edge.gateway.preflight import _reachable, preflight
+from edge.gateway.preflight import Finding, _reachable, preflight
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -134,3 +134,43 @@ def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path
         with preflight(load_config(path), SystemClock()) as checked:
             (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]
         assert (finding.error, finding.text) == (None, f"http://127.0.0.1:{port}/metrics on this machine")
+
+
+def overview_finding(folder: Path, recording: Path, bundle: Path, table: str) -> Finding:
+    path = station_config(folder, recording, bundle)
+    path.write_text(path.read_text() + f"\n[overview]\n{table}\n")
+    with preflight(load_config(path), SystemClock()) as checked:
+        (found,) = (one for one in checked.findings if one.part == "overview")
+    return found
+
+
+def test_an_overview_camera_is_found_by_name(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A station without one has no such line."""
+    found = overview_finding(tmp_path, recording, bundle, 'plugin = "virtual_overview"')
+
+    assert (found.text, found.error) == ("virtual overview camera, serial VIRTUAL1", None)
+
+
+@pytest.mark.parametrize(
+    ("more", "effect"),
+    [("", "results come without its still"), ('codes = ["qr"]', "presses are refused")],
+)
+def test_an_overview_camera_that_is_away_is_no_fault(
+    tmp_path: Path, recording: Path, bundle: Path, more: str, effect: str
+) -> None:
+    """The station starts and waits for it; the finding says what happens until then."""
+    table = f'plugin = "recorded"\noptions = {{ recording = "away" }}\n{more}'
+    found = overview_finding(tmp_path, recording, bundle, table)
+
+    assert found.error is None
+    assert "away" in found.text
+    assert found.text.endswith(f"; until it comes {effect}")
+
+
+def test_a_picture_of_the_empty_station_that_is_none_is_a_fault(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """It will not come by waiting."""
+    table = 'plugin = "virtual_overview"\nempty = "empty.jpg"'
+
+    assert isinstance(overview_finding(tmp_path, recording, bundle, table).error, ConfigError)

@@ -7,6 +7,7 @@ import tiny
 from small_recordings import FakeClock
 
 from edge.core.ports import DeviceIdentity, Message
+from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
 from edge.gateway.status import StationStatus
 from edge.model.bundle import Bundle
 from edge.model.manifest import Provenance
@@ -93,3 +94,30 @@ def test_info_says_what_the_fit_warned_of_and_what_is_promised() -> None:
 
     assert heard.info["warnings"] == [said]
     assert heard.info["false_alarms"] == "no rate is promised: the threshold was given"
+
+
+@pytest.mark.parametrize(
+    ("is_needed", "severity", "effect"),
+    [(True, "error", "presses are refused"), (False, "warning", "results come without its still")],
+)
+@pytest.mark.parametrize(
+    "lost",
+    [
+        AcquisitionStatus(AcquisitionState.FAULT, fault="camera C1 was unplugged"),
+        AcquisitionStatus(AcquisitionState.ENDED),
+    ],
+)
+def test_an_overview_camera_that_is_away_is_an_alarm_and_no_halt(
+    lost: AcquisitionStatus, is_needed: bool, severity: str, effect: str
+) -> None:
+    """As severe as what it causes, and cleared when it is back; the state does not change."""
+    said: list[Message] = []
+    status = StationStatus(said.append, FakeClock())
+    status.overview_changed(lost, is_needed=is_needed)
+    alarm = json.loads(said[-1].payload)
+    status.overview_changed(AcquisitionStatus(AcquisitionState.STREAMING), is_needed=is_needed)
+
+    assert [message.topic for message in said] == ["alarm/overview"] * 2
+    assert (alarm["severity"], said[-1].payload) == (severity, b"")
+    assert (lost.fault or "is over") in alarm["text"]
+    assert alarm["text"].endswith(f"; until it is back {effect}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import benches
 import numpy as np
+import overview_benches
 import pytest
 
 from edge import registry
@@ -17,7 +18,7 @@ from edge.core.errors import FrameCorrupt, GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Message
 from plugins import conformance
-from plugins.conformance import DETECTOR_CHECKS, DEVICE_CHECKS, SINK_CHECKS, DetectorCase
+from plugins.conformance import DETECTOR_CHECKS, DEVICE_CHECKS, OVERVIEW_CHECKS, SINK_CHECKS, DetectorCase
 
 SUBSPACE: Any = registry.detector("subspace")
 
@@ -255,3 +256,40 @@ def test_each_check_has_a_plugin_that_fails_it() -> None:
     names = {check.__name__ for check in (*DETECTOR_CHECKS, *DEVICE_CHECKS, *SINK_CHECKS)}
 
     assert names == {*WRONG_DETECTORS, *WRONG_SCORES, *WRONG_DEVICES, *WRONG_SINKS}
+
+
+# Overview cameras
+
+
+class ChangedOverview:
+    """The drawn overview camera, changed after it was opened."""
+
+    def __init__(self, change: Callable[[Any], Any]) -> None:
+        self._bench = overview_benches.VirtualBench()
+        self.clock, self._change = self._bench.clock, change
+
+    def open(self) -> Any:
+        return self._change(self._bench.open())
+
+
+def reading(device: Any, **fields: Any) -> Any:
+    """Each of its frames with these fields."""
+    return Changed(device, read=lambda deadline_ns: dataclasses.replace(device.read(deadline_ns), **fields))
+
+
+WRONG_OVERVIEWS: dict[str, Callable[[Any], Any]] = {
+    "check_it_knows_who_it_is": lambda device: Changed(
+        device, identity=dataclasses.replace(device.identity, serial="")
+    ),
+    "check_pictures_are_complete": lambda device: Changed(
+        device, identity=dataclasses.replace(device.identity, mode=(64, 48))
+    ),
+    "check_pictures_come_in_order": lambda device: reading(device, sequence=3),
+    "check_closed_twice": lambda device: Changed(device, close=lambda: None),
+}
+
+
+@pytest.mark.parametrize("check", [check.__name__ for check in OVERVIEW_CHECKS])
+def test_a_wrong_overview_camera_is_noticed(check: str) -> None:
+    """For every check there is a camera that is wrong in that way alone."""
+    fails(OVERVIEW_CHECKS, check, ChangedOverview(WRONG_OVERVIEWS[check]))

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import benches
+import overview_benches
 import pytest
 
 from calibration.benchmark.evaluation import compared_detectors
@@ -14,9 +15,11 @@ from export.prebuilt_heads import prebuilt
 from plugins.conformance import (
     DETECTOR_CHECKS,
     DEVICE_CHECKS,
+    OVERVIEW_CHECKS,
     SINK_CHECKS,
     DetectorCase,
     DeviceBench,
+    OverviewBench,
     SinkBench,
 )
 
@@ -59,6 +62,18 @@ def test_a_built_in_device_conforms(
         check(bench)
 
 
+@pytest.mark.parametrize("check", OVERVIEW_CHECKS, ids=named)
+@pytest.mark.parametrize(
+    "make_bench", overview_benches.OVERVIEWS.values(), ids=list(overview_benches.OVERVIEWS)
+)
+def test_a_built_in_overview_camera_conforms(
+    make_bench: benches.Make[OverviewBench], check: Callable[[OverviewBench], None]
+) -> None:
+    """The check's own docstring states the fact."""
+    with make_bench() as bench:
+        check(bench)
+
+
 # A blocked read ends with OpenCV's own timeout, which counts as a lost sensor.
 WITHOUT_DEADLINES = ("check_the_deadline_is_kept", "check_after_the_last_frame")
 
@@ -81,7 +96,8 @@ def test_a_built_in_sink_conforms(
         check(bench)
 
 
-def test_every_built_in_device_and_sink_has_a_bench() -> None:
+def test_every_built_in_device_overview_camera_and_sink_has_a_bench() -> None:
     """A new plugin cannot be forgotten here. The real sensor is read by the driver that usb_mock drives, or by V4L2."""
+    assert {*registry.names("overviews")} == {*overview_benches.OVERVIEWS}
     assert {*registry.names("devices")} == {*benches.DEVICES, "gelsight_mini"}
     assert {*registry.names("sinks")} == {name.partition(" ")[0] for name in benches.SINKS}

@@ -19,6 +19,7 @@ MAY_IMPORT = {
     "plugins.backbones": ("edge.core", "plugins.onnx_builder"),
     "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),
     "plugins.digital_io": ("edge.core", "edge.clock"),
+    "plugins.overviews": ("edge.core", "edge.extras", "plugins.devices.v4l2"),
     "plugins.sinks": ("edge.core", "edge.messaging"),
     "calibration": ("edge", "plugins.detectors", "plugins.backbones", "plugins.onnx_builder"),
     "export": (

@@ -39,6 +39,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("evaluate pz0 dataset --part * --position * --bootstrap 20 --sheet sheet.png", 0, "image_auroc"),
     ("check --config gelgate.toml", 0, "ok"),
     ("run --config gelgate.toml", 0, "12 presses"),
+    ("overview --config gelgate.toml", 3, "has no [overview]"),
     ("gel show --config gelgate.toml", 0, "12"),
     ("history --config gelgate.toml", 0, "12 presses"),
     ("history --config gelgate.toml -o presses.csv", 0, "12 presses in presses.csv"),

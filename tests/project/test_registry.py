@@ -14,6 +14,7 @@ from edge.core.plugins import ActuatorPlugin, Backbone, DevicePlugin, SinkPlugin
 ROOT = Path(__file__).resolve().parents[2]
 PROTOCOLS = {
     "devices": (registry.device, DevicePlugin),
+    "overviews": (registry.overview, DevicePlugin),
     "sinks": (registry.sink, SinkPlugin),
     "triggers": (registry.trigger, TriggerPlugin),
     "actuators": (registry.actuator, ActuatorPlugin),

@@ -37,6 +37,10 @@ class Reason(StrEnum):
     NO_CONTACT = "no_contact"
     OFF_POSITION = "off_position"
     NOT_SETTLED = "not_settled"
+    NO_OVERVIEW = "no_overview"
+    NO_PART = "no_part"
+    NO_PART_ID = "no_part_id"
+    OTHER_PART = "other_part"
 
 
 @dataclass(frozen=True)

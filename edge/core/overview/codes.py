@@ -1,0 +1,74 @@
+"""The codes on a part: QR and AprilTag, read by OpenCV. OpenCV has no reader of DataMatrix."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.printable import printable
+
+__all__ = ["Code", "CodeKind", "TagFamily", "read_codes"]
+
+CodeKind = Literal["qr", "apriltag"]
+TagFamily = Literal["36h11", "36h10", "25h9", "16h5"]
+
+# Longer than any id on a part; a QR code has room for 4,296 letters, and this text is published.
+MOST_LETTERS: Final = 256
+
+
+@dataclass(frozen=True)
+class Code:
+    """One code that was read. text: of a QR code, printable; of an AprilTag its number."""
+
+    kind: CodeKind
+    text: str
+
+
+def read_codes(
+    grey: NDArray[np.uint8], kinds: Sequence[CodeKind], family: TagFamily = "36h11"
+) -> tuple[Code, ...]:
+    """Every code of these kinds, sorted, each once. grey: uint8 (h, w). Not for two threads at once."""
+    found = {
+        *(_qr_codes(grey) if "qr" in kinds else ()),
+        *(_april_tags(grey, family) if "apriltag" in kinds else ()),
+    }
+    return tuple(sorted(found, key=lambda code: (code.kind, code.text)))
+
+
+def _qr_codes(grey: NDArray[np.uint8]) -> list[Code]:
+    # OpenCV hands a code in Kanji mode to Python as UTF-8, which it is not: the id cannot be read, and others neither.
+    try:
+        _, texts, _, _ = _qr_reader().detectAndDecodeMulti(grey)
+    except UnicodeDecodeError:
+        return []
+    return [Code("qr", printable(text)[:MOST_LETTERS]) for text in texts if text]
+
+
+def _april_tags(grey: NDArray[np.uint8], family: TagFamily) -> list[Code]:
+    _, numbers, _ = _tag_reader(family).detectMarkers(grey)
+    return [] if numbers is None else [Code("apriltag", str(int(number))) for number in numbers.ravel()]
+
+
+@cache
+def _qr_reader() -> Any:
+    return cv2.QRCodeDetector()
+
+
+@cache
+def _tag_reader(family: TagFamily) -> Any:
+    parameters = cv2.aruco.DetectorParameters()
+    # Corners are not needed to a fraction of a pixel, only the number.
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(_FAMILIES[family]), parameters)
+
+
+_FAMILIES: Final[dict[TagFamily, int]] = {
+    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
+    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
+    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
+    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
+}

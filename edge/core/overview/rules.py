@@ -1,0 +1,119 @@
+"""Before a press: what a still of the overview camera says, and whether the part in it is the selected one."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.imaging.quality import Reason, Rejection
+from edge.core.overview.codes import Code, CodeKind, TagFamily, read_codes
+from edge.core.overview.presence import Zone, changed_share
+
+__all__ = ["OverviewRules", "OverviewView"]
+
+
+@dataclass(frozen=True)
+class OverviewView:
+    """One look before a press.
+
+    jpeg: the still, or None where there was none; fault: then why. changed: the share of the region that differs from
+    the empty station, None where no picture of it is configured. is_present: whether a part is there, None where
+    nothing says so. codes: those read in the region.
+    """
+
+    jpeg: bytes | None
+    fault: str | None = None
+    changed: float | None = None
+    is_present: bool | None = None
+    codes: tuple[Code, ...] = ()
+
+    def __post_init__(self) -> None:
+        if (self.jpeg is None) == (self.fault is None):
+            raise ValueError("a look has a still, or a fault that says why not")
+
+
+@dataclass(frozen=True)
+class OverviewRules:
+    """What a still must show.
+
+    codes: kinds to read; without any, no id is asked for. pattern: its group `part` is the part in a code's text;
+    without it the text is the part. parts: text, or that group, to the part of a bundle, where they differ.
+    zone: where the part is. empty: grey picture of the empty station, uint8 (h, w); without it presence is not checked.
+    present_share: a part changes at least this share of the region.
+    """
+
+    codes: tuple[CodeKind, ...] = ()
+    family: TagFamily = "36h11"
+    pattern: re.Pattern[str] | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
+    zone: Zone = field(default_factory=Zone)
+    empty: NDArray[np.uint8] | None = None
+    present_share: float = 0.02
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether a press needs a still to be admitted; otherwise stills are only attached."""
+        return bool(self.codes) or self.empty is not None
+
+    def look(self, jpeg: bytes, grey: NDArray[np.uint8]) -> OverviewView:
+        """What a still says. grey: the same picture, uint8 (h, w)."""
+        seen = np.ascontiguousarray(self.zone.of(grey))
+        changed = None if self.empty is None else changed_share(seen, self.zone.of(self.empty))
+        codes = read_codes(seen, self.codes, self.family) if self.codes else ()
+        return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes)
+
+    def _is_present(self, changed: float | None, codes: tuple[Code, ...]) -> bool | None:
+        """A code that can be read is a part."""
+        if codes:
+            return True
+        return None if changed is None else changed >= self.present_share
+
+    def part_in(self, code: Code) -> str | None:
+        """The part that a code names, None where its text does not fit the pattern."""
+        text = code.text
+        if self.pattern is not None:
+            match = self.pattern.fullmatch(text)
+            if match is None:
+                return None
+            text = match["part"] or ""
+        return self.parts.get(text, text)
+
+    def refusal(self, view: OverviewView, selected: str) -> Rejection | None:
+        """Why a press of this part is not admitted, or None. selected: the part of the bundle in use."""
+        if not self.is_asking:
+            return None
+        if view.fault is not None:
+            text = f"the part was not seen before the press: {view.fault}"
+            return Rejection(Reason.NO_OVERVIEW, text)
+        if view.is_present is False and view.changed is not None:
+            return Rejection(
+                Reason.NO_PART,
+                f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
+                f"{self.present_share:.1%}; place the part, then press",
+            )
+        return self._other_part(view, selected) if self.codes else None
+
+    def _other_part(self, view: OverviewView, selected: str) -> Rejection | None:
+        if not view.codes:
+            kinds = " or ".join(self.codes)
+            return Rejection(
+                Reason.NO_PART_ID,
+                f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the light",
+            )
+        parts = {self.part_in(code) for code in view.codes}
+        if parts == {selected}:
+            return None
+        read = ", ".join(f"'{code.text}' ({code.kind})" for code in view.codes)
+        if len(parts) > 1:
+            return Rejection(
+                Reason.NO_PART_ID,
+                f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region",
+            )
+        part = next(iter(parts))
+        named = "fits no overview.part_pattern" if part is None else f"is part '{part}'"
+        return Rejection(
+            Reason.OTHER_PART,
+            f"the code {read} {named}, the bundle in use is for part '{selected}'; press that part, or use its bundle",
+        )

@@ -1,0 +1,100 @@
+"""The table `[overview]` of the configuration: an overview camera, and what its still must show before a press."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, model_validator
+
+from edge.core.errors import ConfigError
+from edge.core.overview.codes import CodeKind, TagFamily
+from edge.core.overview.presence import Zone
+from edge.core.overview.rules import OverviewRules
+from edge.plugin_tables import PluginTable
+
+__all__ = ["OverviewTable"]
+
+
+def _with_part(pattern: str) -> str:
+    """Errors: ValueError for a pattern that is none, or has no group `part`."""
+    try:
+        groups = re.compile(pattern).groupindex
+    except re.error as error:
+        raise ValueError(f"it is no regular expression: {error}") from error
+    if "part" not in groups:
+        raise ValueError("it has no group `part`; write one, such as (?P<part>[^;]+);.*")
+    return pattern
+
+
+class OverviewTable(PluginTable):
+    """A camera that sees the part before the press. Its still goes with each result; with `codes` or `empty` a press
+    is refused unless the selected part is there."""
+
+    codes: tuple[CodeKind, ...] = Field(
+        default=(),
+        description="kinds of code to read on the part: qr, apriltag (OpenCV reads no DataMatrix); without any no id "
+        "is asked for",
+    )
+    apriltag_family: TagFamily = Field(default="36h11", description="the family of the AprilTags")
+    part_pattern: Annotated[str, AfterValidator(_with_part)] | None = Field(
+        default=None,
+        description="regular expression of the complete text of a code; its group `part` is the part, by default all",
+    )
+    parts: dict[str, str] = Field(
+        default_factory=dict,
+        description="text of a code, or its group `part`, to the part of a bundle, where the two differ",
+    )
+    empty: Path | None = Field(
+        default=None, description="picture of the empty station: a part must differ from it"
+    )
+    present_share: float = Field(
+        default=OverviewRules.present_share,
+        gt=0,
+        le=1,
+        description="a part changes at least this share of the region",
+    )
+    region: list[float] = Field(
+        default=[0.0, 0.0, 1.0, 1.0],
+        min_length=4,
+        max_length=4,
+        description="where the part is: left, top, width, height in fractions of the picture",
+    )
+    max_age_s: float = Field(
+        default=2.0, gt=0, le=60, description="an older picture says nothing of this press, seconds"
+    )
+    max_side_px: int = Field(
+        default=1280,
+        ge=64,
+        le=8192,
+        description="larger stills are made smaller before they are read and sent",
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "OverviewTable":
+        Zone(*self.region)
+        if not self.codes and (self.parts or self.part_pattern is not None):
+            raise ValueError("parts and part_pattern need codes, the kinds of code to read")
+        return self
+
+    def rules(self) -> OverviewRules:
+        """What a still must show. Errors: ConfigError for a picture of the empty station that cannot be read."""
+        import cv2
+        import numpy as np
+
+        empty = None
+        if self.empty is not None:
+            raw = cv2.imread(str(self.empty), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+            if raw is None:
+                raise ConfigError(
+                    f"overview.empty: {self.empty} is no picture that can be read; save a still of the empty station"
+                )
+            empty = np.asarray(raw, np.uint8)
+        return OverviewRules(
+            codes=self.codes,
+            family=self.apriltag_family,
+            pattern=None if self.part_pattern is None else re.compile(self.part_pattern),
+            parts=self.parts,
+            zone=Zone(*self.region),
+            empty=empty,
+            present_share=self.present_share,
+        )

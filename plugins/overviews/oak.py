@@ -1,0 +1,165 @@
+"""An OAK (Luxonis) as overview camera, by `depthai` 3: its colour camera alone, nothing is computed on it.
+
+Ref: docs.luxonis.com, DepthAI v3: Camera, ReplayVideo, MessageQueue. Seen with depthai 3.12: films replayed on the host
+(option `film`), and the search without a device (0.5 s). Not yet seen: an OAK on a physical bus.
+"""
+
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from edge.core.errors import (
+    DeviceBusy,
+    DeviceLost,
+    DeviceNotFound,
+    DeviceStalled,
+    RecordingEnded,
+    RecordingError,
+)
+from edge.core.imaging.frames import CameraFrame
+from edge.core.plugins import DevicePlugin
+from edge.core.ports import Clock, Device, DeviceIdentity, DiscoveredDevice
+from plugins.overviews.quiet_depthai import quiet_depthai
+
+__all__ = ["Oak", "OakCamera", "OakOptions", "plugin"]
+
+JPEG_QUALITY: Final = 85
+PRODUCT: Final = "OAK"
+
+
+class OakOptions(BaseModel):
+    """Which OAK, and the size of its pictures."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    serial: str | None = Field(
+        default=None, description="its device id, if several are there: `gelgate devices`"
+    )
+    socket: str = Field(
+        default="CAM_A", pattern="^CAM_[A-J]$", description="board socket of the colour camera"
+    )
+    width: int = Field(default=1280, ge=64, le=8192, description="pixels")
+    height: int = Field(default=720, ge=64, le=8192, description="pixels")
+    fps: float = Field(default=5.0, ge=0.5, le=60, description="pictures a second")
+    film: Path | None = Field(
+        default=None,
+        description="play this film instead of a camera, once, at `fps`: for trials without an OAK",
+    )
+
+
+class OakCamera:
+    """A running pipeline as a `Device`. Pictures come as JPEG, encoded here."""
+
+    def __init__(
+        self, identity: DeviceIdentity, pipeline: Any, queue: Any, clock: Clock, *, is_film: bool
+    ) -> None:
+        self.identity = identity
+        self._pipeline, self._queue, self._clock, self._is_film = pipeline, queue, clock, is_film
+        self._sequence = 0
+        self._gone: DeviceLost | RecordingEnded | None = None
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        """The next picture (see `Device.read`)."""
+        if self._gone is not None:
+            raise self._gone
+        left_s = max(0.0, (deadline_ns - self._clock.monotonic_ns()) / 1e9)
+        try:
+            message = self._queue.get(timedelta(seconds=left_s))
+        except (RuntimeError, self._queue.QueueException) as error:  # a broken XLink, or a closed queue
+            self._gone = self._ending(error)
+            raise self._gone from error
+        if message is None:
+            raise DeviceStalled(f"{self._name} gave no picture before the deadline")
+        self._sequence += 1
+        return CameraFrame(_jpeg(message.getCvFrame()), self._clock.monotonic_ns(), self._sequence - 1)
+
+    @property
+    def _name(self) -> str:
+        return f"{self.identity.product} {self.identity.serial}"
+
+    def _ending(self, error: Exception) -> DeviceLost | RecordingEnded:
+        if self._is_film:
+            return RecordingEnded(f"{self._name} has ended after {self._sequence} pictures")
+        return DeviceLost(f"{self._name} is gone ({error}); it is opened again")
+
+    def close(self) -> None:
+        self._gone = self._gone or DeviceLost(f"{self._name} was closed")
+        self._queue.close()
+        self._pipeline.stop()
+
+
+class Oak(DevicePlugin[OakOptions]):
+    """The plugin."""
+
+    Options = OakOptions
+
+    def discover(self, options: OakOptions) -> list[DiscoveredDevice]:
+        """Errors: ConfigError without depthai. The search takes half a second."""
+        if options.film is not None:
+            return [DiscoveredDevice(str(options.film), PRODUCT, _identity(str(options.film), options))]
+        found = quiet_depthai().Device.getAllAvailableDevices()
+        return [DiscoveredDevice(str(one.name), PRODUCT, _identity(one.deviceId, options)) for one in found]
+
+    def open(self, options: OakOptions, clock: Clock) -> Device:
+        """Errors: ConfigError, DeviceNotFound, DeviceBusy, RecordingError."""
+        dai = quiet_depthai()
+        return _film(dai, options, clock) if options.film is not None else _camera(dai, options, clock)
+
+
+plugin = Oak()
+
+
+def _identity(serial: str, options: OakOptions) -> DeviceIdentity:
+    return DeviceIdentity(PRODUCT, serial, (options.width, options.height), options.fps)
+
+
+def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
+    info = _chosen(dai.Device.getAllAvailableDevices(), options.serial)
+    try:
+        device = dai.Device(info)
+        pipeline = dai.Pipeline(device)
+        camera = pipeline.create(dai.node.Camera).build(getattr(dai.CameraBoardSocket, options.socket))
+        size = (options.width, options.height)
+        queue = camera.requestOutput(size, fps=options.fps).createOutputQueue(1, False)
+        pipeline.start()
+    except RuntimeError as error:
+        raise DeviceBusy(
+            f"OAK {info.deviceId} does not start ({error}); end other programs that use it, or plug it in again"
+        ) from error
+    return OakCamera(_identity(info.deviceId, options), pipeline, queue, clock, is_film=False)
+
+
+def _chosen(found: Any, serial: str | None) -> Any:
+    """Errors: DeviceNotFound for none, or several, with those that are there. An `OAK` is not waited for."""
+    fitting = [one for one in found if serial in (None, one.deviceId)]
+    if len(fitting) == 1:
+        return fitting[0]
+    seen = ", ".join(one.deviceId for one in found) or "none"
+    wanted = "one OAK" if serial is None else f"the OAK {serial}"
+    raise DeviceNotFound(
+        f"{wanted} is expected, seen: {seen}; plug it in, check its cable and power, or name its serial"
+    )
+
+
+def _film(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
+    film = options.film
+    if film is None or not film.is_file():
+        raise RecordingError(f"film {film} is no file; name one that OpenCV can read, such as an mp4")
+    pipeline = dai.Pipeline(False)
+    replay = pipeline.create(dai.node.ReplayVideo)
+    replay.setReplayVideoFile(str(film))
+    replay.setLoop(False)
+    replay.setFps(options.fps)
+    replay.setOutFrameType(dai.ImgFrame.Type.BGR888i)
+    replay.setSize(options.width, options.height)
+    queue = replay.out.createOutputQueue(1, True)
+    pipeline.start()
+    return OakCamera(_identity(str(film), options), pipeline, queue, clock, is_film=True)
+
+
+def _jpeg(bgr: Any) -> bytes:
+    import cv2
+
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()

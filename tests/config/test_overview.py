@@ -1,0 +1,127 @@
+"""The table `[overview]`: what it refuses, with which sentence, and where its paths begin."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.config import load_config
+from edge.core.errors import ConfigError
+from edge.core.overview.presence import Zone
+
+STATION = """
+version = 1
+[device]
+plugin = "recorded"
+options = { recording = "presses" }
+[inspection]
+bundle = "bundle"
+[[sinks]]
+plugin = "memory"
+[overview]
+plugin = "virtual_overview"
+"""
+
+
+def written(folder: Path, table: str = "") -> Path:
+    path = folder / "gelgate.toml"
+    path.write_text(STATION + table)
+    return path
+
+
+def test_without_the_table_there_is_no_overview_camera(tmp_path: Path) -> None:
+    """It is off by default."""
+    path = written(tmp_path)
+    path.write_text(STATION.partition("[overview]")[0])
+
+    assert load_config(path).overview is None
+
+
+def test_a_table_with_a_plugin_alone_asks_for_nothing(tmp_path: Path) -> None:
+    """Stills are attached and no press is refused."""
+    table = load_config(written(tmp_path)).overview
+
+    assert table is not None
+    assert not table.rules().is_asking
+
+
+def test_the_table_is_the_rules(tmp_path: Path) -> None:
+    """Every key reaches the rules, and the picture's path begins at the file's folder."""
+    cv2.imwrite(str(tmp_path / "empty.png"), np.full((48, 64), 90, np.uint8))
+    text = 'codes = ["apriltag", "qr"]\napriltag_family = "25h9"\n'
+    text += 'part_pattern = "(?P<part>.)-.*"\nparts = { a = "PZ0" }\n'
+    text += 'empty = "empty.png"\npresent_share = 0.1\nregion = [0.5, 0, 0.5, 1]'
+    table = load_config(written(tmp_path, text)).overview
+    assert table is not None
+    rules = table.rules()
+
+    assert (rules.codes, rules.family, rules.parts) == (("apriltag", "qr"), "25h9", {"a": "PZ0"})
+    assert rules.pattern is not None
+    assert rules.pattern.pattern == "(?P<part>.)-.*"
+    assert rules.empty is not None
+    assert (rules.empty.shape, int(rules.empty[0, 0])) == ((48, 64), 90)
+    assert (rules.present_share, rules.zone, rules.is_asking) == (0.1, Zone(0.5, 0, 0.5, 1), True)
+
+
+def test_a_path_of_the_plugin_begins_at_the_files_folder(tmp_path: Path) -> None:
+    """As those of devices and sinks."""
+    text = 'options = { recording = "parts" }'
+    path = written(tmp_path, text)
+    path.write_text(path.read_text().replace('"virtual_overview"', '"recorded"'))
+    table = load_config(path).overview
+
+    assert table is not None
+    assert table.options["recording"] == str(tmp_path / "parts")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('codes = ["datamatrix"]', "overview.codes"),
+        ('part_pattern = "(?P<part>.*)"', "need codes"),
+        ('codes = ["qr"]\npart_pattern = "(.*)"', "no group `part`"),
+        ('codes = ["qr"]\npart_pattern = "(?P<part>"', "no regular expression"),
+        ("region = [0.5, 0, 0.6, 1]", "lies in it, found 0.5, 0, 0.6, 1"),
+        ("region = [0, 0, 1]", "overview.region"),
+        ("presence = 0.1", "presence"),
+        ('options = { part = "PZ0" }', "overview.options"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(tmp_path: Path, text: str, sentence: str) -> None:
+    """With the key and what was expected."""
+    with pytest.raises(ConfigError) as refused:
+        load_config(written(tmp_path, text))
+
+    assert sentence in str(refused.value)
+
+
+def test_an_unknown_overview_camera_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    """As every plugin."""
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("virtual_overview", "usb_kamera"))
+
+    with pytest.raises(ConfigError, match="usb_camera"):
+        load_config(path)
+
+
+def test_a_picture_of_the_empty_station_must_be_one(tmp_path: Path) -> None:
+    """It is read at the start, and refused there."""
+    (tmp_path / "empty.jpg").write_text("no picture")
+    table = load_config(written(tmp_path, 'empty = "empty.jpg"')).overview
+    assert table is not None
+
+    with pytest.raises(ConfigError, match=r"overview\.empty: .*empty\.jpg is no picture"):
+        table.rules()
+
+
+def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
+    """As it is printed there."""
+    page = (Path(__file__).resolve().parents[2] / "docs/operations.md").read_text(encoding="utf-8")
+    table = page.partition("[overview]\n")[2].partition("```")[0]
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace('plugin = "virtual_overview"\n', table))
+    overview = load_config(path).overview
+
+    assert overview is not None
+    assert (overview.codes, overview.parts) == (("qr", "apriltag"), {"17": "PZ0"})

@@ -1,0 +1,268 @@
+"""The overview camera of a station: stills with results, and presses that are refused because of the part."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from overview_stills import blank, encoded, with_tag
+from small_recordings import FakeClock
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import picture_size
+from edge.core.overview.rules import OverviewRules
+from edge.core.ports import DeviceIdentity
+from edge.core.verdict import Kind
+from edge.gateway.acquisition import Acquisition
+from edge.gateway.overview import Overview, still_of
+from edge.recording.format import RecordingHeader, RecordingWriter
+
+IDENTITY = DeviceIdentity("camera", "C1", (320, 240), 5.0)
+
+
+class ScriptedCamera:
+    """Gives these pictures, one for each read; then it ends with the error."""
+
+    identity = IDENTITY
+
+    def __init__(self, clock: FakeClock, payloads: Sequence[bytes], end: Exception) -> None:
+        self._clock, self._payloads, self._end = clock, list(payloads), end
+
+    def read(self, deadline_ns: int) -> CameraFrame:
+        if not self._payloads:
+            raise self._end
+        return CameraFrame(self._payloads.pop(0), self._clock.monotonic_ns(), 0)
+
+    def close(self) -> None: ...
+
+
+def overview_of(
+    clock: FakeClock,
+    payloads: Sequence[bytes],
+    rules: OverviewRules | None = None,
+    end: Exception | None = None,
+) -> Overview:
+    device = ScriptedCamera(clock, payloads, end or DeviceLost("camera C1 was unplugged"))
+    camera = Acquisition(lambda: device, clock, depth=1)
+    return Overview(camera, rules or OverviewRules(), clock, max_age_s=2.0, max_side_px=1280)
+
+
+def station_with_overview(folder: Path, recording: Path, bundle: Path, table: str) -> SteppedStation:
+    path = station_config(folder, recording, bundle)
+    path.write_text(path.read_text() + f"\n[overview]\n{table}\n")
+    return SteppedStation(path)
+
+
+def play(station: SteppedStation) -> None:
+    """Both cameras are read and the loop looks, in turn, to the end."""
+    assert station.parts.overview is not None
+    while not station.has_ended:
+        station.parts.overview.camera.step()
+        station.play(1)
+
+
+def test_each_result_has_the_still_of_its_part(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Three presses, three parts: every result names its code, and its still is a JPEG on the topic of its press."""
+    table = 'plugin = "virtual_overview"\ncodes = ["qr"]\npart_pattern = "(?P<part>[^;]+);.*"\n'
+    table += 'options = { parts = ["PZ0;1", "PZ0;2", "PZ0;3"] }'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        play(station)
+        results = [report.result for report in station.reports]
+
+    assert [result.part_codes for result in results] == [["PZ0;1"], ["PZ0;2"], ["PZ0;3"]]
+    assert [result.overview_topic for result in results] == [f"overview/{r.press_id}" for r in results]
+    assert [result.part_present for result in results] == [True] * 3
+    assert all(result.verdict is not Kind.REJECTED for result in results)
+
+
+def test_a_press_of_another_part_is_refused(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """It is rejected with both names, not scored, and counts for the gel as any press."""
+    table = 'plugin = "virtual_overview"\ncodes = ["qr"]\noptions = { parts = ["PZ0", "PZ9", ""] }'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        play(station)
+        first, other, none = (report.result for report in station.reports)
+        count = station.reports[-1].gel.presses
+
+    assert first.verdict is not Kind.REJECTED
+    assert (other.verdict, other.score) == (Kind.REJECTED, None)
+    assert other.reason is not None
+    assert other.reason.startswith(
+        "other_part: the code 'PZ9' (qr) is part 'PZ9', the bundle in use is for part 'PZ0'"
+    )
+    assert other.overview_topic == f"overview/{other.press_id}"
+    assert none.reason is not None
+    assert none.reason.startswith("no_part_id: no qr code can be read")
+    assert count == 3
+
+
+def test_a_station_without_an_overview_camera_says_nothing_of_it(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Its results have null in these fields."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        station.play()
+        result = station.reports[0].result
+
+    assert (result.overview_topic, result.part_codes, result.part_present) == (None, None, None)
+
+
+def test_the_part_is_looked_at_when_the_contact_begins(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A station whose overview camera shows another part before the press rests: the first one was pressed."""
+    table = 'plugin = "virtual_overview"\ncodes = ["apriltag"]\nparts = { 1 = "PZ0" }'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        overview = station.parts.overview
+        assert overview is not None
+        device = ScriptedCamera(
+            station.clock, [encoded(with_tag(n)) for n in (1, 2)], DeviceLost("unplugged")
+        )
+        overview.camera = Acquisition(lambda: device, station.clock, depth=1)
+        station.play(2)
+        overview.camera.step()
+        overview.camera.step()
+        station.play_until(lambda: station.loop.session.has_contact)
+        overview.camera.step()
+        station.play_until(lambda: bool(station.reports))
+
+    assert station.reports[0].result.part_codes == ["1"]
+
+
+def test_a_station_keeps_the_newest_still_alone(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Three pictures came since the last press: the part before this press is in the third."""
+    header = RecordingHeader("webcam", "W1", (320, 240), 10.0)
+    with RecordingWriter(tmp_path / "parts", header) as writer:
+        for number in (1, 2, 3):
+            writer.add(encoded(with_tag(number)), number * 10**8)
+    table = f'plugin = "recorded"\ncodes = ["apriltag"]\noptions = {{ recording = "{tmp_path / "parts"}" }}'
+    with station_with_overview(tmp_path, recording, bundle, table) as station:
+        overview = station.parts.overview
+        assert overview is not None
+        for _ in range(4):
+            overview.camera.step()
+        view = overview.take()
+
+    assert [code.text for code in view.codes] == ["3"]
+
+
+def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
+    """With codes a press is refused with the camera's fault; without, results go on without a still."""
+    clock = FakeClock()
+    overview = overview_of(clock, [])
+    overview.camera.step()
+    overview.camera.step()
+    overview.begin()
+    view = overview.take()
+
+    assert (view.jpeg, view.fault) == (None, "camera C1 was unplugged")
+    assert overview.rules.refusal(view, "PZ0") is None
+    refusal = OverviewRules(codes=("qr",)).refusal(view, "PZ0")
+    assert refusal is not None
+    assert "camera C1 was unplugged" in refusal.text
+
+
+def test_the_newest_still_counts() -> None:
+    """A camera gives more pictures than there are presses: those between are dropped."""
+    clock = FakeClock()
+    overview = overview_of(
+        clock, [encoded(with_tag(n)) for n in (1, 2, 3)], OverviewRules(codes=("apriltag",))
+    )
+    for _ in range(4):
+        overview.camera.step()
+    overview.begin()
+
+    assert [code.text for code in overview.take().codes] == ["3"]
+
+
+def test_the_still_is_of_the_moment_when_the_contact_began() -> None:
+    """A picture that comes while the sensor covers the part changes nothing."""
+    clock = FakeClock()
+    overview = overview_of(
+        clock, [encoded(with_tag(1)), encoded(with_tag(2))], OverviewRules(codes=("apriltag",))
+    )
+    overview.camera.step()
+    overview.camera.step()
+    overview.begin()
+    overview.camera.step()
+
+    assert [code.text for code in overview.take().codes] == ["1"]
+    assert [code.text for code in overview.take().codes] == ["2"]
+
+
+def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
+    """A slow camera's picture counts for max_age_s, not longer: an older one may show another part."""
+    clock = FakeClock()
+    overview = overview_of(clock, [encoded(blank())])
+    overview.camera.step()
+    overview.camera.step()
+    first = overview.take()
+    clock.sleep(1.9)
+    second = overview.take()
+    clock.sleep(0.2)
+    overview.camera.step()  # the camera is gone
+    third = overview.take()
+
+    assert first.jpeg == second.jpeg == encoded(blank())
+    assert (third.jpeg, third.fault) == (None, "camera C1 was unplugged")
+
+
+def test_a_still_that_waited_too_long_is_too_old() -> None:
+    """The camera stopped while nothing was pressed."""
+    clock = FakeClock()
+    overview = overview_of(clock, [encoded(blank())])
+    overview.camera.step()
+    overview.camera.step()
+    clock.sleep(2.1)
+    overview.camera.step()
+
+    assert overview.take().jpeg is None
+
+
+def test_a_recording_that_is_over_gives_no_still() -> None:
+    """And its end is no end of the station."""
+    clock = FakeClock()
+    overview = overview_of(clock, [], end=RecordingEnded("recording r has ended after 0 frames"))
+    overview.start()
+    with pytest.raises(RecordingEnded):
+        overview.camera.next(20)
+    view = overview.take()
+    overview.close()
+
+    assert view.fault == "recording r has ended after 0 frames"
+
+
+def test_a_small_jpeg_is_published_untouched() -> None:
+    """The camera's own bytes; larger ones and PNG become a JPEG of at most that side."""
+    import cv2
+
+    small = encoded(with_tag(1))
+    png = cv2.imencode(".png", with_tag(1))[1].tobytes()
+    large, grey = still_of(CameraFrame(small, 0, 0), 160)
+
+    assert still_of(CameraFrame(small, 0, 0), 320)[0] == small
+    assert picture_size(large) == (160, 120)
+    assert grey.shape == (120, 160)
+    assert picture_size(still_of(CameraFrame(png, 0, 0), 320)[0]) == (320, 240)
+
+
+def huge() -> bytes:
+    """A JPEG whose header says 60000 x 60000."""
+    raw = bytearray(encoded(blank()))
+    start = raw.index(b"\xff\xc0") + 5
+    raw[start : start + 4] = (60000).to_bytes(2, "big") * 2
+    return bytes(raw)
+
+
+@pytest.mark.parametrize(
+    ("payload", "word"),
+    [
+        (b"", "no"),
+        (encoded(blank())[:-2], "end marker"),
+        (b"\xff\xd8\xff\xd9", "no picture"),
+        (huge(), "60000x60000"),
+    ],
+)
+def test_a_broken_still_is_a_fault_and_no_error(payload: bytes, word: str) -> None:
+    """The press has no still, and says why."""
+    with pytest.raises(FrameCorrupt, match=word):
+        still_of(CameraFrame(payload, 0, 7), 1280)
