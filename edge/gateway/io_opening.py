@@ -5,7 +5,7 @@ from functools import partial
 from typing import Final, TypeVar
 
 from edge import registry
-from edge.config import Config
+from edge.config import ActuatorTable, Config, PluginTable, TriggerTable
 from edge.core.digital_io import Actuator, DiscoveredPort, Trigger
 from edge.core.errors import DeviceNotFound
 from edge.core.ports import Clock
@@ -15,7 +15,6 @@ from edge.gateway.digital_io.trigger_reader import TriggerReader
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.status import StationStatus
-from edge.plugin_tables import ActuatorTable, PluginTable, TriggerTable
 
 __all__ = ["found_actuator", "found_trigger", "station_io"]
 

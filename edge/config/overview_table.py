@@ -6,11 +6,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, model_validator
 
+from edge.config.plugin_tables import PluginTable
 from edge.core.errors import ConfigError
 from edge.core.overview.codes import CodeKind, TagFamily
 from edge.core.overview.presence import Zone
 from edge.core.overview.rules import OverviewRules
-from edge.plugin_tables import PluginTable
 
 __all__ = ["OverviewTable"]
 

@@ -1,0 +1,35 @@
+"""The configuration: one TOML file, read once into frozen values, all faults reported together.
+
+Paths are relative to the file. Plugin options are validated by the plugin's own `Options` model, in the same report.
+"""
+
+from edge.config.loading import load_config, sink_names
+from edge.config.overview_table import OverviewTable
+from edge.config.plugin_tables import (
+    ActuatorTable,
+    OutputTable,
+    PlainText,
+    PluginTable,
+    SinkTable,
+    Table,
+    TriggerTable,
+)
+from edge.config.tables import BundleTable, CommandTable, Config, InspectionTable, StationTable
+
+__all__ = [
+    "ActuatorTable",
+    "BundleTable",
+    "CommandTable",
+    "Config",
+    "InspectionTable",
+    "OutputTable",
+    "OverviewTable",
+    "PlainText",
+    "PluginTable",
+    "SinkTable",
+    "StationTable",
+    "Table",
+    "TriggerTable",
+    "load_config",
+    "sink_names",
+]
