@@ -1,8 +1,11 @@
 """`gelgate devices`: sensors, overview cameras, pedals and relays that are plugged in, and why one is refused."""
 
-from typing import Annotated, Any, Final, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Final
 
 import typer
+
+from edge import registry
 
 __all__ = ["devices"]
 
@@ -19,10 +22,9 @@ Reset = Annotated[
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
-    """List the plugged-in sensors, overview cameras, pedals and relays.
+    """List the plugged-in cameras, pedals and relays.
 
     They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
-    from edge import registry
     from edge.core.errors import ConfigError
 
     if (option or reset) and device is None:
@@ -31,11 +33,8 @@ def devices(
         _reset(device, option or [])
     if device is not None:
         registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
-    reports = [_report(name, option or []) for name in ([device] if device else registry.names("devices"))]
-    if device is None:
-        cameras = [name for name in registry.names("overviews") if name not in registry.names("devices")]
-        reports += [_report(name, [], "overviews") for name in cameras]
-        reports += [_port_report(group, name) for group in _PORTS for name in registry.names(group)]
+    groups: Sequence[tuple[registry.PluginGroup, str]] = [("devices", device)] if device else _every_plugin()
+    reports = [_report(group, name, option or []) for group, name in groups]
     if as_json:
         import json
 
@@ -45,80 +44,76 @@ def devices(
             typer.echo(_as_text(report))
 
 
-def _report(
-    name: str, given: list[str], group: Literal["devices", "overviews"] = "devices"
-) -> dict[str, Any]:
+_KINDS: Final[dict[registry.PluginGroup, str]] = {
+    "devices": "sensor",
+    "overviews": "overview",
+    "triggers": "trigger",
+    "actuators": "actuator",
+}
+_FINDERS: Final[dict[registry.PluginGroup, Callable[[str], Any]]] = {
+    "devices": registry.device,
+    "overviews": registry.overview,
+    "triggers": registry.trigger,
+    "actuators": registry.actuator,
+}
+
+
+def _every_plugin() -> Sequence[tuple[registry.PluginGroup, str]]:
+    """Group and name; a plugin that is a sensor and an overview camera is listed as a sensor."""
+    found = [(group, name) for group in _KINDS for name in registry.names(group)]
+    return [one for one in found if one[0] != "overviews" or ("devices", one[1]) not in found]
+
+
+def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[str, Any]:
     """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
     from dataclasses import asdict
 
-    from edge import registry
     from edge.cli.plugin_options import plugin_options
     from edge.core.errors import GelgateError
 
-    about = {"plugin": name, "kind": "sensor" if group == "devices" else "overview"}
+    report: dict[str, Any] = {"plugin": name, "kind": _KINDS[group], "seen": [], "note": ""}
     try:
-        plugin = registry.device(name) if group == "devices" else registry.overview(name)
+        plugin = _FINDERS[group](name)
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
-            return {**about, "seen": [], "note": f"needs --option {missing[0]}=..."}
-        seen = plugin.discover(plugin_options(group, name, plugin.Options, given))
-        return {
-            **about,
-            "seen": [asdict(one) for one in seen],
-            "note": "" if seen else "nothing found",
-        }
+            return {**report, "note": _needs(group, missing[0])}
+        seen = [asdict(one) for one in plugin.discover(plugin_options(group, name, plugin.Options, given))]
+        return {**report, "seen": seen, "note": "" if seen else "nothing found"}
     except GelgateError as error:
         if given:
             raise
-        return {**about, "seen": [], "note": str(error)}
-
-
-_PORTS: Final[tuple[Literal["triggers", "actuators"], ...]] = ("triggers", "actuators")
-
-
-def _port_report(group: Literal["triggers", "actuators"], name: str) -> dict[str, Any]:
-    """What a plugin of pedals or relays finds with its usual options, or why it cannot search."""
-    from dataclasses import asdict
-
-    from edge import registry
-    from edge.core.errors import GelgateError
-
-    report: dict[str, Any] = {"plugin": name, "group": group, "seen": [], "note": ""}
-    try:
-        plugin = registry.trigger(name) if group == "triggers" else registry.actuator(name)
-        missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
-        if missing:
-            return {
-                **report,
-                "note": f"needs options.{missing[0]}; `gelgate check` looks for the configured one",
-            }
-        seen = [asdict(one) for one in plugin.discover(plugin.Options())]
-        return {**report, "seen": seen, "note": "" if seen else "nothing found"}
-    except GelgateError as error:
         return {**report, "note": str(error)}
 
 
+def _needs(group: registry.PluginGroup, option: str) -> str:
+    if group == "devices":
+        return f"needs --option {option}=..."
+    return f"needs options.{option}; `gelgate check` looks for the configured one"
+
+
 def _as_text(report: dict[str, Any]) -> str:
-    group = f" ({report['group']})" if "group" in report else ""
-    lines = [f"{report['plugin']}{group}:{' ' + report['note'] if report['note'] else ''}"]
+    kind = "" if report["kind"] == "sensor" else f" ({report['kind']})"
+    lines = [f"{report['plugin']}{kind}:{' ' + report['note'] if report['note'] else ''}"]
     for one in report["seen"]:
-        who = one.get("identity")
-        if "group" in report and one["refusal"] is None:
-            serial = f", serial {one['serial']}" if one["serial"] else ""
-            lines.append(f"  found    {one['product']}{serial}, {one['place']}")
-        elif who is None:
-            lines.append(f"  refused  {one['place']}: {one['refusal']}")
+        if one["refusal"] is None:
+            lines.append(f"  found    {_description(one.get('identity') or one)}, {one['place']}")
         else:
-            mode = f"{who['mode'][0]}x{who['mode'][1]}"
-            rate = f" at nominal {who['nominal_fps']:g} fps" if who["nominal_fps"] else ""
-            lines.append(
-                f"  {report['kind']:<8} {who['product']}, serial {who['serial']}, {mode}{rate}, {one['place']}"
-            )
+            lines.append(f"  refused  {one['place']}: {one['refusal']}")
     return "\n".join(lines)
 
 
+def _description(found: dict[str, Any]) -> str:
+    """Product and serial, and of a camera its mode."""
+    words = [found["product"]]
+    if found["serial"]:
+        words.append(f"serial {found['serial']}")
+    if "mode" in found:
+        rate = f" at nominal {found['nominal_fps']:g} fps" if found["nominal_fps"] else ""
+        words.append(f"{found['mode'][0]}x{found['mode'][1]}{rate}")
+    return ", ".join(words)
+
+
 def _reset(name: str, given: list[str]) -> None:
-    from edge import registry
     from edge.cli.plugin_options import plugin_options
     from edge.core.errors import ConfigError
     from edge.core.plugins import Resettable

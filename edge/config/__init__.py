@@ -14,13 +14,14 @@ from edge.config.plugin_tables import (
     Table,
     TriggerTable,
 )
-from edge.config.tables import BundleTable, CommandTable, Config, InspectionTable, StationTable
+from edge.config.tables import BundleTable, CommandTable, Config, ContactTable, InspectionTable, StationTable
 
 __all__ = [
     "ActuatorTable",
     "BundleTable",
     "CommandTable",
     "Config",
+    "ContactTable",
     "InspectionTable",
     "OutputTable",
     "OverviewTable",

@@ -12,7 +12,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import topic_level
 
-__all__ = ["BundleTable", "CommandTable", "Config", "InspectionTable", "StationTable"]
+__all__ = ["BundleTable", "CommandTable", "Config", "ContactTable", "InspectionTable", "StationTable"]
 
 TopicLevel = Annotated[str, AfterValidator(topic_level)]
 

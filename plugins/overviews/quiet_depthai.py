@@ -1,4 +1,4 @@
-"""`depthai`, imported so that it calls nobody: a plant's gateway sends nothing that it was not configured to send.
+"""`depthai`, imported so that it sends nothing by itself: a gateway sends only what its configuration says.
 
 Ref: the environment variables that depthai 3.12 reads. Since 3.7.1 it sends telemetry unless it is switched off.
 """

@@ -23,9 +23,9 @@ TARGETS = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf
 
 
 def fenced(page: Path) -> Iterator[str]:
-    """Lines of fenced blocks, without their comments."""
+    """Lines of fenced blocks, without their comments; a line that ends with a backslash goes on in the next."""
     is_inside = False
-    for line in page.read_text(encoding="utf-8").splitlines():
+    for line in page.read_text(encoding="utf-8").replace("\\\n", "").splitlines():
         if line.lstrip().startswith("```"):
             is_inside = not is_inside
         elif is_inside:
