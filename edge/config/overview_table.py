@@ -42,7 +42,11 @@ class OverviewTable(PluginTable):
     )
     parts: dict[str, str] = Field(
         default_factory=dict,
-        description="text of a code, or its group `part`, to the part of a bundle, where the two differ",
+        description="text of a code, or its group `part`, to the part or a name of a bundle, where the two differ",
+    )
+    select: bool = Field(
+        default=False,
+        description="the code on the part selects its bundle when a press begins; by default another part is refused",
     )
     empty: Path | None = Field(
         default=None, description="picture of the empty station: a part must differ from it"
@@ -72,8 +76,8 @@ class OverviewTable(PluginTable):
     @model_validator(mode="after")
     def _fits_together(self) -> "OverviewTable":
         Zone(*self.region)
-        if not self.codes and (self.parts or self.part_pattern is not None):
-            raise ValueError("parts and part_pattern need codes, the kinds of code to read")
+        if not self.codes and (self.parts or self.part_pattern is not None or self.select):
+            raise ValueError("parts, part_pattern and select need codes, the kinds of code to read")
         return self
 
     def rules(self) -> OverviewRules:
@@ -94,6 +98,7 @@ class OverviewTable(PluginTable):
             family=self.apriltag_family,
             pattern=None if self.part_pattern is None else re.compile(self.part_pattern),
             parts=self.parts,
+            select=self.select,
             zone=Zone(*self.region),
             empty=empty,
             present_share=self.present_share,

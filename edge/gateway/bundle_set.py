@@ -61,6 +61,12 @@ class BundleSet:
         names = {name: one.part for one in self.bundles.values() for name in one.names}
         return named_part(self.bundles, names, name)
 
+    def named_by(self, name: str) -> frozenset[PartPosition]:
+        """All positions with this name, as `named`: several for a part with several positions, none for an unknown
+        name."""
+        named = frozenset(one.part for one in self.bundles.values() if name in one.names)
+        return named or frozenset(part for part in self.bundles if name in (part.part, str(part)))
+
     def with_one(self, new: OpenBundle) -> "BundleSet":
         """The same with one more. Errors: ConfigError for a position that has one, BundleMismatch for a bundle that
         needs another reading of the sensor."""

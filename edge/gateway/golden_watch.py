@@ -30,7 +30,7 @@ class GoldenWatch:
         """Another bundle is in use. is_checked: its frames were scored just now."""
         self._inspector = inspector
         self._number = 0
-        self.fault = None
+        self.fault = inspector.fault  # of when it was in use before, until its frames score well
         self._next_ns = self._clock.monotonic_ns() + (round(GOLDEN_EVERY_S * 1e9) if is_checked else 0)
 
     def step(self) -> bool:

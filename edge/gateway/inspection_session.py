@@ -22,8 +22,8 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
+from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector
-from edge.gateway.overview import Overview
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.status import StationStatus
@@ -63,7 +63,7 @@ class InspectionSession:
         status: StationStatus,
         clock: Clock,
         on_judged: Callable[[Inspection], None] = lambda inspection: None,
-        overview: Overview | None = None,
+        admission: Admission | None = None,
     ) -> None:
         self.gel = gel
         self._on_judged = on_judged
@@ -75,7 +75,7 @@ class InspectionSession:
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
-        self._pipeline = PressPipeline(detector, inspector, clock, self._see, overview)
+        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
@@ -122,7 +122,8 @@ class InspectionSession:
         return self._pipeline.trigger()
 
     def use(self, inspector: Inspector) -> None:
-        """Judge with another bundle from the next press on. Only while nothing presses the gel."""
+        """Judge with another bundle from the next press on. Only while no press waits for its verdict, or when one has
+        just begun."""
         self._pipeline.use(inspector)
         self._recorder.use(inspector)
         self._at_fit = inspector.bundle.free_reference

@@ -52,9 +52,10 @@ class Overview:
         """Stop reading and release the camera; may be called again."""
         self.camera.close()
 
-    def begin(self) -> None:
+    def begin(self) -> OverviewView:
         """A contact began: look at the part now, before the press is judged."""
         self._view = self._look()
+        return self._view
 
     def take(self) -> OverviewView:
         """What was seen when this press began; asked once for each press."""

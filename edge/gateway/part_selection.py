@@ -38,6 +38,7 @@ class PartSelection:
         self.bundles = bundles
         self._in_use = bundles[part]
         self._wanted = part
+        self._why: Act | None = None
         self._stage = stage
         self._store = store
         self._status = status
@@ -67,9 +68,10 @@ class PartSelection:
         """What is inspected from the end of this press on."""
         return self._wanted
 
-    def select(self, part: PartPosition) -> None:
-        """Inspect this from the end of this press on; the next `step` changes to it. part: one of `bundles`."""
-        self._wanted = self.bundles[part].part
+    def select(self, part: PartPosition, why: Act | None = None) -> None:
+        """Inspect this from the end of this press on; the next `step` changes to it. part: one of `bundles`. why:
+        recorded with the change."""
+        self._wanted, self._why = self.bundles[part].part, why
 
     def reload(self) -> None:
         """Open the configured bundles again, while presses are judged as before."""
@@ -94,8 +96,9 @@ class PartSelection:
     def _change(self) -> bool:
         chosen = self.bundles[self._wanted]
         bundle = chosen.bundle
-        self._store.use_bundle(chosen.part, bundle.manifest.revision, bundle.digest, self._clock.time_ns())
-        self._is_recorded = True
+        revision, now_ns = bundle.manifest.revision, self._clock.time_ns()
+        self._store.use_bundle(chosen.part, revision, bundle.digest, now_ns, self._why)
+        self._is_recorded, self._why = True, None
         has_changed = chosen.inspector is not self.inspector
         self._in_use = chosen
         if has_changed:

@@ -17,14 +17,14 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.verdict import Verdict
+from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector
-from edge.gateway.overview import Overview
 
 __all__ = ["PressPipeline"]
 
 
 class PressPipeline:
-    """Judges the one frame of each press. on_event gets every contact event. overview: admits presses."""
+    """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera."""
 
     def __init__(
         self,
@@ -32,13 +32,13 @@ class PressPipeline:
         inspector: Inspector,
         clock: Clock,
         on_event: Callable[[Event], None] = lambda event: None,
-        overview: Overview | None = None,
+        admission: Admission | None = None,
     ) -> None:
         self.detector = detector
         self._inspector = inspector
         self._clock = clock
         self._on_event = on_event
-        self._overview = overview
+        self._admission = admission
 
     @property
     def tracker(self) -> ContactTracker:
@@ -73,23 +73,22 @@ class PressPipeline:
         for event in events:
             self._on_event(event)
             match event:
-                case PressBegan() if self._overview is not None:
-                    self._overview.begin()
+                case PressBegan() if self._admission is not None:
+                    self._admission.begin()
                 case PressSettled():
                     inspections.append(self._admitted(event))
                 case PressNotSettled():
                     text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
                     rejected = Verdict.rejected(Rejection(Reason.NOT_SETTLED, text))
-                    view = self._overview.take() if self._overview else None
+                    view = self._admission.take()[0] if self._admission else None
                     inspections.append(Inspection(rejected, overview=view))
         return inspections
 
     def _admitted(self, event: PressSettled) -> Inspection:
         """Judged, unless the overview camera refuses the part: then it is not scored."""
-        if self._overview is None:
+        if self._admission is None:
             return self._judged(event)
-        view = self._overview.take()
-        refusal = self._overview.rules.refusal(view, self._inspector.bundle.manifest.part)
+        view, refusal = self._admission.take()
         judged = Inspection(Verdict.rejected(refusal)) if refusal else self._judged(event)
         return replace(judged, overview=view)
 

@@ -13,10 +13,12 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import QualitySettings
+from edge.core.overview.rules import OverviewView
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.admission import Admission
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.clock_guard import ClockGuard
 from edge.gateway.digital_io.station_io import StationIo
@@ -235,20 +237,35 @@ class StationLoop:
         )
         self._parts.store.begin_act(act, within_s=0)
 
-    def _select(self, part: PartPosition) -> None:
+    def _select(self, part: PartPosition, why: Act | None = None, *, is_beginning: bool = False) -> None:
         """What cannot be recorded is not done later either. Errors: StoreError."""
         before = self.selection.wanted
-        self.selection.select(part)
+        self.selection.select(part, why)
         try:
-            self._follow_selection()
+            self._follow_selection(is_beginning=is_beginning)
         except StoreError:
             self.selection.select(before)
             raise
 
-    def _follow_selection(self) -> None:
-        """Between two presses another bundle may take over. Errors: StoreError."""
+    def _select_by_code(self, part: PartPosition, view: OverviewView) -> None:
+        """The overview camera has read the code of this part, and its press begins. Errors: StoreError."""
+        why = Act(
+            self._parts.clock.time_ns(),
+            "the overview camera",
+            "select_part",
+            arguments={"codes": [code.text for code in view.codes]},
+            outcome="done",
+            before={"part": self.selection.part.part, "position": self.selection.part.position},
+            after={"part": part.part, "position": part.position},
+        )
+        self._select(part, why, is_beginning=True)
+
+    def _follow_selection(self, *, is_beginning: bool = False) -> None:
+        """Between two presses another bundle may take over; a press that is just beginning can still have it. Errors:
+        StoreError."""
         session = self._session
-        if not self.selection.step(is_pressed=session is not None and session.has_contact):
+        is_pressed = session is not None and session.has_contact and not is_beginning
+        if not self.selection.step(is_pressed=is_pressed):
             return
         if session is not None:
             session.use(self.selection.inspector)
@@ -282,9 +299,13 @@ class StationLoop:
             parts.status,
             parts.clock,
             self._judged,
-            parts.overview,
+            self._admission(),
         )
         return self._session
+
+    def _admission(self) -> Admission | None:
+        overview = self._parts.overview
+        return None if overview is None else Admission(overview, self.selection, self._select_by_code)
 
     def _check_mode(self, identity: DeviceIdentity) -> None:
         bundle = self.selection.inspector.bundle

@@ -233,10 +233,20 @@ class Store:
         with self._database.reading("reading the selected part") as connection:
             return bundles_in_use.selected(connection)
 
-    def use_bundle(self, part: PartPosition, revision: int | None, bundle_id: str, time_ns: int) -> None:
-        """Record that this bundle is in use from now on, and that its position is selected."""
+    def use_bundle(
+        self,
+        part: PartPosition,
+        revision: int | None,
+        bundle_id: str,
+        time_ns: int,
+        act: act_table.Act | None = None,
+    ) -> None:
+        """Record that this bundle is in use from now on, and that its position is selected. act: recorded with it, both
+        or neither."""
         with self._database.writing(f"selecting {part}") as connection:
             bundles_in_use.use(connection, part, revision, bundle_id, time_ns)
+            if act is not None:
+                act_table.begin(connection, act, self._running.store(connection))
 
     def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
         """The newest presses, each with its gel id, newest first."""

@@ -13,6 +13,7 @@ from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import picture_size
 from edge.core.overview.rules import OverviewRules
+from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
 from edge.core.verdict import Kind
 from edge.gateway.acquisition import Acquisition
@@ -89,7 +90,8 @@ def test_a_press_of_another_part_is_refused(tmp_path: Path, recording: Path, bun
     assert (other.verdict, other.score) == (Kind.REJECTED, None)
     assert other.reason is not None
     assert other.reason.startswith(
-        "other_part: the code 'PZ9' (qr) is part 'PZ9', the bundle in use is for part 'PZ0'"
+        "other_part: the code 'PZ9' (qr) is part 'PZ9', for which this station has no bundle, the bundle in use is "
+        "for PZ0/pos1"
     )
     assert other.overview_topic == f"overview/{other.press_id}"
     assert none.reason is not None
@@ -155,8 +157,9 @@ def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
     view = overview.take()
 
     assert (view.jpeg, view.fault) == (None, "camera C1 was unplugged")
-    assert overview.rules.refusal(view, "PZ0") is None
-    refusal = OverviewRules(codes=("qr",)).refusal(view, "PZ0")
+    part = PartPosition("PZ0", "pos1")
+    assert overview.rules.refusal(view, part, lambda name: [part]) is None
+    refusal = OverviewRules(codes=("qr",)).refusal(view, part, lambda name: [part])
     assert refusal is not None
     assert "camera C1 was unplugged" in refusal.text
 

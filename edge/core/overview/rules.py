@@ -1,7 +1,7 @@
 """Before a press: what a still of the overview camera says, and whether the part in it is the selected one."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.overview.codes import Code, CodeKind, TagFamily, read_codes
 from edge.core.overview.presence import Zone, changed_share
+from edge.core.part_position import PartPosition
 
-__all__ = ["OverviewRules", "OverviewView"]
+__all__ = ["NamedBy", "OverviewRules", "OverviewView"]
+
+NamedBy = Callable[[str], Collection[PartPosition]]
+"""A part's name -> the positions of the station's bundles that have it; none for an unknown name."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,8 @@ class OverviewRules:
     """What a still must show.
 
     codes: kinds to read; without any, no id is asked for. pattern: its group `part` is the part in a code's text;
-    without it the text is the part. parts: text, or that group, to the part of a bundle, where they differ.
+    without it the text is the part. parts: text, or that group, to the part or another name of a bundle, where they
+    differ. select: the code on the part selects its bundle.
     zone: where the part is. empty: grey picture of the empty station, uint8 (h, w); without it presence is not checked.
     present_share: a part changes at least this share of the region.
     """
@@ -48,6 +53,7 @@ class OverviewRules:
     family: TagFamily = "36h11"
     pattern: re.Pattern[str] | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
+    select: bool = False
     zone: Zone = field(default_factory=Zone)
     empty: NDArray[np.uint8] | None = None
     present_share: float = 0.02
@@ -80,8 +86,8 @@ class OverviewRules:
             text = match["part"] or ""
         return self.parts.get(text, text)
 
-    def refusal(self, view: OverviewView, selected: str) -> Rejection | None:
-        """Why a press of this part is not admitted, or None. selected: the part of the bundle in use."""
+    def refusal(self, view: OverviewView, selected: PartPosition, named_by: NamedBy) -> Rejection | None:
+        """Why a press is not admitted, or None. selected: what the bundle in use inspects."""
         if not self.is_asking:
             return None
         if view.fault is not None:
@@ -93,27 +99,45 @@ class OverviewRules:
                 f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
                 f"{self.present_share:.1%}; place the part, then press",
             )
-        return self._other_part(view, selected) if self.codes else None
+        return self._other_part(view, selected, named_by) if self.codes else None
 
-    def _other_part(self, view: OverviewView, selected: str) -> Rejection | None:
+    def selected_by(self, view: OverviewView, named_by: NamedBy) -> PartPosition | None:
+        """The one position that every code in view names; None where they name none, several or different ones."""
+        named = self._named(view, named_by)
+        return next(iter(named)) if len(named) == 1 else None
+
+    def _named(self, view: OverviewView, named_by: NamedBy) -> frozenset[PartPosition]:
+        """The positions that every code in view names."""
+        parts = [self.part_in(code) for code in view.codes]
+        each = [frozenset() if part is None else frozenset(named_by(part)) for part in parts]
+        return frozenset.intersection(*each) if each else frozenset()
+
+    def _other_part(self, view: OverviewView, selected: PartPosition, named_by: NamedBy) -> Rejection | None:
         if not view.codes:
             kinds = " or ".join(self.codes)
             return Rejection(
                 Reason.NO_PART_ID,
                 f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the light",
             )
-        parts = {self.part_in(code) for code in view.codes}
-        if parts == {selected}:
+        named = self._named(view, named_by)
+        if selected in named:
             return None
         read = ", ".join(f"'{code.text}' ({code.kind})" for code in view.codes)
-        if len(parts) > 1:
+        if len({self.part_in(code) for code in view.codes}) > 1 and not named:
             return Rejection(
                 Reason.NO_PART_ID,
                 f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region",
             )
-        part = next(iter(parts))
-        named = "fits no overview.part_pattern" if part is None else f"is part '{part}'"
+        what = self._meaning(self.part_in(view.codes[0]), named)
         return Rejection(
             Reason.OTHER_PART,
-            f"the code {read} {named}, the bundle in use is for part '{selected}'; press that part, or use its bundle",
+            f"the code {read} {what}, the bundle in use is for {selected}; press that part, or select the other bundle",
         )
+
+    @staticmethod
+    def _meaning(part: str | None, named: Collection[PartPosition]) -> str:
+        if part is None:
+            return "fits no overview.part_pattern"
+        if not named:
+            return f"is part '{part}', for which this station has no bundle"
+        return f"is of {' and '.join(sorted(map(str, named)))}"

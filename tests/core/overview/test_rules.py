@@ -14,14 +14,28 @@ from edge.core.imaging.quality import Reason
 from edge.core.overview.codes import Code, read_codes
 from edge.core.overview.presence import Zone, changed_share
 from edge.core.overview.rules import OverviewRules, OverviewView
+from edge.core.part_position import PartPosition
+
+PZ0, PZ1, LEFT, RIGHT = (
+    PartPosition(*one) for one in (("PZ0", "pos1"), ("PZ1", "pos1"), ("PZ2", "left"), ("PZ2", "right"))
+)
+
+
+def named_by(name: str) -> list[PartPosition]:
+    """A station with three parts, one of them with two positions; PZ1 has another name."""
+    return [
+        one
+        for one in (PZ0, PZ1, LEFT, RIGHT)
+        if name in (one.part, str(one), *(["4711"] if one is PZ1 else []))
+    ]
 
 
 def looked(grey: NDArray[np.uint8], rules: OverviewRules) -> OverviewView:
     return rules.look(encoded(grey), grey)
 
 
-def reason(view: OverviewView, rules: OverviewRules, selected: str = "PZ0") -> Reason | None:
-    refusal = rules.refusal(view, selected)
+def reason(view: OverviewView, rules: OverviewRules, selected: PartPosition = PZ0) -> Reason | None:
+    refusal = rules.refusal(view, selected, named_by)
     return None if refusal is None else refusal.reason
 
 
@@ -69,7 +83,7 @@ def test_the_selected_part_is_admitted_and_another_is_not() -> None:
 
     assert reason(looked(with_tag(17), rules), rules) is None
     assert reason(looked(with_tag(18), rules), rules) is Reason.OTHER_PART
-    assert reason(looked(with_tag(17), rules), rules, "PZ1") is Reason.OTHER_PART
+    assert reason(looked(with_tag(17), rules), rules, PZ1) is Reason.OTHER_PART
     assert reason(looked(blank(), rules), rules) is Reason.NO_PART_ID
 
 
@@ -80,6 +94,41 @@ def test_the_group_part_of_the_pattern_is_the_part() -> None:
     assert reason(looked(with_qr("PZ0;0042"), rules), rules) is None
     assert reason(looked(with_qr("PZ1;0042"), rules), rules) is Reason.OTHER_PART
     assert reason(looked(with_qr("PZ0"), rules), rules) is Reason.OTHER_PART
+
+
+@pytest.mark.parametrize(
+    ("texts", "position"),
+    [
+        (["PZ1"], PZ1),
+        (["PZ1/pos1"], PZ1),
+        (["4711"], PZ1),
+        (["4711", "PZ1"], PZ1),
+        (["PZ2/left"], LEFT),
+        (["PZ2/left", "PZ2"], LEFT),
+        (["PZ2"], None),
+        (["PZ9"], None),
+        (["PZ0", "PZ1"], None),
+        (["PZ1", "lot 7"], None),
+        ([], None),
+    ],
+)
+def test_codes_that_name_one_position_select_it(texts: list[str], position: PartPosition | None) -> None:
+    """By part, by part and position, or by a name; several codes must agree. What they select, they admit."""
+    rules = OverviewRules(codes=("qr",), select=True)
+    view = OverviewView(b"", codes=tuple(Code("qr", text) for text in texts))
+
+    assert rules.selected_by(view, named_by) == position
+    assert position is None or reason(view, rules, position) is None
+
+
+@pytest.mark.parametrize("selected", [LEFT, RIGHT])
+def test_a_code_of_a_part_alone_admits_each_of_its_positions(selected: PartPosition) -> None:
+    """The position is then what a person has selected."""
+    rules = OverviewRules(codes=("qr",))
+    view = OverviewView(b"", codes=(Code("qr", "PZ2"),))
+
+    assert reason(view, rules, selected) is None
+    assert reason(view, rules) is Reason.OTHER_PART
 
 
 def test_codes_of_two_parts_admit_none() -> None:
