@@ -158,7 +158,7 @@ def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
     verdicts = ["fail", "pass", "pass", "fail", "pass", "fail"]
     with Store(path) as store, Outbox(path) as outbox:
         for n, verdict in enumerate(verdicts):
-            store.record_press(make_press(n, verdict), messages_of(make_press(n, verdict), 2000))
+            store.record_press(make_press(n, verdict), messages_of(make_press(n, verdict), 10_000))
         outbox_bytes = outbox.status().bytes
         row_bytes = {
             row.row_id: len(row.message.payload) + ROW_OVERHEAD_BYTES for row in outbox.pending("mqtt", 99)
