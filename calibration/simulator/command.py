@@ -58,7 +58,7 @@ def simulate(
     ] = "",
     preview: Annotated[
         bool,
-        typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, effects one by one."),
+        typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, its effects one by one."),
     ] = False,
     workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
     is_listed: Annotated[
@@ -121,7 +121,10 @@ def _recordings(
 
 
 def _preview(scenes: "list[Scene]", output: Path, seed: int) -> None:
+    from calibration.simulator.effects import EFFECTS
     from calibration.simulator.preview import write_preview
 
     for scene in scenes:
         typer.echo(f"preview: {write_preview(scene, output, seed)}")
+        left_out = [name for name in EFFECTS if name not in scene.effects]
+        typer.echo(f"effects that {scene.name} does not use: {', '.join(left_out) or 'none'}")

@@ -1,4 +1,4 @@
-"""A contact sheet of a scene: sound presses, damaged presses with their masks, and the effects one by one."""
+"""A contact sheet of a scene: sound presses, damaged presses with their masks, and its effects one by one."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,12 +79,12 @@ def _damaged(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
 
 
 def _effects(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
-    """Every effect added to the previous ones, and the change it makes."""
+    """Every effect of the scene added to the previous ones, and the change it makes; others are not computed."""
     names: tuple[str, ...] = ()
     before = _one(scene, seed, names)
     yield before, "no effect"
     yield np.full_like(before, 128), "no change"
-    for name in EFFECTS:
+    for name in (name for name in EFFECTS if name in scene.effects):
         names = (*names, name)
         after = _one(scene, seed, names)
         change = (after.astype(np.float32) - before) * _MAGNIFIED + 128

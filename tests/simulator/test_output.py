@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -243,6 +244,9 @@ def test_the_command_makes_a_preview(tmp_path: Path) -> None:
     sheet = cv2.imread(str(tmp_path / "out" / "tiny_preview.png"))
     assert sheet is not None
     assert sheet.shape[1] == 6 * 324
+    sound_and_damaged, effects = 3 + 2 * 1, 2 + 2 * 7
+    assert sheet.shape[0] == 260 * (math.ceil(sound_and_damaged / 6) + math.ceil(effects / 6))
+    assert "effects that tiny does not use: partial_contact, residual_imprint, wear," in done.output
 
 
 def test_the_command_makes_recordings_a_folder_each(tmp_path: Path) -> None:
