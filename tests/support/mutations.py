@@ -1,22 +1,38 @@
 """Files that are wrong in one place: bytes flipped, cut or repeated, values of another kind, and calls of a canary."""
 
+import contextlib
 import io
 import pickle
 import random
+import resource
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from export.reading.foreign import Record
+from export.reading.isolated import BASE_BYTES
 
-__all__ = ["changed_bytes", "changed_value", "with_canary"]
+__all__ = ["as_little_memory_as_the_reader", "changed_bytes", "changed_value", "with_canary"]
 
 _VALUES: list[Any] = [
     None, True, -1, 0, 2**40, float("nan"), "", "text", [], {}, [[]], np.zeros(0), np.zeros((2, 2, 2, 2)),
     np.full(3, np.inf), np.array(7), Record("torch.nn.modules.x.Y", [1], {"a": 1}),
 ]  # fmt: skip
+
+
+@contextlib.contextmanager
+def as_little_memory_as_the_reader() -> Iterator[None]:
+    """What the reader's process may take, on top of what this one has: one byte of a pickle can ask for gigabytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + BASE_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def changed_bytes(data: bytes, rng: random.Random) -> bytes:

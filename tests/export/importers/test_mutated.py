@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from anomalib_files import SMALL
-from mutations import changed_bytes, changed_value, with_canary
+from mutations import as_little_memory_as_the_reader, changed_bytes, changed_value, with_canary
 from toy_trunk import toy_trunk
 
 from calibration.fitting.trunks import Trunk
@@ -120,7 +120,8 @@ def test_mutated_files_are_sentences(seeds: dict[str, tuple[Path, Settings]], tm
                     else with_canary({"mean": np.zeros(3)}, canary, rng)
                 )
                 scratch.write_bytes(data)
-                file = Foreign(path, *read_here(scratch))
+                with as_little_memory_as_the_reader():
+                    file = Foreign(path, *read_here(scratch))
         except Exception:  # noqa: BLE001 (the reader's process turns every error into its sentence)
             refused += 1
             continue
@@ -135,6 +136,14 @@ def test_mutated_files_are_sentences(seeds: dict[str, tuple[Path, Settings]], tm
     assert made + refused == TRIED
     assert refused > TRIED // 2
     assert not canary.exists()
+
+
+def test_a_byte_that_asks_for_gigabytes_is_refused_here_too(tmp_path: Path) -> None:
+    """The number of a memo, 2 to the power of 30, for which a pickle's reader makes room."""
+    (tmp_path / "model.pkl").write_bytes(b"\x80\x02Nr\xff\xff\xff\x3f.")
+
+    with pytest.raises(MemoryError), as_little_memory_as_the_reader():
+        read_here(tmp_path / "model.pkl")
 
 
 def _read_or_refused(path: Path) -> None:
