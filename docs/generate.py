@@ -23,7 +23,7 @@ from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
 from edge.config import Config
 from edge.core import errors
-from edge.gateway.commands import COMMANDS
+from edge.gateway.command_table import COMMANDS
 from edge.messaging.topic_reference import reference
 
 FOLDER: Final = Path(__file__).parent

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 from edge import registry
@@ -20,7 +21,8 @@ from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
-from edge.gateway.commands import Commands, station_handlers
+from edge.gateway.command_table import station_handlers
+from edge.gateway.commands import Commands
 from edge.gateway.free_space import FreeSpace
 from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
@@ -29,7 +31,9 @@ from edge.gateway.opening import BundleOpener, Opened, device_opener, overview_o
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
-from edge.gateway.station_loop import Parts, StationLoop
+from edge.gateway.snapshots import Snapshots
+from edge.gateway.station_loop import StationLoop
+from edge.gateway.station_parts import Parts
 from edge.gateway.status import StationStatus
 from edge.messaging.payloads import StatePayload, state_message
 from edge.messaging.publisher import Publisher
@@ -90,6 +94,8 @@ def build(
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
     overview = _overview(config, clock, status, closing)
+    snapshots = Snapshots(_snapshot_folder(config), clock)
+    closing.callback(snapshots.close)
     return Parts(
         selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
@@ -105,6 +111,7 @@ def build(
         calls=calls,
         clock=clock,
         io=io,
+        snapshots=snapshots,
         overview=overview,
     )
 
@@ -179,6 +186,12 @@ def _overview(config: Config, clock: Clock, status: StationStatus, closing: Exit
     overview = Overview(camera, rules, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px)
     closing.callback(overview.close)
     return overview
+
+
+def _snapshot_folder(config: Config) -> Path | None:
+    """Next to the database; None where nobody may ask for one."""
+    served = {*config.commands.signed, *config.commands.unsigned}
+    return config.store.path.with_suffix(".snapshots") if "snapshot" in served else None
 
 
 def _names_before(config: Config) -> dict[str, str]:

@@ -1,38 +1,27 @@
-"""Requests that arrive over MQTT: one table of verbs; read, allowed or refused, recorded, done once, and answered.
+"""Requests that arrive over MQTT: read, allowed or refused, recorded, done once, and answered.
 
-Every fault becomes a response; no request can stop the gateway. `command_policy` says who may ask for what. A request
-is recorded before it is done, and completed with its outcome: a repetition gets that outcome, and is not done again.
+Every fault becomes a response; no request can stop the gateway. `command_table` has the verbs, `command_policy` says
+who may ask for what. A request is recorded before it is done, and completed with its outcome: a repetition gets that
+outcome, and is not done again.
 """
 
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
 from pydantic import ValidationError
 
 from edge.core.errors import GelgateError, StoreError
 from edge.core.ports import Clock
 from edge.gateway.command_policy import CommandPolicy, Rate
-from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.station_loop import StationLoop
-from edge.messaging.command_payloads import (
-    CommandArguments,
-    CommandRequest,
-    CommandResponse,
-    NoArguments,
-    ReplaceGelArguments,
-    SelectPartArguments,
-)
+from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.store.acts import Act
 from edge.store.press_store import Store
 
-__all__ = ["COMMANDS", "Change", "Command", "Commands", "Handler", "station_handlers"]
+__all__ = ["REPEATED_WITHIN_S", "Change", "Commands", "Handler"]
 
 log = logging.getLogger(__name__)
-
-A = TypeVar("A", bound=CommandArguments)
 
 # The same transaction id within this time is the same request: MQTT delivers at least once.
 REPEATED_WITHIN_S: Final = 60.0
@@ -50,127 +39,6 @@ class Change:
 
 Handler = Callable[[Mapping[str, Any]], Change]
 """Arguments of the request -> what was done. Errors: GelgateError, TypeError, ValueError."""
-
-
-@dataclass(frozen=True)
-class Command(Generic[A]):
-    """One verb: its arguments' model, the loop's action, and its text in the manual.
-
-    changes: what it changes for good, for the manual; empty for nothing. do: returns the data of the response, plain
-    JSON. Errors of `do`: GelgateError, ValueError.
-    """
-
-    verb: str
-    arguments: type[A]
-    do: Callable[[StationLoop, A], Mapping[str, Any]]
-    help: str
-    changes: str = ""
-
-
-def _trigger(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
-    refusal = loop.session.trigger()
-    if refusal is not None:
-        raise ValueError(refusal)
-    return {"state": loop.session.contact_state}
-
-
-def _relearn(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
-    loop.session.relearn()
-    return {"state": loop.session.contact_state}
-
-
-def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Mapping[str, Any]:
-    loop.replace_gel(arguments.gel_id, arguments.limit_presses, arguments.note)
-    gel = loop.session.gel
-    return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
-
-
-def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Mapping[str, Any]:
-    if arguments.name is not None:
-        loop.select_named(arguments.name)
-    else:
-        loop.select_part(arguments.part or "", arguments.position)
-    return {**_selected(loop), "is_waiting": loop.selection.is_waiting}
-
-
-def _reload(loop: StationLoop, arguments: NoArguments) -> Mapping[str, Any]:
-    loop.selection.reload()
-    return {"is_waiting": True}
-
-
-COMMANDS: Final[tuple[Command[Any], ...]] = (
-    Command(
-        "trigger",
-        NoArguments,
-        _trigger,
-        'score the press that is held now; the way to inspect with `trigger = "command"`',
-    ),
-    Command(
-        "relearn",
-        NoArguments,
-        _relearn,
-        "learn the picture of the free gel again; nothing may touch it",
-        "nothing is inspected until the gel is seen free",
-    ),
-    Command(
-        "replace_gel",
-        ReplaceGelArguments,
-        _replace_gel,
-        "record that a new gel is mounted, count from 0 and learn its picture",
-        "the record of wear",
-    ),
-    Command(
-        "select_part",
-        SelectPartArguments,
-        _select_part,
-        "inspect another position or part from the next press on; during a press it waits for its end (`is_waiting`)",
-        "the bundle that inspects",
-    ),
-    Command(
-        "reload",
-        NoArguments,
-        _reload,
-        "open the configured bundles again while presses are judged as before; `info` and the alarm `bundle` have the "
-        "outcome",
-        "the bundles",
-    ),
-)
-"""All commands of a station; docs/mqtt.md prints this table."""
-
-
-def station_handlers(calls: LoopCalls[StationLoop]) -> dict[str, Handler]:
-    """Verb to handler. Arguments are read on the caller's thread; the station's loop does the rest."""
-    return {command.verb: partial(_ask, calls, command) for command in COMMANDS}
-
-
-def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mapping[str, Any]) -> Change:
-    wish = command.arguments.of(arguments)
-
-    def do(loop: StationLoop) -> Change:
-        before = _facts(loop)
-        data = command.do(loop, wish)
-        return Change(data, before, _facts(loop))
-
-    return calls.ask(do)
-
-
-def _facts(loop: StationLoop) -> Mapping[str, Any]:
-    """As far as it is known: before the first frame the gel is not."""
-    if not loop.has_session:
-        return _selected(loop)
-    gel = loop.session.gel
-    return {
-        "gel_id": gel.gel_id,
-        "presses": gel.presses,
-        "limit_presses": gel.limit_presses,
-        "state": loop.session.contact_state,
-        **_selected(loop),
-    }
-
-
-def _selected(loop: StationLoop) -> Mapping[str, Any]:
-    part, bundle = loop.selection.part, loop.selection.inspector.bundle
-    return {"part": part.part, "position": part.position, "bundle_id": bundle.digest}
 
 
 class Commands:

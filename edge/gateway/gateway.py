@@ -15,7 +15,8 @@ from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
 from edge.gateway.service_manager import ServiceManager
-from edge.gateway.station_loop import OnPress, Parts, StationLoop
+from edge.gateway.station_loop import OnPress, StationLoop
+from edge.gateway.station_parts import Parts
 from edge.gateway.summary import Summary
 
 __all__ = ["Gateway"]
@@ -57,6 +58,7 @@ class Gateway:
         self._parts.io.start()
         self._parts.acquisition.start()
         self._parts.stage.start()
+        self._parts.snapshots.start()
         if self._parts.overview is not None:
             self._parts.overview.start()
         manager = ServiceManager(self._parts.clock)

@@ -3,6 +3,7 @@
 One frame per turn, and only while nothing presses the gel, so that no press waits for more than one frame's score.
 """
 
+from concurrent.futures import Future
 from typing import Final
 
 from edge.core.errors import BundleCorrupt
@@ -24,6 +25,7 @@ class GoldenWatch:
         self._inspector: Inspector | None = None
         self._number = 0
         self._next_ns = 0
+        self._asked: list[Future[str | None]] = []
         self.fault: str | None = None
 
     def watch(self, inspector: Inspector, *, is_checked: bool = False) -> None:
@@ -32,6 +34,12 @@ class GoldenWatch:
         self._number = 0
         self.fault = inspector.fault  # of when it was in use before, until its frames score well
         self._next_ns = self._clock.monotonic_ns() + (round(GOLDEN_EVERY_S * 1e9) if is_checked else 0)
+
+    def request(self) -> "Future[str | None]":
+        """Score all frames with the next turns; the result is `fault` after the last one."""
+        self._number, self._next_ns = 0, self._clock.monotonic_ns()
+        self._asked.append(Future())
+        return self._asked[-1]
 
     def step(self) -> bool:
         """Score one golden frame, if it is time; returns whether `fault` has changed."""
@@ -49,4 +57,16 @@ class GoldenWatch:
         self._number = 0
         self._next_ns = self._clock.monotonic_ns() + round((AFTER_FAULT_S if fault else GOLDEN_EVERY_S) * 1e9)
         before, self.fault = self.fault, fault
+        self._answer()
         return before != fault
+
+    def close(self) -> None:
+        """Nothing is scored any more."""
+        for asked in self._asked:
+            asked.cancel()
+
+    def _answer(self) -> None:
+        for asked in self._asked:
+            if asked.set_running_or_notify_cancel():
+                asked.set_result(self.fault)
+        self._asked.clear()

@@ -1,6 +1,7 @@
 """Which bundle inspects: the selected position of a part, changed between two presses. Used by the loop alone."""
 
 import logging
+from concurrent.futures import Future
 
 from edge.core.errors import GelgateError
 from edge.core.part_position import PartPosition
@@ -77,6 +78,11 @@ class PartSelection:
         """Open the configured bundles again, while presses are judged as before."""
         self._stage.request(self.bundles)
 
+    def score_golden(self) -> "Future[str | None]":
+        """Score the golden frames of the bundle in use with the next turns; the result is why they score otherwise, or
+        None."""
+        return self._golden.request()
+
     def step(self, *, is_pressed: bool) -> bool:
         """One turn: take new bundles, change the one in use, score a golden frame. Returns whether the one in use has
         changed. Errors: StoreError, and then it has not; the next turn tries again."""
@@ -92,6 +98,10 @@ class PartSelection:
         if self._golden.step():
             self._report_golden()
         return False
+
+    def close(self) -> None:
+        """The loop ends: who waits for golden frames is not kept waiting."""
+        self._golden.close()
 
     def _change(self) -> bool:
         chosen = self.bundles[self._wanted]

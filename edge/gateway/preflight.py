@@ -26,7 +26,7 @@ from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
-from edge.gateway.commands import COMMANDS
+from edge.gateway.command_table import COMMANDS
 from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
 from edge.gateway.opening import BundleOpener, device_opener

@@ -6,40 +6,31 @@
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
-from edge.core.contact.settings import ContactSettings
 from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import QualitySettings
 from edge.core.overview.rules import OverviewView
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock, DeviceIdentity
-from edge.core.sink_context import Place
-from edge.gateway.acquisition import Acquisition
+from edge.core.ports import DeviceIdentity
+from edge.core.suggest import suggestion
 from edge.gateway.admission import Admission
-from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.clock_guard import ClockGuard
-from edge.gateway.digital_io.station_io import StationIo
-from edge.gateway.free_space import FreeSpace
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.inspector import Inspection
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
-from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
-from edge.gateway.status import StationStatus
+from edge.gateway.station_parts import Parts
 from edge.gateway.summary import Summary
-from edge.messaging.publisher import Publisher
-from edge.messaging.retained_state import RetainedState
+from edge.messaging.payloads import ALARMS
 from edge.messaging.sink_worker import SinkCounters
 from edge.store.acts import Act
-from edge.store.press_store import Store
-from edge.store.reference_files import ReferenceFolder
 
-__all__ = ["OnPress", "Parts", "StationLoop"]
+__all__ = ["OnPress", "StationLoop"]
 
 log = logging.getLogger(__name__)
 
@@ -52,27 +43,6 @@ LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
 STORE_RETRY_S: Final = 1.0
 
 OnPress = Callable[[PressReport], None]
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The parts of a station, built and not yet started. Their builder closes them."""
-
-    selection: PartSelection
-    stage: BundleStage
-    contact: ContactSettings
-    place: Place
-    store: Store
-    free_space: FreeSpace
-    references: ReferenceFolder
-    retained_state: RetainedState
-    publisher: Publisher
-    status: StationStatus
-    acquisition: Acquisition
-    calls: "LoopCalls[StationLoop]"
-    clock: Clock
-    io: StationIo
-    overview: Overview | None = None
 
 
 class StationLoop:
@@ -93,7 +63,13 @@ class StationLoop:
         self._clock_guard = ClockGuard(parts.clock)
         self._dropped_before = 0
         self._was_held_up = False
+        self._unrecorded_act: Act | None = None
         self._last_stats_ns = parts.clock.monotonic_ns()
+
+    @property
+    def parts(self) -> Parts:
+        """What it works with."""
+        return self._parts
 
     @property
     def calls(self) -> "LoopCalls[StationLoop]":
@@ -129,6 +105,7 @@ class StationLoop:
                 on_turn()
         finally:
             self._parts.calls.close(self)
+            self.selection.close()
         self._record()
         self.publish_stats()
 
@@ -137,6 +114,8 @@ class StationLoop:
         with one after STORE_RETRY_S."""
         now_ns = self._parts.clock.monotonic_ns()
         self._parts.calls.serve(self)
+        if frame is not None:
+            self._parts.snapshots.see(frame)
         is_trying = frame is None or not self.is_halted or now_ns - self._refused_ns > STORE_RETRY_S * 1e9
         try:
             if frame is not None and (self._session is not None or is_trying):
@@ -144,6 +123,7 @@ class StationLoop:
             if is_trying:
                 self._follow_selection()
                 self._record()
+                self._note_snapshot()
                 self.is_halted = False
         except StoreError as error:
             self.is_halted = True
@@ -191,6 +171,36 @@ class StationLoop:
         """A person has seen the last verdict, and the pulses that were not given."""
         self._parts.io.acknowledge()
 
+    @property
+    def alarms(self) -> list[str]:
+        """Those that are raised, in order."""
+        return sorted(self._parts.status.view().alarms)
+
+    def acknowledge_alarm(self, alarm: str) -> None:
+        """A person has seen an alarm that does not end by itself. Errors: ValueError for every other one."""
+        if alarm not in ALARMS:
+            raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(ALARMS))}")
+        staying = {
+            "pulse": self._parts.io.acknowledge_pulses,
+            "outbox_full": self._parts.status.acknowledge_dropped,
+            "counts": self._parts.store.findings.clear,
+        }
+        if alarm not in staying:
+            raise ValueError(
+                f"the alarm '{alarm}' ends by itself when its reason is over; see docs/operations.md"
+            )
+        if alarm not in self.alarms:
+            raise ValueError(f"the alarm '{alarm}' is not raised; raised: {', '.join(self.alarms) or 'none'}")
+        staying[alarm]()
+        self._parts.status.clear(alarm)
+
+    def snapshot(self, before_s: float, after_s: float) -> Path:
+        """Write the frames around now as a recording; returns its folder. Errors: ValueError when that cannot be."""
+        low = self._parts.free_space.check()
+        if low is not None:
+            raise ValueError(f"no snapshot is written: {low}")
+        return self._parts.snapshots.request(before_s, after_s)
+
     def publish_stats(self) -> None:
         """Publish the counts so far, and check whether another process replaced the gel."""
         parts = self._parts
@@ -220,6 +230,14 @@ class StationLoop:
         parts.status.refused(outbox.refused, [c.last_refusal for c in counters.values() if c.last_refusal])
         parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])
         parts.status.counts(parts.store.findings)
+
+    def _note_snapshot(self) -> None:
+        """Into the table of acts, when one was written. Errors: StoreError."""
+        identity = self._parts.acquisition.status.identity
+        self._unrecorded_act = self._unrecorded_act or self._parts.snapshots.take(identity)
+        if self._unrecorded_act is not None:
+            self._parts.store.begin_act(self._unrecorded_act, within_s=0)
+            self._unrecorded_act = None
 
     def _note_clock_step(self) -> None:
         """Into the log and the table of acts. Errors: StoreError."""

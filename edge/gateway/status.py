@@ -49,6 +49,7 @@ class StationStatus:
         self._is_stopped = False
         self._said: tuple[str, str | None] | None = None
         self._drops_before: OutboxStatus | None = None
+        self._drops_now: OutboxStatus | None = None
 
     def set_waiting_for(self, what: str | None) -> None:
         """The thing that the station waits for before it can inspect, None when it inspects."""
@@ -257,13 +258,19 @@ class StationStatus:
         else:
             self.clear("bundle")
 
+    def acknowledge_dropped(self) -> None:
+        """A person has seen the alarm `outbox_full`: it is raised again by the next drop."""
+        self._drops_before = self._drops_now
+        self.clear("outbox_full")
+
     def counts(self, findings: Sequence[str]) -> None:
-        """An alarm for counts that had to be corrected; it stays until the end of this process."""
+        """An alarm for counts that had to be corrected; it stays until a person acknowledges it, or a restart."""
         if findings:
             self.alarm("counts", "; ".join(findings))
 
     def _dropped(self, outbox: OutboxStatus) -> None:
         """Drops since this process started are an alarm; older ones were published before."""
+        self._drops_now = outbox
         if self._drops_before is None:
             self._drops_before = outbox
         aged = _since(self._drops_before.aged, outbox.aged)

@@ -10,13 +10,16 @@ from edge.messaging.payloads import Payload
 
 __all__ = [
     "LARGEST_REQUEST_BYTES",
+    "MOST_SNAPSHOT_S",
     "WAITING_REQUESTS",
+    "AcknowledgeAlarmArguments",
     "CommandArguments",
     "CommandRequest",
     "CommandResponse",
     "NoArguments",
     "ReplaceGelArguments",
     "SelectPartArguments",
+    "SnapshotArguments",
 ]
 
 # The largest request; those of the shipped verbs have some hundred bytes.
@@ -24,6 +27,9 @@ LARGEST_REQUEST_BYTES: Final = 16 << 10
 
 # Requests that may wait while one is answered; a person or a line controller sends fewer at once.
 WAITING_REQUESTS: Final = 16
+
+# Seconds of a snapshot before the request, and after it.
+MOST_SNAPSHOT_S: Final = 10
 
 PlainText = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]*$")]
 """Without control characters, which a terminal would obey."""
@@ -67,7 +73,7 @@ class CommandArguments(BaseModel):
 
 
 class NoArguments(CommandArguments):
-    """Of `cmd/trigger`, `cmd/relearn` and `cmd/reload`."""
+    """Of `cmd/trigger`, `cmd/relearn`, `cmd/reload` and `cmd/self_test`."""
 
 
 class ReplaceGelArguments(CommandArguments):
@@ -92,6 +98,19 @@ class SelectPartArguments(CommandArguments):
         ):
             raise ValueError("expected either part, with or without position, or name")
         return self
+
+
+class AcknowledgeAlarmArguments(CommandArguments):
+    """Of `cmd/acknowledge_alarm`."""
+
+    alarm: PlainText = Field(min_length=1, max_length=64)
+
+
+class SnapshotArguments(CommandArguments):
+    """Of `cmd/snapshot`: seconds before and after the request."""
+
+    before_s: float = Field(default=5, ge=0, le=MOST_SNAPSHOT_S)
+    after_s: float = Field(default=2, ge=0, le=MOST_SNAPSHOT_S)
 
 
 class CommandResponse(Payload):

@@ -17,7 +17,10 @@ from edge.store.outbox import ROW_OVERHEAD_BYTES
 from edge.store.press_counts import Count, PressCounts
 from edge.store.ulid import is_ulid
 
-__all__ = ["Finding", "check_database"]
+__all__ = ["Finding", "check_database", "quick_check"]
+
+# Instructions of SQLite's machine between two questions whether to go on: some milliseconds.
+ASKED_EVERY: Final = 100_000
 
 # SQLite reports at most this number of damaged places.
 MOST_DAMAGES: Final = 10
@@ -52,6 +55,22 @@ def check_database(path: Path) -> list[Finding]:
             *_counts(connection, counts),
             *_outbox(connection),
         ]
+
+
+def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
+    """Damage that SQLite sees in the file, as one sentence; None for a sound one. is_over: asked often, ends the check.
+
+    Errors: StoreError for a file that cannot be read; TimeoutError when it was ended.
+    """
+    with opened_read_only(path, "checking") as connection:
+        connection.set_progress_handler(is_over, ASKED_EVERY)
+        try:
+            (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
+                raise
+            raise TimeoutError(f"the check of database {path} was ended") from error
+    return None if found == "ok" else f"database {path} is damaged ({' '.join(str(found).split())})"
 
 
 def _file(connection: sqlite3.Connection) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
 from edge.cli.run import EXAMPLE
 from edge.config import Config, load_config
 from edge.core import errors
-from edge.gateway.commands import COMMANDS, station_handlers
+from edge.gateway.command_table import COMMANDS, station_handlers
 from edge.gateway.loop_calls import LoopCalls
 from edge.messaging.topic_reference import TOPICS
 

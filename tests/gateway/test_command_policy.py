@@ -13,7 +13,8 @@ from stepped_station import SteppedStation
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
-from edge.gateway.commands import COMMANDS, REPEATED_WITHIN_S, Change, Commands
+from edge.gateway.command_table import COMMANDS
+from edge.gateway.commands import REPEATED_WITHIN_S, Change, Commands
 from edge.messaging.request_signature import signature_of, signed_text
 from edge.store.press_store import Store
 

@@ -11,7 +11,7 @@ from station import Motion, press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import GelgateError
-from edge.gateway.commands import station_handlers
+from edge.gateway.command_table import station_handlers
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
 

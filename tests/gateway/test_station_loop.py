@@ -8,7 +8,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceNotFound, StoreError
-from edge.gateway.commands import COMMANDS, Command
+from edge.gateway.command_table import COMMANDS, Command
 from edge.messaging.command_payloads import CommandArguments
 
 VERBS: dict[str, Command[CommandArguments]] = {command.verb: command for command in COMMANDS}

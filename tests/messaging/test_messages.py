@@ -14,7 +14,8 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
 from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.commands import COMMANDS, Change, Commands
+from edge.gateway.command_table import COMMANDS
+from edge.gateway.commands import Change, Commands
 from edge.messaging.payloads import (
     ALARMS,
     AlarmPayload,

@@ -9,7 +9,7 @@ import pytest
 from recorded_presses import SERIAL
 
 from edge.core.errors import StoreError
-from edge.store.integrity import Finding, check_database
+from edge.store.integrity import Finding, check_database, quick_check
 from edge.store.outbox import Outbox
 from edge.store.press_counts import Count, PressCounts
 from edge.store.press_store import MakeMessages, PressRecord, Store
@@ -41,6 +41,34 @@ def damage(path: Path, *statements: str) -> None:
 
 def faults(path: Path) -> list[str]:
     return [finding.text for finding in check_database(path) if finding.is_fault]
+
+
+def test_a_quick_check_ends_when_it_must(used: Path) -> None:
+    """A large database would keep a waiting person for minutes."""
+    assert quick_check(used, lambda: True) is None
+    damage(
+        used,
+        "CREATE TABLE filler AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 60000) "
+        "SELECT i, hex(i) AS text FROM n",
+        "CREATE INDEX by_text ON filler (text)",
+    )
+
+    assert quick_check(used, lambda: False) is None
+    with pytest.raises(TimeoutError, match="was ended"):
+        quick_check(used, lambda: True)
+    with pytest.raises(StoreError, match="does not exist"):
+        quick_check(used.with_name("none.db"), lambda: False)
+
+
+def test_a_quick_check_finds_damage(used: Path) -> None:
+    """As one sentence."""
+    with used.open("r+b") as file:
+        file.seek(4096 * 6)
+        file.write(b"\xff" * 4096)
+    found = quick_check(used, lambda: False)
+
+    assert found is not None
+    assert "is damaged" in found
 
 
 def test_a_sound_database_has_no_fault(used: Path) -> None:

@@ -15,6 +15,7 @@ from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
 from edge.recording.format import RecordingHeader, RecordingWriter
 
 FPS = 18.75
@@ -68,9 +69,9 @@ def press_recording(
     return folder
 
 
-def small_bundle(folder: Path, nominal: Path) -> Path:
+def small_bundle(folder: Path, nominal: Path, sensor: SensorProfile | None = None) -> Path:
     """A bundle fitted on a recording with the smallest detector: what is tested is everything around it."""
-    sensor = profile("cropped_lr")
+    sensor = sensor or profile("cropped_lr")
     region = Region.centre(sensor.size)
     config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=0.1)
     return fit_bundle(folder, read_presses([nominal], sensor, region), config, created="2026-01-01")

@@ -86,6 +86,10 @@ class StationIo:
     def acknowledge(self) -> None:
         """A person has seen the last verdict, and the pulses that were not given."""
         self._verdict = None
+        self.acknowledge_pulses()
+
+    def acknowledge_pulses(self) -> None:
+        """A person has seen the pulses that were not given."""
         if self._alarms is not None:
             self._alarms.acknowledge()
 

@@ -113,22 +113,16 @@ def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, st
     )
     at_once = max(1, PAIRS // (n * s) ** 2) if n * s < MANY_ROWS else 1
     choose = _by_pairs if n * s < MANY_ROWS else _one_by_one
-    press = np.arange(n * s) // s
     for first in range(0, len(groups), at_once):
         part = slice(first, first + at_once)
         # (groups, presses * sub-patches, c), press by press.
         x = rows[:, groups[part]].swapaxes(0, 1).reshape(-1, n * s, c)
         found.mean[part] = x.mean(axis=1, dtype=np.float64)
         x = x - found.mean[part, None]
-        lengths = np.einsum("gnc,gnc->gn", x, x)
-        picks, squared = choose(x, lengths, count, int(start * n * s))
-        found.rows[part] = np.take_along_axis(x, picks[:, :, None], axis=1)
-        squared[
-            squared <= ROUNDING * (np.take_along_axis(lengths, picks, 1)[:, :, None] + lengths[:, None])
-        ] = 0
-        found.radius[part] = _root(squared.min(axis=1)).reshape(-1, n, s).max(axis=1)
-        squared[press[picks][:, :, None] == press] = np.inf
-        found.apart[part] = _root(squared.min(axis=1))
+        chosen = choose(x, np.einsum("gnc,gnc->gn", x, x), count, int(start * n * s), s)
+        found.rows[part] = np.take_along_axis(x, chosen.picks[:, :, None], axis=1)
+        found.radius[part] = _root(chosen.nearest).reshape(-1, n, s).max(axis=1)
+        found.apart[part] = _root(chosen.apart)
     return found
 
 
@@ -136,35 +130,77 @@ def _root(squared: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.sqrt(squared, dtype=np.float64)
 
 
+class _Chosen(NamedTuple):
+    """picks: int64 (g, count). Squared distances float32 (g, n): nearest, to the nearest pick; apart, to the nearest
+    pick of another press, infinite where there is none."""
+
+    picks: NDArray[np.int64]
+    nearest: NDArray[np.float32]
+    apart: NDArray[np.float32]
+
+
 def _by_pairs(
-    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The picks (g, count) of each group's centred rows (g, n, c), and the squared distances (g, count, n) to them."""
+    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int, s: int
+) -> _Chosen:
+    """The picks of each group's centred rows (g, n, c), of which each press has s."""
     squared = x @ np.ascontiguousarray(x.swapaxes(1, 2))
     squared *= -2
     squared += lengths[:, :, None]
     squared += lengths[:, None, :]
     np.maximum(squared, 0, out=squared)
     picks = greedy_from_distances(squared, count, start)
-    return picks, squared[np.arange(len(x))[:, None], picks]
+    squared = squared[np.arange(len(x))[:, None], picks]
+    squared[squared <= _rounding(np.take_along_axis(lengths, picks, 1)[:, :, None], lengths[:, None])] = 0
+    nearest, press = squared.min(axis=1), np.arange(x.shape[1]) // s
+    squared[press[picks][:, :, None] == press] = np.inf
+    return _Chosen(picks, nearest, squared.min(axis=1))
+
+
+def _rounding(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    return ROUNDING * (a + b)
 
 
 def _one_by_one(
-    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The same for one group of many rows (1, n, c): distances to its picks alone, a small part of all pairs."""
+    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int, s: int
+) -> _Chosen:
+    """The same for one group of many rows (1, n, c): distances to its picks alone, of which only minima are kept."""
     rows, lengths = x[0], lengths[0]
-    picks, squared = np.empty(count, np.int64), np.empty((count, len(rows)), np.float32)
-    bound = np.full(len(rows), np.inf, np.float32)
+    doubled, picks = -2 * rows, np.empty(count, np.int64)
+    bound, apart = np.full((2, len(rows)), np.inf, np.float32)
+    squared, both = np.empty((2, len(rows)), np.float32)
     for k in range(count):
-        picks[k] = start if k == 0 else bound.argmax()
-        np.dot(rows, rows[picks[k]], out=squared[k])
-        squared[k] *= -2
-        squared[k] += lengths + lengths[picks[k]]
-        np.maximum(squared[k], 0, out=squared[k])
-        np.minimum(bound, squared[k], out=bound)
-        bound[picks[k]] = -1.0
-    return picks[None], squared[None]
+        picks[k] = pick = start if k == 0 else bound.argmax()
+        np.dot(doubled, rows[pick], out=squared)
+        np.add(lengths, lengths[pick], out=both)
+        squared += both
+        np.maximum(squared, 0, out=squared)
+        np.minimum(bound, squared, out=bound)
+        bound[pick] = -1.0
+        own = slice(pick // s * s, (pick // s + 1) * s)
+        kept = apart[own].copy()
+        np.minimum(apart, squared, out=apart)
+        apart[own] = kept
+    nearest = np.maximum(bound, 0)
+    _clear_rounding(rows, lengths, picks, s, nearest, apart)
+    return _Chosen(picks[None], nearest[None], apart[None])
+
+
+def _clear_rounding(
+    rows: NDArray[np.float32],
+    lengths: NDArray[np.float32],
+    picks: NDArray[np.int64],
+    s: int,
+    nearest: NDArray[np.float32],
+    apart: NDArray[np.float32],
+) -> None:
+    """Zero the distances (n,) that are rounding, which only rows with very near picks can have."""
+    near = np.flatnonzero(np.minimum(nearest, apart) <= _rounding(lengths, lengths[picks].max()))
+    both = lengths[near, None] + lengths[picks]
+    squared = both - 2 * (rows[near] @ rows[picks].T)
+    is_zero = squared <= ROUNDING * both
+    nearest[near[is_zero.any(axis=1)]] = 0
+    is_zero &= near[:, None] // s != picks // s
+    apart[near[is_zero.any(axis=1)]] = 0
 
 
 def cell_scales(

@@ -1,0 +1,185 @@
+"""The verbs of a station: arguments, what each does, and its text in the manual."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, Generic, TypeVar
+
+from edge.gateway.commands import Change, Handler
+from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.self_test import self_test
+from edge.gateway.snapshots import KEPT, KEPT_BYTES
+from edge.gateway.station_loop import StationLoop
+from edge.messaging.command_payloads import (
+    AcknowledgeAlarmArguments,
+    CommandArguments,
+    NoArguments,
+    ReplaceGelArguments,
+    SelectPartArguments,
+    SnapshotArguments,
+)
+
+__all__ = ["COMMANDS", "Command", "station_handlers"]
+
+A = TypeVar("A", bound=CommandArguments)
+
+Data = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Command(Generic[A]):
+    """One verb: its arguments' model, the loop's action, and its text in the manual.
+
+    changes: what it changes for good, for the manual; empty for nothing. do: returns the data of the response, plain
+    JSON, or what makes them on the requester's thread while the loop goes on. Errors of both: GelgateError, ValueError.
+    """
+
+    verb: str
+    arguments: type[A]
+    do: Callable[[StationLoop, A], Data | Callable[[], Data]]
+    help: str
+    changes: str = ""
+
+
+def _trigger(loop: StationLoop, arguments: NoArguments) -> Data:
+    refusal = loop.session.trigger()
+    if refusal is not None:
+        raise ValueError(refusal)
+    return {"state": loop.session.contact_state}
+
+
+def _relearn(loop: StationLoop, arguments: NoArguments) -> Data:
+    loop.session.relearn()
+    return {"state": loop.session.contact_state}
+
+
+def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
+    loop.replace_gel(arguments.gel_id, arguments.limit_presses, arguments.note)
+    gel = loop.session.gel
+    return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+
+
+def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Data:
+    if arguments.name is not None:
+        loop.select_named(arguments.name)
+    else:
+        loop.select_part(arguments.part or "", arguments.position)
+    return {**_selected(loop), "is_waiting": loop.selection.is_waiting}
+
+
+def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
+    loop.selection.reload()
+    return {"is_waiting": True}
+
+
+def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
+    loop.acknowledge_alarm(arguments.alarm)
+    return {"alarms": loop.alarms}
+
+
+def _snapshot(loop: StationLoop, arguments: SnapshotArguments) -> Data:
+    recording = loop.snapshot(arguments.before_s, arguments.after_s)
+    return {"recording": str(recording), "is_waiting": True}
+
+
+def _self_test(loop: StationLoop, arguments: NoArguments) -> Callable[[], Data]:
+    return self_test(loop.parts)
+
+
+COMMANDS: Final[tuple[Command[Any], ...]] = (
+    Command(
+        "trigger",
+        NoArguments,
+        _trigger,
+        'score the press that is held now; the way to inspect with `trigger = "command"`',
+    ),
+    Command(
+        "relearn",
+        NoArguments,
+        _relearn,
+        "learn the picture of the free gel again; nothing may touch it",
+        "nothing is inspected until the gel is seen free",
+    ),
+    Command(
+        "replace_gel",
+        ReplaceGelArguments,
+        _replace_gel,
+        "record that a new gel is mounted, count from 0 and learn its picture",
+        "the record of wear",
+    ),
+    Command(
+        "select_part",
+        SelectPartArguments,
+        _select_part,
+        "inspect another position or part from the next press on; during a press it waits for its end (`is_waiting`)",
+        "the bundle that inspects",
+    ),
+    Command(
+        "reload",
+        NoArguments,
+        _reload,
+        "open the configured bundles again while presses are judged as before; `info` and the alarm `bundle` have the "
+        "outcome",
+        "the bundles",
+    ),
+    Command(
+        "acknowledge_alarm",
+        AcknowledgeAlarmArguments,
+        _acknowledge_alarm,
+        "end an alarm that stays after its reason is over: `pulse`, `outbox_full` or `counts`; the others end by "
+        "themselves. `alarms`: those that remain",
+        "the alarm",
+    ),
+    Command(
+        "snapshot",
+        SnapshotArguments,
+        _snapshot,
+        f"write the camera's frames around now as a recording below the state folder; `recording` is its folder, which "
+        f"is there when it is complete. At most {KEPT} with {KEPT_BYTES / 1e6:g} MB are kept, the oldest go first",
+        "the oldest snapshots",
+    ),
+    Command(
+        "self_test",
+        NoArguments,
+        _self_test,
+        "score the golden frames now, check the database, the sensor, the receivers and the disk; `parts` has each "
+        "outcome, `is_ok` all of them together. Other requests wait for its end, up to 15 s",
+    ),
+)
+"""All commands of a station; docs/mqtt.md prints this table."""
+
+
+def station_handlers(calls: LoopCalls[StationLoop]) -> dict[str, Handler]:
+    """Verb to handler. Arguments are read on the caller's thread; the station's loop does the rest."""
+    return {command.verb: partial(_ask, calls, command) for command in COMMANDS}
+
+
+def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mapping[str, Any]) -> Change:
+    wish = command.arguments.of(arguments)
+
+    def do(loop: StationLoop) -> tuple[Data | Callable[[], Data], Data, Data]:
+        before = _facts(loop)
+        return command.do(loop, wish), before, _facts(loop)
+
+    data, before, after = calls.ask(do)
+    return Change(data() if callable(data) else data, before, after)
+
+
+def _facts(loop: StationLoop) -> Data:
+    """As far as it is known: before the first frame the gel is not."""
+    known = {**_selected(loop), "alarms": loop.alarms}
+    if not loop.has_session:
+        return known
+    gel = loop.session.gel
+    return {
+        "gel_id": gel.gel_id,
+        "presses": gel.presses,
+        "limit_presses": gel.limit_presses,
+        "state": loop.session.contact_state,
+        **known,
+    }
+
+
+def _selected(loop: StationLoop) -> Data:
+    part, bundle = loop.selection.part, loop.selection.inspector.bundle
+    return {"part": part.part, "position": part.position, "bundle_id": bundle.digest}

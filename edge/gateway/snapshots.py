@@ -1,0 +1,172 @@
+"""Snapshots: the camera's frames around a moment, kept in memory, written as a recording when somebody asks for one.
+
+The loop gives every frame and asks for nothing back; a thread writes the files, so no press waits for a disk.
+"""
+
+import logging
+import shutil
+import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from edge.core.errors import GelgateError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.ports import Clock, DeviceIdentity
+from edge.messaging.command_payloads import MOST_SNAPSHOT_S
+from edge.recording.format import RecordingHeader, RecordingWriter
+from edge.store.acts import Act
+
+__all__ = ["KEPT", "KEPT_BYTES", "RING_BYTES", "Snapshots"]
+
+# In memory: 7 s of the sensor's 3280x2464 at 25 frames a second of some 700 kB each.
+RING_BYTES: Final = 128_000_000
+# On the disk.
+KEPT: Final = 20
+KEPT_BYTES: Final = 1_000_000_000
+# A stream that stops does not hold back what is there.
+PATIENCE_S: Final = 2.0
+CLOSE_S: Final = 10.0
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Wish:
+    """Frames of this time span, by the frames' own clock. due_ns: by the station's; then what is there is written."""
+
+    folder: Path
+    first_ns: int
+    last_ns: int
+    due_ns: int
+
+
+class Snapshots:
+    """`see`, `request` and `take` by the loop; `step` is one turn of the own thread, which a test may call.
+
+    folder: of all snapshots; None: off, nothing is kept in memory.
+    """
+
+    def __init__(self, folder: Path | None, clock: Clock) -> None:
+        self._folder, self._clock = folder, clock
+        self._ring: deque[CameraFrame] = deque()
+        self._bytes = 0
+        self._wish: _Wish | None = None
+        self._job: tuple[Path, Sequence[CameraFrame], RecordingHeader] | None = None
+        self._done: Act | None = None
+        self._asked = threading.Event()
+        self._is_closing = False
+        self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
+
+    def start(self) -> None:
+        """Begin to wait for requests, in the background."""
+        if self._folder is not None:
+            self._thread.start()
+
+    def see(self, frame: CameraFrame) -> None:
+        """The newest frame; the oldest ones leave."""
+        if self._folder is None or frame.damage is not None:
+            return
+        if self._ring and frame.timestamp_ns <= self._ring[-1].timestamp_ns:
+            return
+        self._ring.append(frame)
+        self._bytes += len(frame.payload)
+        span_ns = 2 * MOST_SNAPSHOT_S * 1e9
+        while self._bytes > RING_BYTES or frame.timestamp_ns - self._ring[0].timestamp_ns > span_ns:
+            self._bytes -= len(self._ring.popleft().payload)
+
+    def request(self, before_s: float, after_s: float) -> Path:
+        """Write the frames from before to after the newest one; returns the folder of the recording, which is there
+        when it is complete. Errors: ValueError while there are no frames, or another one is being made."""
+        if self._folder is None:
+            raise ValueError("snapshots are off; name the command snapshot in [commands]")
+        if not self._ring:
+            raise ValueError("no frame has arrived from a sensor yet; try again later")
+        if self._wish is not None or self._job is not None:
+            raise ValueError("another snapshot is being written; try again in some seconds")
+        newest_ns, now = self._ring[-1].timestamp_ns, datetime.fromtimestamp(self._clock.time_ns() / 1e9, UTC)
+        folder = self._folder / f"{now:%Y%m%dT%H%M%S.%fZ}"
+        first_ns, last_ns = newest_ns - round(before_s * 1e9), newest_ns + round(after_s * 1e9)
+        due_ns = self._clock.monotonic_ns() + round((after_s + PATIENCE_S) * 1e9)
+        self._wish = _Wish(folder, first_ns, last_ns, due_ns)
+        return folder
+
+    def take(self, identity: DeviceIdentity | None) -> Act | None:
+        """A turn of the loop: hand over the frames of a wish when the last one is there; the outcome of one, once.
+        identity: of the sensor."""
+        wish = self._wish
+        if wish is not None and identity is not None and self._is_complete(wish):
+            frames = [one for one in self._ring if wish.first_ns <= one.timestamp_ns <= wish.last_ns]
+            header = RecordingHeader(identity.product, identity.serial, identity.mode, identity.nominal_fps)
+            self._wish, self._job = None, (wish.folder, frames, header)
+            self._asked.set()
+        done, self._done = self._done, None
+        return done
+
+    def step(self) -> None:
+        """Write the frames that were handed over, if there are some."""
+        self._asked.clear()
+        if self._job is None:
+            return
+        folder, frames, header = self._job
+        size = sum(len(frame.payload) for frame in frames)
+        after = {"recording": str(folder), "frames": len(frames), "bytes": size}
+        fault = None
+        try:
+            self._write(folder, frames, header)
+        except (GelgateError, OSError) as error:
+            fault = f"snapshot {folder} is not written: {error}"
+            log.error("%s", fault)
+        self._done = Act(
+            self._clock.time_ns(),
+            "the gateway",
+            "snapshot",
+            outcome="done" if fault is None else "failed",
+            sentence=fault,
+            after=after,
+        )
+        self._job = None
+
+    def close(self) -> None:
+        """End the thread; one that writes is waited for only shortly. May be called again."""
+        self._is_closing = True
+        self._asked.set()
+        if self._thread.is_alive():
+            self._thread.join(CLOSE_S)
+
+    def _is_complete(self, wish: _Wish) -> bool:
+        newest_ns = self._ring[-1].timestamp_ns
+        return newest_ns >= wish.last_ns or self._clock.monotonic_ns() >= wish.due_ns
+
+    def _write(self, folder: Path, frames: Sequence[CameraFrame], header: RecordingHeader) -> None:
+        """Room first; a name without a dot in front is a complete recording. Errors: StoreError, OSError."""
+        folder.parent.mkdir(exist_ok=True)
+        for left in folder.parent.glob(".*"):  # of a process that was killed
+            shutil.rmtree(left)
+        _make_room(folder.parent, sum(len(frame.payload) for frame in frames))
+        unfinished = folder.with_name(f".{folder.name}")
+        try:
+            with RecordingWriter(unfinished, header) as writer:
+                for frame in frames:
+                    writer.add(frame.payload, frame.timestamp_ns)
+            unfinished.rename(folder)
+        except BaseException:
+            shutil.rmtree(unfinished, ignore_errors=True)
+            raise
+
+    def _run(self) -> None:
+        while not self._is_closing:
+            self._asked.wait()
+            self.step()
+
+
+def _make_room(folder: Path, wanted_bytes: int) -> None:
+    """Remove the oldest snapshots, so that one more fits. Errors: OSError."""
+    kept = sorted(path for path in folder.iterdir() if path.is_dir() and not path.is_symlink())
+    sizes = [sum(file.stat().st_size for file in path.rglob("*") if file.is_file()) for path in kept]
+    while kept and (len(kept) >= KEPT or sum(sizes) + wanted_bytes > KEPT_BYTES):
+        shutil.rmtree(kept.pop(0))
+        sizes.pop(0)

@@ -1,0 +1,152 @@
+"""The self-test of a station, and the acknowledgement of alarms that stay."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.gateway.command_table import COMMANDS, Command
+from edge.messaging.payloads import ALARMS
+from edge.store.outbox import OutboxStatus
+
+PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'
+VERBS: dict[str, Command[Any]] = {command.verb: command for command in COMMANDS}
+
+
+@pytest.fixture
+def config(tmp_path: Path, recording: Path, bundle: Path) -> Path:
+    return station_config(tmp_path, recording, bundle)
+
+
+def asked(station: SteppedStation, verb: str, **arguments: object) -> Any:
+    return VERBS[verb].do(station.loop, VERBS[verb].arguments.of(arguments))
+
+
+def self_tested(station: SteppedStation) -> Mapping[str, Any]:
+    """The answer of a self-test, after the turns in which nothing presses."""
+    finish: Callable[[], Mapping[str, Any]] = asked(station, "self_test")
+    for _ in range(len(station.loop.selection.inspector.bundle.golden) + 1):
+        station.loop.step(None)
+    found = finish()
+    assert json.loads(json.dumps(found)) == found
+    return found
+
+
+def test_a_sound_station_says_so_of_each_part(config: Path) -> None:
+    """Golden frames, database, sensor, receivers and disk, with what was found."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        for worker in station.parts.publisher._workers.values():
+            worker.step()
+        found = self_tested(station)
+
+    texts = {part: one["text"] for part, one in found["parts"].items()}
+    assert found["is_ok"], texts
+    assert sorted(texts) == ["disk", "golden", "receivers", "sensor", "store"]
+    assert "golden frames" in texts["golden"]
+    assert "serial TEST0001" in texts["sensor"]
+
+
+def test_each_part_that_is_not_well_says_why(config: Path) -> None:
+    """Golden frames that score otherwise, no sensor yet, a receiver that was not tried."""
+    with SteppedStation(config) as station:
+        scorer = station.loop.selection.inspector.scorer
+        scorer._bank["mean"].update_inplace(scorer._bank["mean"].numpy() + 1)
+        station.loop.step(None)
+        parts = self_tested(station)["parts"]
+        station.loop.step(None)
+        fault = station.loop.selection.inspector.fault
+
+    assert {part for part, one in parts.items() if not one["is_ok"]} == {"golden", "receivers", "sensor"}
+    assert "golden frame 0" in parts["golden"]["text"]
+    assert "not yet tried" in parts["receivers"]["text"]
+    assert fault == parts["golden"]["text"]
+
+
+def test_a_self_test_ends_with_the_station(config: Path) -> None:
+    """Who waits for its golden frames is not kept waiting."""
+    with SteppedStation(config) as station:
+        finish = asked(station, "self_test")
+        station.loop.selection.close()
+        golden = finish()["parts"]["golden"]
+
+    assert not golden["is_ok"]
+    assert "were not scored" in golden["text"]
+
+
+def dropped(station: SteppedStation, heatmaps: int) -> None:
+    """The report of a station whose outbox has dropped that many heatmaps so far."""
+    status = OutboxStatus(0, 0, 0, {"heatmap": heatmaps, "pass": 0, "fail": 0})
+    station.parts.status.stats(station.loop.summary, station.parts.acquisition.status, status)
+
+
+def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) -> None:
+    """The alarm of a drop stays over reports, ends by the request, and comes back with the next drop."""
+    with SteppedStation(config) as station:
+        for count in (0, 1, 1):
+            dropped(station, count)
+        assert station.loop.alarms == ["outbox_full"]
+        assert asked(station, "acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
+        dropped(station, 1)
+        assert station.loop.alarms == []
+        dropped(station, 2)
+        assert station.loop.alarms == ["outbox_full"]
+
+
+def test_corrected_counts_are_acknowledged(config: Path) -> None:
+    """And the next report does not raise the alarm again."""
+    with SteppedStation(config) as station:
+        station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
+        station.loop.publish_stats()
+        assert station.loop.alarms == ["counts"]
+        asked(station, "acknowledge_alarm", alarm="counts")
+        station.loop.publish_stats()
+
+        assert station.loop.alarms == []
+
+
+def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
+    tmp_path: Path, config: Path
+) -> None:
+    """The count starts again; the light goes on showing the last verdict."""
+    config.write_text(config.read_text() + PEDAL)
+    with SteppedStation(config) as station:
+        io = station.parts.io
+        assert io._alarms is not None
+        for _ in range(2):
+            io._alarms.late("relay", "41 ms late")
+        io.judged("fail", 1)
+        assert asked(station, "acknowledge_alarm", alarm="pulse") == {"alarms": []}
+        io._alarms.late("relay", "7 ms late")
+        texts = [one.payload for one in station.parts.retained_state.all() if one.topic == "alarm/pulse"]
+
+    assert io._verdict == "fail"
+    assert b"1 pulses were not given in time" in texts[-1]
+
+
+@pytest.mark.parametrize(
+    ("alarm", "words"),
+    [
+        ("pulse", "the alarm 'pulse' is not raised; raised: disk"),
+        ("disk", "the alarm 'disk' ends by itself when its reason is over"),
+        ("pulses", "no alarm is named 'pulses'; did you mean 'pulse'"),
+    ],
+)
+def test_only_a_raised_alarm_that_stays_can_be_acknowledged(config: Path, alarm: str, words: str) -> None:
+    """Others are refused with the reason, and nothing changes."""
+    with SteppedStation(config) as station:
+        station.parts.status.disk("8 MB free")
+        with pytest.raises(ValueError, match=words):
+            asked(station, "acknowledge_alarm", alarm=alarm)
+        assert station.loop.alarms == ["disk"]
+
+
+def test_the_manual_names_the_alarms_that_stay() -> None:
+    """The verb's text has each of them; they are alarms of the program."""
+    named = {alarm for alarm in ALARMS if f"`{alarm}`" in VERBS["acknowledge_alarm"].help}
+
+    assert named == {"pulse", "outbox_full", "counts"}

@@ -1,0 +1,167 @@
+"""Snapshots: the frames around a moment, as a recording, bounded in memory and on the disk."""
+
+from pathlib import Path
+
+import pytest
+from small_recordings import FakeClock
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.imaging.frames import CameraFrame
+from edge.core.ports import DeviceIdentity
+from edge.gateway import snapshots
+from edge.gateway.snapshots import Snapshots
+from edge.recording.format import Recording
+from edge.store.acts import Act
+
+SENSOR = DeviceIdentity("GelSight Mini", "S1", (64, 48), 10.0)
+
+
+def frame(number: int, size: int = 10) -> CameraFrame:
+    """Frames come ten times a second."""
+    return CameraFrame(b"\xff\xd8" + bytes(size) + b"\xff\xd9", number * 10**8, number)
+
+
+def bench(folder: Path, frames: int = 100, size: int = 10) -> Snapshots:
+    found = Snapshots(folder / "snapshots", FakeClock())
+    for number in range(frames):
+        found.see(frame(number, size))
+    return found
+
+
+def written(found: Snapshots) -> Act:
+    """The loop's turn, the thread's turn, the loop's turn."""
+    assert found.take(SENSOR) is None
+    found.step()
+    act = found.take(SENSOR)
+    assert act is not None
+    return act
+
+
+def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
+    """From half a second before it to 0.3 s after it; the recording is there when the last frame has come."""
+    found = bench(tmp_path)
+    folder = found.request(0.5, 0.3)
+    for number in (100, 101, 102):
+        assert found.take(SENSOR) is None
+        found.step()
+        assert not folder.exists()
+        found.see(frame(number))
+    act = written(found)
+    recording = Recording.open(folder)
+
+    assert [one.frame.timestamp_ns for one in recording] == [number * 10**8 for number in range(94, 103)]
+    assert recording.header.identity == SENSOR
+    assert (act.who, act.verb, act.outcome) == ("the gateway", "snapshot", "done")
+    assert act.after == {"recording": str(folder), "frames": 9, "bytes": 9 * 14}
+
+
+def test_a_stream_that_stops_does_not_hold_back_what_is_there(tmp_path: Path) -> None:
+    """The frames after the request never come; after a time those before it are written."""
+    clock = FakeClock()
+    found = Snapshots(tmp_path / "snapshots", clock)
+    found.see(frame(0))
+    folder = found.request(1, 1)
+    assert found.take(SENSOR) is None
+    clock.sleep(1 + snapshots.PATIENCE_S)
+    written(found)
+
+    assert len(Recording.open(folder)) == 1
+
+
+def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Large frames leave early, small ones after twenty seconds."""
+    monkeypatch.setattr(snapshots, "RING_BYTES", 10_000)
+    small = bench(tmp_path, frames=500)
+    large = bench(tmp_path, frames=500, size=1000)
+
+    assert len(small._ring) == 201
+    assert len(large._ring) == 9
+    assert large._bytes == sum(len(one.payload) for one in large._ring) <= snapshots.RING_BYTES
+
+
+def test_no_frame_is_kept_where_nobody_may_ask(tmp_path: Path) -> None:
+    """A station without the command spends no memory on it."""
+    found = Snapshots(None, FakeClock())
+    found.see(frame(0))
+
+    assert len(found._ring) == 0
+    with pytest.raises(ValueError, match="snapshots are off"):
+        found.request(1, 1)
+
+
+def test_the_oldest_snapshots_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their number and by their bytes; what a killed process left unfinished goes too."""
+    found = bench(tmp_path)
+    (tmp_path / "snapshots" / ".unfinished").mkdir(parents=True)
+    monkeypatch.setattr(snapshots, "KEPT", 3)
+    names = []
+    for _ in range(5):
+        names.append(found.request(1, 0).name)
+        written(found)
+        found._clock.sleep(1)
+    assert sorted(path.name for path in (tmp_path / "snapshots").iterdir()) == names[-3:]
+
+    monkeypatch.setattr(snapshots, "KEPT_BYTES", 1500)  # one has 1 kB with its index
+    last = found.request(1, 0).name
+    written(found)
+    assert [path.name for path in sorted((tmp_path / "snapshots").iterdir())] == [names[-1], last]
+
+
+def test_one_snapshot_is_made_at_a_time(tmp_path: Path) -> None:
+    """A second request is refused, and served when the first is written."""
+    found = bench(tmp_path)
+    found.request(1, 0)
+    with pytest.raises(ValueError, match="another snapshot is being written"):
+        found.request(1, 0)
+    written(found)
+    found.request(1, 0)
+
+
+def test_a_disk_that_refuses_is_an_act_with_the_reason(tmp_path: Path) -> None:
+    """Nothing is left of it, and inspection does not notice."""
+    found = bench(tmp_path)
+    (tmp_path / "snapshots").write_text("no folder")
+    folder = found.request(1, 0)
+    act = written(found)
+
+    assert act.outcome == "failed"
+    assert act.sentence is not None
+    assert act.sentence.startswith(f"snapshot {folder} is not written: ")
+
+
+def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Below the state folder, with a row in the table of acts; presses are judged as without it."""
+    path = station_config(tmp_path, recording, bundle)
+    path.write_text(path.read_text() + '[commands]\nunsigned = ["snapshot"]\n')
+    with SteppedStation(path) as station:
+        with pytest.raises(ValueError, match="no frame has arrived"):
+            station.loop.snapshot(5, 0)
+        station.play_until(lambda: len(station.reports) == 1)
+        folder = station.loop.snapshot(0.5, 0.2)
+        station.play()
+        station.parts.snapshots.step()
+        station.loop.step(None)
+        acts = station.parts.store.acts()
+
+    assert folder.parent == tmp_path / "gelgate.snapshots"
+    assert Recording.open(folder).header.serial == "TEST0001"
+    assert [(act.verb, act.outcome) for act in acts] == [("snapshot", "done")]
+    assert [report.result.verdict for report in station.reports] == ["pass", "fail", "pass"]
+
+
+def test_no_snapshot_is_written_where_there_is_little_room(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The disk is the database's."""
+    path = station_config(tmp_path, recording, bundle)
+    path.write_text(
+        path.read_text().replace("[store]", '[commands]\nunsigned = ["snapshot"]\n[store]\nfree_mb = 1e9')
+    )
+    with (
+        SteppedStation(path) as station,
+        pytest.raises(ValueError, match="no snapshot is written: the disk of"),
+    ):
+        station.loop.snapshot(5, 0)
