@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from edge import registry
@@ -94,8 +93,6 @@ def build(
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
     overview = _overview(config, clock, status, closing)
-    snapshots = Snapshots(_snapshot_folder(config), clock)
-    closing.callback(snapshots.close)
     return Parts(
         selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
@@ -111,7 +108,7 @@ def build(
         calls=calls,
         clock=clock,
         io=io,
-        snapshots=snapshots,
+        snapshots=_snapshots(config, clock, closing),
         overview=overview,
     )
 
@@ -188,10 +185,12 @@ def _overview(config: Config, clock: Clock, status: StationStatus, closing: Exit
     return overview
 
 
-def _snapshot_folder(config: Config) -> Path | None:
-    """Next to the database; None where nobody may ask for one."""
-    served = {*config.commands.signed, *config.commands.unsigned}
-    return config.store.path.with_suffix(".snapshots") if "snapshot" in served else None
+def _snapshots(config: Config, clock: Clock, closing: ExitStack) -> Snapshots:
+    """Next to the database; off where nobody may ask for one."""
+    is_served = "snapshot" in (*config.commands.signed, *config.commands.unsigned)
+    snapshots = Snapshots(config.store.path.with_suffix(".snapshots") if is_served else None, clock)
+    closing.callback(snapshots.close)
+    return snapshots
 
 
 def _names_before(config: Config) -> dict[str, str]:

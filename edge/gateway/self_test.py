@@ -44,7 +44,9 @@ def self_test(parts: Parts) -> Callable[[], Mapping[str, Any]]:
 def _golden(outcome: "Future[str | None]", what: str) -> Finding:
     try:
         fault = outcome.result(GOLDEN_WITHIN_S)
-    except (TimeoutError, CancelledError):
+    except CancelledError:
+        return False, f"{what} were not scored: the station ends"
+    except TimeoutError:
         outcome.cancel()
         return False, f"{what} were not scored within {GOLDEN_WITHIN_S:g} s; lift the part and ask again"
     return fault is None, fault or f"{what} score as at the fit"

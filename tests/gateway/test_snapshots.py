@@ -1,5 +1,6 @@
 """Snapshots: the frames around a moment, as a recording, bounded in memory and on the disk."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -90,10 +91,44 @@ def test_no_frame_is_kept_where_nobody_may_ask(tmp_path: Path) -> None:
         found.request(1, 1)
 
 
-def test_the_oldest_snapshots_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By their number and by their bytes; what a killed process left unfinished goes too."""
+def test_a_station_that_does_not_serve_it_keeps_no_frame(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """As a station comes."""
+    with (
+        SteppedStation(station_config(tmp_path, recording, bundle)) as station,
+        pytest.raises(ValueError, match="snapshots are off"),
+    ):
+        station.loop.snapshot(5, 2)
+
+
+def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
+    """While its frames are written the name is hidden; what a killed process left hidden is removed."""
+    folder = tmp_path / "snapshots"
+    (folder / ".left").mkdir(parents=True)
+    names: list[list[str]] = []
+
+    class Watched(list[CameraFrame]):
+        def __iter__(self) -> Iterator[CameraFrame]:
+            for one in super().__iter__():
+                yield one
+                names.append([path.name for path in folder.iterdir()])
+
     found = bench(tmp_path)
-    (tmp_path / "snapshots" / ".unfinished").mkdir(parents=True)
+    name = found.request(1, 0).name
+    assert found.take(SENSOR) is None
+    assert found._job is not None
+    path, frames, header = found._job
+    found._job = (path, Watched(frames), header)
+    found.step()
+
+    assert names[-1] == [f".{name}"]
+    assert [path.name for path in folder.iterdir()] == [name]
+
+
+def test_the_oldest_snapshots_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their number and by their bytes."""
+    found = bench(tmp_path)
     monkeypatch.setattr(snapshots, "KEPT", 3)
     names = []
     for _ in range(5):
