@@ -226,3 +226,15 @@ def test_few_and_many_rows_choose_the_same_prototypes(n: int, monkeypatch: pytes
     assert by_picks.is_far.sum() == 1
     for name in ("mean", "rows", "apart"):
         assert np.array_equal(getattr(by_picks, name), getattr(by_pairs, name)), name
+
+
+@pytest.mark.parametrize("many", [1, 10_000])
+def test_a_repeated_row_is_at_no_distance(many: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows equal to a pick are at distance 0 from it, not at the rounding of a product, however few rows there are."""
+    monkeypatch.setattr(prototypes, "MANY_ROWS", many)
+    two = np.random.default_rng(0).normal(50, 20, (2, 64, 32)).astype(np.float32)
+    rows, places = np.concatenate([two] * 6), cell_layout((8, 8), 4, is_shared=True)
+
+    every_kind_once, every_row = (choose_prototypes(rows, places, (k, k), 0.75, 0.3) for k in (64, 192))
+    assert every_kind_once.is_far.all()
+    assert not every_row.apart.any()

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from edge.core.detector import Grid
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.inreach import inreach
+from plugins.detectors.inreach import channels, inreach
 from plugins.detectors.inreach.channels import Channels, associate, prune
 from plugins.detectors.inreach.paper import PAPER_TAPS
 
@@ -206,3 +206,14 @@ def test_nonsense_is_refused(name: str, value: object) -> None:
     """Unknown names and values out of range are refused by name."""
     with pytest.raises(FitError, match="inreach"):
         inreach.parameters(**{name: value})
+
+
+@pytest.mark.parametrize("rows_at_once", [1, 5])
+def test_slices_of_a_product_change_no_channel(rows_at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Channels are the same where a press is compared with a realisation in slices, which large frames need."""
+    rows = np.random.default_rng(0).integers(-8, 8, (6, 12, 4)).astype(np.float32)
+    at_once = associate(rows, inreach.parameters())
+    monkeypatch.setattr(channels, "PRODUCT_LIMIT", rows_at_once * 12)
+    for ours, expected in zip(associate(rows, inreach.parameters()), at_once, strict=True):
+        assert np.array_equal(ours, expected)
+    assert len(at_once.key) > 6

@@ -153,9 +153,11 @@ class Embedding:
         x = _average(x, self._pool(tap))
         x = x.reshape(*x.shape[:2], -1)
         if f"projection_{tap}" in self.arrays:
-            native: NDArray[np.floating] = np.swapaxes(x, 1, 2).astype(dtype) @ self.arrays[
-                f"projection_{tap}"
-            ].astype(dtype)
+            projection = self.arrays[f"projection_{tap}"].astype(dtype)
+            native = np.empty((len(x), x.shape[2], projection.shape[1]), dtype)
+            # Press by press: a copy of all in the other order would take as much memory as the features.
+            for press, found in zip(x, native, strict=True):
+                np.matmul(press.T.astype(dtype, order="C"), projection, out=found)
             return native
         scale = self.arrays["scales"][self.choice.taps.index(tap)] if "scales" in self.arrays else 1.0
         chosen: NDArray[np.floating] = np.swapaxes(x[:, self._chosen(tap)], 1, 2).astype(dtype) * dtype(scale)
@@ -341,7 +343,7 @@ def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> tuple[float
     all-zero taps."""
     squares = power = 0.0
     flat = x.reshape(*x.shape[:2], -1)
-    scale = float(np.abs(flat).max()) or 1.0
+    scale = max(float(flat.max()), -float(flat.min())) or 1.0
     for channel in range(flat.shape[1]):
         values = flat[:, channel, cells].astype(np.float64) / scale
         power += float(np.square(values).mean())

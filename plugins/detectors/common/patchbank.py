@@ -71,7 +71,7 @@ class PatchBank:
         rows = np.concatenate(
             [self.rows(_press(features, taps, k), grid, arrays, np.float32) for k in range(n)]
         )
-        return arrays, rows.astype(np.float32)
+        return arrays, rows.astype(np.float32, copy=False)
 
     def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
         """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where this is not known.
@@ -113,7 +113,7 @@ class PatchBank:
         rotation = Rotation(arrays["mean"], arrays.get("basis"))
         rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays), dtype), dtype)
         rows = rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2])
-        return self._placed(rows, grid).astype(dtype)
+        return self._placed(rows, grid).astype(dtype, copy=False)
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
@@ -222,10 +222,14 @@ def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator
 
 def _deviation(layer: NDArray[np.float32]) -> float:
     """The root mean square deviation of a tap's channels over all nominal cells, with its floor; 1 if all is zero."""
-    top = float(np.abs(layer).max())
+    top = max(float(layer.max()), -float(layer.min()))
     if top == 0:
         return 1.0
-    unit = layer.swapaxes(0, 1).reshape(layer.shape[1], -1) / np.float32(top)
-    power = np.einsum("cp,cp->c", unit, unit, dtype=np.float64) / unit.shape[1]
-    variance = power - np.square(unit.mean(axis=1, dtype=np.float64))
+    power, mean = np.empty((2, layer.shape[1]))
+    # Channel by channel: a copy of all would take as much memory as the features.
+    for channel in range(layer.shape[1]):
+        unit = layer[:, channel].ravel() / np.float32(top)
+        power[channel] = np.einsum("p,p->", unit, unit, dtype=np.float64) / unit.size
+        mean[channel] = unit.mean(dtype=np.float64)
+    variance = power - np.square(mean)
     return top * float(np.sqrt(max(variance.mean(), DEVIATION_FLOOR**2 * power.mean())))

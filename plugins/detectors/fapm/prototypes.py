@@ -194,7 +194,8 @@ def _clear_rounding(
     apart: NDArray[np.float32],
 ) -> None:
     """Zero the distances (n,) that are rounding, which only rows with very near picks can have."""
-    near = np.flatnonzero(np.minimum(nearest, apart) <= _rounding(lengths, lengths[picks].max()))
+    limit = _rounding(lengths, lengths[picks].max())
+    near = np.flatnonzero((apart <= limit) | ((nearest > 0) & (nearest <= limit)))
     both = lengths[near, None] + lengths[picks]
     squared = both - 2 * (rows[near] @ rows[picks].T)
     is_zero = squared <= ROUNDING * both

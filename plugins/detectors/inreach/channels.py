@@ -1,5 +1,6 @@
 """Channels of patches across nominal presses: which patches match each other repeatedly, and which are strays."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -78,18 +79,17 @@ def _with_openers(
 
 
 def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Nearest:
-    """One product for all realisations in both directions, in slices of rows that limit the memory."""
-    seeds, cells, width = asked_of.shape
+    """A product for each realisation, small enough for the cache, in slices of rows that limit the memory."""
+    seeds, cells, _ = asked_of.shape
     there, away = np.empty((seeds, cells), np.int64), np.empty((seeds, cells), np.float32)
     back = np.full((seeds, cells), np.inf, np.float32)
-    step = max(1, PRODUCT_LIMIT // (seeds * cells))
-    for first in range(0, cells, step):
+    step = max(1, PRODUCT_LIMIT // cells)
+    for seed, first in itertools.product(range(seeds), range(0, cells, step)):
         part = slice(first, first + step)
-        squared = (asking[part] @ asked_of.reshape(-1, width).T).reshape(-1, seeds, cells)
-        found = squared.argmin(axis=2)
-        there[:, part] = found.T
-        away[:, part] = np.take_along_axis(squared, found[:, :, None], axis=2)[:, :, 0].T
-        np.minimum(back, squared.min(axis=0), out=back)
+        squared = asking[part] @ asked_of[seed].T
+        there[seed, part] = found = squared.argmin(axis=1)
+        away[seed, part] = np.take_along_axis(squared, found[:, None], axis=1)[:, 0]
+        np.minimum(back[seed], squared.min(axis=0), out=back[seed])
     return Nearest(there, away, back)
 
 
