@@ -21,6 +21,7 @@ prefix = "gelgate"
 site = "plant"
 line = "line1"
 station = "station1"
+stats_s = 10                  # seconds between two reports of counters
 
 [device]
 plugin = "gelsight_mini"      # `gelgate devices` lists what is plugged in

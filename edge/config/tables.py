@@ -18,9 +18,9 @@ TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
 
 class StationTable(Table):
-    """The place of this gateway in the plant: the levels of its MQTT topics.
+    """The place of this gateway in the plant: the levels of its MQTT topics, and how often it reports.
 
-    Each has 1 to 64 characters, no space, and none of + # / $.
+    Each level has 1 to 64 characters, no space, and none of + # / $.
     """
 
     prefix: TopicLevel = Field(default="gelgate", description="first level of every topic")
@@ -28,6 +28,12 @@ class StationTable(Table):
     line: TopicLevel = Field(default="line", description="third level: the production line")
     station: TopicLevel = Field(
         default="station", description="fourth level: this gateway, unique on its line"
+    )
+    stats_s: float = Field(
+        default=10.0,
+        ge=0.5,
+        le=60,
+        description="seconds between two `stats`; disk, clock and receivers are checked as often",
     )
 
 

@@ -61,7 +61,8 @@ class Station:
     """The context of a sink.
 
     root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
-    will: left with the broker, which publishes it when this gateway disappears. birth: the first messages of every
+    will: left with the broker, which publishes it when this gateway disappears. offline: likewise, where a receiver can
+    hold a second one. birth: the first messages of every
     connection, requested each time. on_command: answers requests, None where commands are not served. on_refused:
     makes the answer to a request that the sink refuses, None for no answer.
     """
@@ -69,6 +70,7 @@ class Station:
     root: str
     client_id: str
     will: Message | None = None
+    offline: Message | None = None
     birth: Callable[[], Sequence[Message]] = _no_messages
     on_command: OnCommand | None = None
     on_refused: OnRefused | None = None

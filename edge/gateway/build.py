@@ -34,7 +34,7 @@ from edge.gateway.snapshots import Snapshots
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
 from edge.gateway.status import StationStatus
-from edge.messaging.payloads import StatePayload, state_message
+from edge.messaging.payloads import StatePayload, availability_message, state_message
 from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
@@ -110,6 +110,7 @@ def build(
         io=io,
         snapshots=_snapshots(config, clock, closing),
         overview=overview,
+        stats_s=table.stats_s,
     )
 
 
@@ -215,6 +216,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         root=topic_root(table.prefix, table.site, table.line, table.station),
         client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
         will=state_message(lost),
+        offline=availability_message(is_online=False),
         birth=retained_state.all,
         on_command=commands,
         on_refused=commands.refused,

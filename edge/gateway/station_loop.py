@@ -1,4 +1,4 @@
-"""The loop of a running station: frames, calls of other threads, presses to record, and the report every 10 s.
+"""The loop of a running station: frames, calls of other threads, presses to record, and the regular report.
 
 `step` is one turn without waiting, so a test can drive it in any order; `run` adds the waiting.
 """
@@ -36,7 +36,6 @@ log = logging.getLogger(__name__)
 
 # While it waits for a frame the loop wakes this often, to serve calls and detect faults.
 WAIT_S: Final = 0.2
-STATS_EVERY_S: Final = 10.0
 # A frame older than this when it is processed cannot be judged any more.
 LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
 # The pause before a store that refuses writes is tried again.
@@ -132,7 +131,7 @@ class StationLoop:
         if self.is_halted and self._session is not None:
             self._parts.store.note_uncounted(self._session.gel.serial, self._session.unrecorded)
         self._parts.io.turn(self._parts.status.view())
-        if self._parts.clock.monotonic_ns() - self._last_stats_ns > STATS_EVERY_S * 1e9:
+        if self._parts.clock.monotonic_ns() - self._last_stats_ns > self._parts.stats_s * 1e9:
             self.publish_stats()
 
     def replace_gel(self, gel_id: str | None, limit_presses: int | None, note: str) -> None:

@@ -27,7 +27,7 @@ __all__ = ["Parts"]
 class Parts:
     """The parts of a station, built and not yet started. Their builder closes them.
 
-    calls: of other threads, with the loop that has these parts.
+    calls: of other threads, with the loop that has these parts. stats_s: between two reports.
     """
 
     selection: PartSelection
@@ -46,3 +46,4 @@ class Parts:
     io: StationIo
     snapshots: Snapshots
     overview: Overview | None = None
+    stats_s: float = 10.0

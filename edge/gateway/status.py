@@ -20,6 +20,7 @@ from edge.messaging.payloads import (
     StatsPayload,
     alarm_cleared,
     alarm_message,
+    availability_message,
     gel_message,
     info_message,
     state_message,
@@ -109,6 +110,7 @@ class StationStatus:
         if state != self._said:
             self._said = state
             word, reason = state
+            self._announce(availability_message(is_online=word != "stopped"))
             self._announce(
                 state_message(StatePayload(time_ns=self._clock.time_ns(), state=word, reason=reason))
             )
@@ -206,6 +208,7 @@ class StationStatus:
             disk_free_bytes=disk_free_bytes,
             gel_presses=gel.presses if gel else None,
             gel_limit_presses=gel.limit_presses if gel else None,
+            alarms=tuple(sorted(self._raised)),
             receivers=dict(receivers or {}),
         )
         self._announce(stats_message(payload))

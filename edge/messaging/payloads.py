@@ -34,6 +34,7 @@ __all__ = [
     "alarm_cleared",
     "alarm_message",
     "as_replayed",
+    "availability_message",
     "gel_message",
     "heatmap_message",
     "info_message",
@@ -308,6 +309,7 @@ class StatsPayload(Payload):
     disk_free_bytes: int | None = Field(default=None, ge=0, description="room on the disk of the database")
     gel_presses: int | None = Field(default=None, ge=0, description="of the mounted gel")
     gel_limit_presses: int | None = Field(default=None, ge=1, description="presses allowed on it")
+    alarms: tuple[str, ...] = Field(default=(), description="the raised alarms, as in `alarm/<alarm>`")
     receivers: dict[str, str] = Field(
         default_factory=dict, description="receiver to `up` or why it is not; with the MQTT level in use"
     )
@@ -315,6 +317,12 @@ class StatsPayload(Payload):
 
 def state_message(payload: StatePayload) -> Message:
     return Message("state", payload.encode(), qos=1, retain=True)
+
+
+def availability_message(*, is_online: bool) -> Message:
+    """`online` or `offline` as plain text, for dashboards that read no JSON."""
+    payload = b"online" if is_online else b"offline"
+    return Message("availability", payload, qos=1, retain=True, content_type="text/plain")
 
 
 def info_message(payload: InfoPayload) -> Message:
@@ -341,9 +349,10 @@ def press_messages(
     heatmap_png: bytes | None = None,
     overview_jpeg: bytes | None = None,
 ) -> Sequence[Message]:
-    """All messages of one press, in order: result, its pictures, then the retained picture, `last` and `gel`.
+    """All messages of one press, in order: result, its pictures, then the retained picture, the retained result on its
+    two topics, and `gel`.
 
-    The retained picture is always that of `last`: a press without one empties the topic.
+    The retained picture is always that of the retained result: a press without one empties the topic.
     """
     encoded = result.encode()
     heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
@@ -354,6 +363,7 @@ def press_messages(
         *overview,
         Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
         Message("last", encoded, qos=1, retain=True),
+        Message("last/press", encoded, qos=1, retain=True),
         gel_message(GelPayload.of(gel, result.time_ns)),
     ]
 

@@ -7,26 +7,14 @@ from typing import Any, Final, Protocol
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.command_payloads import (
-    LARGEST_REQUEST_BYTES,
-    WAITING_REQUESTS,
-    CommandRequest,
-    CommandResponse,
-)
-from edge.messaging.payloads import (
-    ALARMS,
-    AlarmPayload,
-    GelPayload,
-    InfoPayload,
-    ResultPayload,
-    StatePayload,
-    StatsPayload,
-)
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
+from edge.messaging.payloads import ALARMS
 from edge.messaging.request_signature import signature_of, signed_text
+from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
-from edge.pictures.press_picture import TEXT_KEYWORDS
+from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS
 
-__all__ = ["TOPICS", "reference"]
+__all__ = ["DocumentedCommand", "reference"]
 
 
 class DocumentedCommand(Protocol):
@@ -41,28 +29,6 @@ class DocumentedCommand(Protocol):
     @property
     def changes(self) -> str: ...
 
-
-# topic below the root, QoS, whether retained, payload, purpose
-TOPICS: Final[tuple[tuple[str, int, bool, type[BaseModel] | str, str], ...]] = (
-    ("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
-    ("info", 1, True, InfoPayload, "the installed software, bundle and sensor"),
-    ("result", 1, False, ResultPayload, "one message per press"),
-    ("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
-    ("overview/<press id>", 1, False, "JPEG", "the overview camera's still of the part before the press"),
-    ("last", 1, True, ResultPayload, "the newest result, for clients that connect later"),
-    (
-        "last/heatmap",
-        1,
-        True,
-        "PNG",
-        "the picture of `last`, on a fixed topic for dashboards; empty without one",
-    ),
-    ("gel", 1, True, GelPayload, "wear of the mounted gel"),
-    ("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
-    ("stats", 0, False, StatsPayload, "counters, for dashboards"),
-    ("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
-    ("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
-)
 
 _EXAMPLE_ROOT: Final = "gelgate/plant/line1/station1/gel/v1"
 _EXAMPLE_SECRET: Final = "0123456789abcdef0123456789abcdef"
@@ -120,17 +86,19 @@ A subscriber can rely on this:
   the second by its id.
 - **Results keep their order** at one broker. A result that is sent late is marked `is_replayed`; its `time` is that of
   the press. A refused message is kept and comes later, out of order.
-- **`last` and `gel` never go back in time.** While the broker is away only their newest is kept.
-- **`last/heatmap` comes just before its `last`** and is empty for a press without a picture, so the two always belong
-  together. The press id is in the picture's text chunks as well.
+- **`last/press` and `gel` never go back in time.** While the broker is away only their newest is kept.
+- **`last/heatmap` comes just before its `last/press`** and is empty for a press without a picture, so the two always
+  belong together. The press id is in the picture's text chunks as well.
+- **`availability` is `offline` once the gateway is gone**, however it ended: the broker publishes that itself. `online`
+  says that the gateway runs, not that it inspects: `state` says that.
 - **A press without a score is never a pass**: its `verdict` is null and `error` says why.
 - **No press is missing while `sequence` rises by one.** It is counted in the station's database, in the transaction
   that records the press. `gel_presses` starts again with every gel.
 - **An empty payload on a retained topic means "nothing here"**: MQTT removes a retained message in this way. On every
   connection each `alarm/<alarm>` that is not raised is emptied, so that no alarm outlives the process that raised it.
   Look at the payload's length before you parse it.
-- `state`, `info`, `alarm` and `stats` are the current ones. They are not kept for later, and are sent again on every
-  connection.
+- `state`, `availability`, `info`, `alarm` and `stats` are the current ones. They are not kept for later, and are sent
+  again on every connection.
 - MQTT 5 and 3.1.1 carry the same topics and payloads. At level 5 messages also have a content type, a request may name
   its response topic, and the correlation data comes back. At 3.1.1 a broker may discard forbidden messages without an
   error.
@@ -148,7 +116,8 @@ send it. A still of at most `max_side_px` is the camera's own JPEG.
 with a line around each part above the threshold. Right are the scores in colour, from 0 to {FULL_SCALE:g} times the
 threshold, the same for every press and every detector. The colour map is Inferno: its lightness rises evenly with the
 score, so it also works in grey and for colour-blind people. A scale bar, verdict, score and names are around them. The
-text chunks (iTXt) hold {{keywords}}.
+text chunks (iTXt) hold {{keywords}}. A file has at most
+{LARGEST_BYTES >> 20} MiB: a picture that compresses worse is drawn smaller.
 """
 
 

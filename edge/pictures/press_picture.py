@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.pictures import png
 from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
 
-__all__ = ["TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
+__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
 
 TEXT_KEYWORDS: Final = (
     "press_id",
@@ -32,6 +32,9 @@ TEXT_KEYWORDS: Final = (
 # The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
 _LARGEST_PANEL: Final = 800
+
+LARGEST_BYTES: Final = 2 << 20
+"""Of a picture as a file: brokers, which limit messages to a few MB, keep it. Larger ones are drawn smaller."""
 
 _HEADER: Final = 40
 _FOOTER: Final = 28
@@ -74,12 +77,20 @@ class PressCaption:
 
 
 def press_png(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> bytes:
-    """`draw_press` as a PNG whose text chunks hold the caption."""
-    return png.encode(draw_press(rgb, score_map, caption), caption.texts())
+    """`draw_press` as a PNG of at most LARGEST_BYTES whose text chunks hold the caption."""
+    largest_panel = _LARGEST_PANEL
+    while True:
+        picture = png.encode(draw_press(rgb, score_map, caption, largest_panel), caption.texts())
+        if len(picture) <= LARGEST_BYTES:
+            return picture
+        largest_panel //= 2
 
 
-def draw_press(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> U8:
+def draw_press(
+    rgb: U8, score_map: NDArray[np.floating], caption: PressCaption, largest_panel: int = _LARGEST_PANEL
+) -> U8:
     """uint8 (height, width, 3) RGB. rgb: uint8 (h, w, 3), the inspected region. score_map: raw, (h, w) of the same.
+    largest_panel: the longest side of one panel in pixels.
 
     Both panels have the same scale in x and y, also when the profile compresses one axis. Errors: ValueError for
     other shapes, a map that is not finite, a threshold that is not positive.
@@ -87,7 +98,7 @@ def draw_press(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) 
     if rgb.dtype != np.uint8 or rgb.shape != (*score_map.shape, 3):
         raise ValueError(f"the picture must be uint8 {(*score_map.shape, 3)}, found {rgb.dtype} {rgb.shape}")
     relative = relative_scores(score_map, caption.threshold)
-    width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel)
+    width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel, largest_panel)
     relative = np.asarray(cv2.resize(relative, (width, height), interpolation=_how(rgb, width)), np.float32)
     press, heat = _press_panel(rgb, width, height), coloured(relative)
     for panel in (press, heat):
@@ -103,13 +114,13 @@ def draw_press(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) 
     return sheet
 
 
-def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float]) -> tuple[int, int]:
+def _panel_size(w: int, h: int, mm_per_pixel: tuple[float, float], largest: int) -> tuple[int, int]:
     """(width, height) of a panel in which x and y have one scale."""
     true_h = h * mm_per_pixel[1] / mm_per_pixel[0]
     longest = max(w, true_h)
     factor = float(max(1, -(-_SMALLEST_PANEL // round(longest))))
-    if longest > _LARGEST_PANEL:
-        factor = _LARGEST_PANEL / longest
+    if longest * factor > largest:
+        factor = largest / longest
     return max(1, round(w * factor)), max(1, round(true_h * factor))
 
 

@@ -1,9 +1,10 @@
 """Appends messages to a file: one JSON line each, and pictures as files of their own.
 
-A line is `{"topic": ..., "retain": ..., "payload": {...}}`, or `"file": "heatmap/<press id>.png"` for a picture. A
-line is on the disk before `send` returns. Beyond `keep_mb` the oldest are removed: `messages.jsonl` becomes
-`messages.1.jsonl` when it has a quarter of the room, and the oldest pictures go. What it does not do: it has no
-subscribers and takes no commands. A retained topic is an ordinary line, and the last one counts.
+A line is `{"topic": ..., "retain": ..., "payload": {...}}`, with a text for plain text, or
+`"file": "heatmap/<press id>.png"` for a picture. A line is on the disk before `send` returns. Beyond `keep_mb` the
+oldest are removed: `messages.jsonl` becomes `messages.1.jsonl` when it has a quarter of the room, and the oldest
+pictures go. What it does not do: it has no subscribers and takes no commands. A retained topic is an ordinary line, and
+the last one counts.
 """
 
 import errno
@@ -61,7 +62,9 @@ class JsonlSink:
         try:
             with self._lock:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                if message.content_type == "application/json":
+                if message.content_type == "text/plain":
+                    line["payload"] = message.payload.decode()
+                elif message.content_type == "application/json":
                     line["payload"] = json.loads(message.payload) if message.payload else None
                 else:
                     line["file"] = self._picture(message) if message.payload else None

@@ -2,7 +2,8 @@
 
 A separate thread keeps the connection, so a broker that is absent is normal: `send` raises SinkUnavailable until the
 broker is back. On every connection the sink first subscribes to the commands and publishes the birth messages of the
-station; only then do other messages pass. The last will says that the station is lost.
+station; only then do other messages pass. The last will says that the station is lost; a second connection has that of
+`availability`.
 
 What it does not do: it stores nothing (the outbox does), never uses QoS 2 (results carry an id), and has no websockets.
 At level 3.1.1 a broker acknowledges messages that its access rules then discard; only level 5 reports this. So silence
@@ -16,6 +17,7 @@ import random
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Self
 
@@ -26,6 +28,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt_availability import Availability
 from plugins.sinks.mqtt_options import MqttOptions
 from plugins.sinks.mqtt_requests import Requests
 from plugins.sinks.mqtt_strikes import Strikes
@@ -46,7 +49,9 @@ SHORT_ONES: Final = 3
 class MqttSink:
     """Messages of one station to one broker. Any thread may send; messages of one thread keep their order."""
 
-    def __init__(self, broker: Broker, station: Station, backoff: Backoff) -> None:
+    def __init__(
+        self, broker: Broker, station: Station, backoff: Backoff, *, has_availability: bool = True
+    ) -> None:
         self._broker = broker
         self._station = station
         self._backoff = backoff
@@ -64,6 +69,8 @@ class MqttSink:
         # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
         self._requests = Requests(station)
+        offline = None if station.offline is None else self._full(station.offline)
+        self._availability = Availability(broker, offline, is_wanted=has_availability)
         self._lost = threading.Event()  # of the connection in use, or of the last attempt
         self._threads = [
             threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
@@ -85,7 +92,8 @@ class MqttSink:
     @property
     def faults(self) -> Sequence[str]:
         """What a person should correct although messages pass, one sentence each."""
-        return [*dict(self._faults).values(), *self._strikes.faults]
+        second = self._availability.fault
+        return [*dict(self._faults).values(), *self._strikes.faults, *([second] if second else [])]
 
     def send(self, message: Message) -> None:
         """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected.
@@ -115,6 +123,7 @@ class MqttSink:
         self._requests.close()
         for thread in filter(threading.Thread.is_alive, self._threads):
             thread.join(self._broker.timeout_s)
+        self._availability.close()
 
     def step(self) -> float | None:
         """One turn of the connecting thread: try to connect where there is no connection.
@@ -122,7 +131,7 @@ class MqttSink:
         Gives the pause before the next turn in seconds, None while there is a connection. Never raises.
         """
         if self._connection is not None and self._lost.is_set():
-            self._note_loss()
+            self._see_loss()
         if self._connection is not None:
             return None
         self._lost = threading.Event()
@@ -159,6 +168,13 @@ class MqttSink:
             self._level_again_s = LEVEL_AGAIN_FIRST_S
             connection.close()
 
+    def find_availability(self) -> None:
+        """Where the second connection could not be kept: try again."""
+        connection = self._connection
+        if connection is not None and self._availability.is_missing:
+            self._availability.open(connection.level, self._lost.set)
+            self._say_availability(connection)
+
     def answer(self, request: Received) -> None:
         """One turn of the answering thread: do what is asked and publish the response."""
         if not self._closing.is_set():
@@ -170,17 +186,36 @@ class MqttSink:
             if pause_s is not None:
                 self._closing.wait(pause_s)
             elif self._lost.wait(self._level_again_s):
-                self._note_loss()
+                self._see_loss()
             else:
                 self._faults.pop("client id", None)
                 self.find_level()
+                self.find_availability()
 
     def _serve(self) -> None:
         while (request := self._requests.next()) is not None:
             self.answer(request)
 
+    def _see_loss(self) -> None:
+        """One of the two connections is lost: the second alone is opened again."""
+        connection, lost = self._connection, self._lost
+        lost.clear()
+        if connection is None or not connection.is_up or self._closing.is_set():
+            self._note_loss()
+            return
+        self._availability.renew(connection.level, lost.set)
+        self._say_availability(connection)
+
+    def _say_availability(self, connection: Connection) -> None:
+        for message in self._station.birth():
+            if self._station.offline is not None and message.topic == self._station.offline.topic:
+                with suppress(SinkError):  # a lost connection is seen in the next turn
+                    connection.publish(self._outgoing(message))
+
     def _note_loss(self) -> None:
         connection, self._connection = self._connection, None
+        if not self._closing.is_set():
+            self._availability.abandon()
         why = connection.why_lost if connection is not None else None
         if connection is not None and not self._closing.is_set():
             self._suspect_client_id(connection)
@@ -205,9 +240,11 @@ class MqttSink:
         )
         self._note_level(connection.level)
         try:
+            self._availability.open(connection.level, lost.set)
             self._born = self._bear(connection)
         except Exception:
             connection.abandon("its birth failed")
+            self._availability.abandon()
             raise
         return connection
 
@@ -257,6 +294,9 @@ class MqttSink:
         self._why_down = why
 
     def _outgoing(self, message: Message) -> Outgoing:
+        return self._availability.outgoing(self._full(message))
+
+    def _full(self, message: Message) -> Outgoing:
         return Outgoing(
             self._station.topic(message),
             message.payload,
@@ -278,7 +318,8 @@ class Mqtt(SinkPlugin[MqttOptions]):
     def open(self, options: MqttOptions, station: Station) -> MqttSink:
         """A sink that starts to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
         backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
-        return MqttSink(options.broker(station.client_id), station, backoff).start()
+        broker = options.broker(station.client_id)
+        return MqttSink(broker, station, backoff, has_availability=options.availability).start()
 
 
 plugin = Mqtt()

@@ -67,6 +67,12 @@ class MqttOptions(BaseModel):
         default=30.0, ge=1, le=3600, description="the longest pause between attempts to connect"
     )
 
+    availability: bool = Field(
+        default=True,
+        description="keep the topic `availability`; its last will needs a second connection, client id "
+        "`<client_id>-availability`",
+    )
+
     @model_validator(mode="after")
     def _password_with_name(self) -> Self:
         if self.password_file is not None and self.username is None:

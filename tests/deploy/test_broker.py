@@ -14,7 +14,7 @@ import pytest
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.topic_reference import TOPICS
+from edge.messaging.topics import TOPICS
 from plugins.sinks import mqtt
 from plugins.sinks.mqtt_options import MqttOptions
 

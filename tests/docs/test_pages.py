@@ -18,7 +18,7 @@ from edge.config import Config, load_config
 from edge.core import errors
 from edge.gateway.command_table import COMMANDS, station_handlers
 from edge.gateway.loop_calls import LoopCalls
-from edge.messaging.topic_reference import TOPICS
+from edge.messaging.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

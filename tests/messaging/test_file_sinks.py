@@ -44,11 +44,12 @@ def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:
 
 
 def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
-    """JSON stays JSON, an empty payload is null, a picture is a file named by its topic."""
+    """JSON stays JSON, text is text, an empty payload is null, a picture is a file named by its topic."""
     sink = jsonl.plugin.open(jsonl.JsonlOptions(folder=tmp_path / "log"), STATION)
     sink.send(Message("result", '{"part":"Bügel"}'.encode()))
     sink.send(Message("heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV", b"png", content_type="image/png"))
     sink.send(Message("alarm/gel", b"", retain=True))
+    sink.send(Message("availability", b"online", retain=True, content_type="text/plain"))
     sink.close()
 
     assert isinstance(sink, Sink)
@@ -56,6 +57,7 @@ def test_a_message_becomes_a_line_and_a_picture_a_file(tmp_path: Path) -> None:
         {"part": "Bügel"},
         "heatmap/01ARZ3NDEKTSV4RRFFQ69G5FAV.png",
         None,
+        "online",
     ]
     assert (tmp_path / "log" / "heatmap" / "01ARZ3NDEKTSV4RRFFQ69G5FAV.png").read_bytes() == b"png"
 

@@ -28,7 +28,8 @@ from edge.messaging.payloads import (
     iso_time,
     press_messages,
 )
-from edge.messaging.topic_reference import TOPICS, reference
+from edge.messaging.topic_reference import reference
+from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
@@ -118,7 +119,7 @@ def test_a_press_without_a_score_is_an_error_and_no_verdict() -> None:
 
 
 def test_a_press_publishes_result_picture_last_and_gel() -> None:
-    """`last` repeats the result byte for byte; the gel has the numbers of its record."""
+    """`last` and `last/press` repeat the result byte for byte; the gel has the numbers of its record."""
     messages = press_messages(result(), GEL, b"png")
 
     assert [(m.topic, m.retain) for m in messages] == [
@@ -126,11 +127,12 @@ def test_a_press_publishes_result_picture_last_and_gel() -> None:
         (f"heatmap/{PRESS_ID}", False),
         ("last/heatmap", True),
         ("last", True),
+        ("last/press", True),
         ("gel", True),
     ]
-    assert messages[0].payload is messages[3].payload  # encoded once
+    assert messages[0].payload is messages[3].payload is messages[4].payload  # encoded once
     assert messages[1].payload == messages[2].payload
-    assert json.loads(messages[4].payload)["state"] == "due"
+    assert json.loads(messages[5].payload)["state"] == "due"
 
 
 def test_a_press_without_a_picture_empties_that_of_the_last() -> None:

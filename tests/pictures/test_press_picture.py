@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from edge.pictures import png
-from edge.pictures.press_picture import TEXT_KEYWORDS, PressCaption, draw_press, press_png
+from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS, PressCaption, draw_press, press_png
 
 CAPTION = PressCaption(
     press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",
@@ -109,3 +109,15 @@ def test_a_picture_of_another_size_is_refused() -> None:
     """The map belongs to the region, not to the frame."""
     with pytest.raises(ValueError, match="found uint8"):
         draw_press(press(40, 50), np.zeros((40, 56), np.float32), CAPTION)
+
+
+def test_a_picture_that_does_not_compress_is_drawn_smaller() -> None:
+    """Noise over the complete frame of the sensor: a broker that retains the picture never gets more than 2 MiB."""
+    rgb = np.random.default_rng(1).integers(0, 256, (800, 800, 3), dtype=np.uint8)
+    scores = np.random.default_rng(2).random((800, 800), np.float32)
+    assert len(png.encode(draw_press(rgb, scores, CAPTION))) > LARGEST_BYTES
+
+    picture = press_png(rgb, scores, CAPTION)
+
+    assert LARGEST_BYTES // 8 < len(picture) <= LARGEST_BYTES
+    assert png.texts(picture)["press_id"] == CAPTION.press_id

@@ -44,6 +44,7 @@ def test_a_press_is_counted_and_its_messages_wait(
             f"heatmap/{press.press_id}",
             "last/heatmap",
             "last",
+            "last/press",
             "gel",
         ]
 

@@ -1,0 +1,60 @@
+"""Every topic below a station's root: delivery, retention, payload and purpose. Pages, rules and schemas follow it."""
+
+from typing import Final, NamedTuple
+
+from pydantic import BaseModel
+
+from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.payloads import (
+    AlarmPayload,
+    GelPayload,
+    InfoPayload,
+    ResultPayload,
+    StatePayload,
+    StatsPayload,
+)
+
+__all__ = ["TOPICS", "Topic"]
+
+
+class Topic(NamedTuple):
+    """name: below the root; `<...>` stands for one level. payload: a model, or a word for what is no JSON object."""
+
+    name: str
+    qos: int
+    is_retained: bool
+    payload: type[BaseModel] | str
+    meaning: str
+
+
+TOPICS: Final[tuple[Topic, ...]] = (
+    Topic("state", 1, True, StatePayload, "whether the station inspects; also the last will"),
+    Topic(
+        "availability", 1, True, "text", "`online` or `offline`: whether the gateway runs; also a last will"
+    ),
+    Topic("info", 1, True, InfoPayload, "the installed software, bundle and sensor"),
+    Topic(
+        "asyncapi", 1, True, "AsyncAPI", "this page for programs: AsyncAPI 3 with the schema of every payload"
+    ),
+    Topic("result", 1, False, ResultPayload, "one message per press"),
+    Topic("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
+    Topic(
+        "overview/<press id>", 1, False, "JPEG", "the overview camera's still of the part before the press"
+    ),
+    Topic("last/press", 1, True, ResultPayload, "the newest result, on a fixed topic for dashboards"),
+    Topic(
+        "last/heatmap",
+        1,
+        True,
+        "PNG",
+        "the picture of `last/press`, on a fixed topic for dashboards; empty without one",
+    ),
+    Topic(
+        "last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.2 and before"
+    ),
+    Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
+    Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
+    Topic("stats", 0, False, StatsPayload, "counters, for dashboards"),
+    Topic("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
+    Topic("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),
+)

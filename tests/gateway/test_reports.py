@@ -1,0 +1,60 @@
+"""What a station says of itself without being asked: its counters at an interval, and the plain `availability`."""
+
+import json
+from pathlib import Path
+
+import pytest
+from small_recordings import FakeClock
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.ports import Message
+from edge.gateway.acquisition import AcquisitionStatus
+from edge.gateway.status import StationStatus
+from edge.gateway.summary import Summary
+from edge.store.outbox import OutboxStatus
+
+
+@pytest.mark.parametrize(("stats_s", "least", "most"), [(0.5, 8, 10), (60, 0, 0)])
+def test_the_interval_of_the_counters_is_configured(
+    tmp_path: Path, recording: Path, bundle: Path, stats_s: float, least: int, most: int
+) -> None:
+    """Five seconds: a report every half second, or none."""
+    config = station_config(tmp_path, recording, bundle)
+    config.write_text(config.read_text().replace("[device]", f"[station]\nstats_s = {stats_s}\n[device]"))
+    times = set()
+    with SteppedStation(config) as station:
+        for _ in range(50):
+            station.clock.sleep(0.1)
+            station.loop.step(None)
+            said = {message.topic: message.payload for _, message in station.parts.retained_state.since(-1)}
+            times |= {json.loads(said["stats"])["time_ns"]} if "stats" in said else set()
+
+    assert least <= len(times) <= most
+
+
+def test_a_station_is_online_until_it_ends() -> None:
+    """Plain words: also while it is halted, for it runs; the state says that it does not inspect."""
+    said: list[Message] = []
+    status = StationStatus(said.append, FakeClock())
+
+    status.set_waiting_for("the sensor")
+    status.set_fault("device", "no sensor")
+    status.stopped()
+
+    words = [message.payload for message in said if message.topic == "availability"]
+    assert (words[0], words[-2], words[-1]) == (b"online", b"online", b"offline")
+
+
+def test_the_counters_name_the_raised_alarms() -> None:
+    """One message has them all, for a dashboard that comes later than the alarms."""
+    said: list[Message] = []
+    status = StationStatus(said.append, FakeClock())
+    status.alarm("overload", "too slow")
+    status.alarm("gel", "worn")
+    status.alarm("disk", "full")
+    status.clear("disk")
+
+    status.stats(Summary(), AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
+
+    assert json.loads(said[-1].payload)["alarms"] == ["gel", "overload"]

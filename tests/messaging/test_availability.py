@@ -1,0 +1,151 @@
+"""The plain topic `availability`: what a dashboard reads of a station that comes, goes and disappears."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+from scripted_broker import ScriptedBroker
+
+from edge.core.errors import SinkUnavailable
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_connection import Connection
+from edge.messaging.payloads import availability_message
+from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt_options import MqttOptions
+
+from .conftest import ROOT, Listener
+
+Opens = Callable[..., MqttSink]
+Listen = Callable[..., Listener]
+
+
+@pytest.fixture
+def open_sink() -> Iterator[Opens]:
+    """Opens sinks of a station with both wills, and closes them at the end."""
+    opened: list[MqttSink] = []
+
+    def make(broker: LocalBroker | ScriptedBroker, **options: object) -> MqttSink:
+        station = Station(
+            ROOT,
+            "press2",
+            offline=availability_message(is_online=False),
+            birth=lambda: [availability_message(is_online=True)],
+        )
+        given = {"host": "127.0.0.1", "port": broker.port, "retry_s": 1.0, **options}
+        opened.append(plugin.open(MqttOptions.model_validate(given), station))
+        return opened[-1]
+
+    yield make
+    for sink in opened:
+        sink.close()
+
+
+def says(*words: bytes) -> Callable[[Listener], bool]:
+    return lambda listener: listener.payloads("availability")[-len(words) :] == list(words)
+
+
+def test_a_station_that_disappears_is_offline(
+    any_broker: tuple[LocalBroker, str], open_sink: Opens, listen: Listen
+) -> None:
+    """The broker publishes it by itself when both connections end without a word; back again, it is online."""
+    broker, protocol = any_broker
+    listener = listen(broker)
+    sink = open_sink(broker, protocol=protocol)
+    listener.wait_for(says(b"online"))
+    sink.send(Message("result", b"{}"))  # returns when the connection is in use
+
+    assert sink._connection is not None
+    sink._connection.abandon("the cable is pulled")
+
+    listener.wait_for(says(b"online", b"offline", b"online"))
+
+
+def test_it_is_retained(mosquitto: LocalBroker, open_sink: Opens, listen: Listen) -> None:
+    """A dashboard that comes later sees it at once, as plain text."""
+    open_sink(mosquitto)
+    listen(mosquitto).wait_for(says(b"online"))
+
+    late = listen(mosquitto, client_id="late")
+
+    late.wait_for(says(b"online"))
+    assert [m.retain for m in late.heard if m.topic.endswith("/availability")] == [True]
+
+
+def test_a_second_connection_that_is_lost_alone_is_opened_again(
+    mosquitto: LocalBroker, open_sink: Opens, listen: Listen
+) -> None:
+    """Another client takes its id: offline for a moment, then online; the first connection stays."""
+    listener = listen(mosquitto)
+    sink = open_sink(mosquitto)
+    listener.wait_for(says(b"online"))
+    first = sink._connection
+
+    Connection.open(Broker(mosquitto.host, mosquitto.port, "press2-availability")).close()
+
+    listener.wait_for(says(b"offline", b"online"))
+    assert sink._connection is first
+
+
+def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: Opens, listen: Listen) -> None:
+    """Both connections say goodbye: what the station has said last stays."""
+    listener = listen(mosquitto)
+    sink = open_sink(mosquitto)
+    listener.wait_for(says(b"online"))
+
+    sink.close()
+    listener.ask("marker", b"")  # comes after anything that the broker would have published
+
+    listener.wait_for(lambda heard: heard.payloads("cmd/marker") != [])
+    assert listener.payloads("availability") == [b"online"]
+
+
+def test_without_the_second_connection_the_topic_is_empty(
+    mosquitto: LocalBroker, open_sink: Opens, listen: Listen
+) -> None:
+    """With the option off nothing says online: nobody could say offline later."""
+    listener = listen(mosquitto)
+
+    sink = open_sink(mosquitto, availability=False)
+
+    listener.wait_for(lambda heard: heard.payloads("availability") == [b""])
+    assert list(sink.faults) == []
+
+
+def test_a_broker_that_refuses_the_second_connection_is_a_fault(open_sink: Opens) -> None:
+    """The rest works, the topic is empty, and the sentence names the client id and the option."""
+    with ScriptedBroker(connects=["accept", "refuse"]) as broker:
+        sink = open_sink(broker)
+
+        sink.send(Message("result", b"{}"))
+
+        assert broker.published[:2] == [(f"{ROOT}/availability", b""), (f"{ROOT}/result", b"{}")]
+        assert [name in str(sink.faults) for name in ("press2-availability", "availability = false")] == [
+            True
+        ] * 2
+        sink.close()
+
+
+def test_a_second_connection_that_never_lasts_is_given_up(
+    mosquitto: LocalBroker, open_sink: Opens, listen: Listen
+) -> None:
+    """Two stations with one client id do not fight for ever: after some short ones it is a fault, tried again later."""
+    listener = listen(mosquitto)
+    sink = open_sink(mosquitto)
+    listener.wait_for(says(b"online"))
+
+    deadline = time.monotonic() + 20
+    while not sink.faults and time.monotonic() < deadline:
+        with suppress(SinkUnavailable):  # the station takes it back at once
+            Connection.open(Broker(mosquitto.host, mosquitto.port, "press2-availability")).close()
+
+    listener.wait_for(says(b""))
+    assert "is not kept" in str(sink.faults)
+
+    sink.find_availability()  # the turn that comes after some time
+
+    listener.wait_for(says(b"", b"online"))
+    assert list(sink.faults) == []
