@@ -20,6 +20,7 @@ _PACKAGES = {
     "metrics": ("prometheus_client",),
     "parquet": ("pyarrow",),
     "oak": ("depthai",),
+    "validate": ("jsonschema",),
 }
 
 

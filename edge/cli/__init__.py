@@ -50,7 +50,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 _ORDER: Final = (
     "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "overview", "watch",
     "gel", "acts", "history", "db",
-    "inspect", "verify", "sign", "keys", "export", "wrap", "topics", "docs", "install-service",
+    "inspect", "verify", "sign", "keys", "export", "wrap", "describe", "topics", "docs", "install-service",
     "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
 )  # fmt: skip
 

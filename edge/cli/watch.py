@@ -1,9 +1,12 @@
 """`gelgate watch`: a subscriber that prints one line per verdict and saves the heatmaps."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from edge.messaging.mqtt_broker import Broker
 
 __all__ = ["watch"]
 
@@ -19,8 +22,13 @@ def watch(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print each result as received, one JSON object per line.")
     ] = False,
-    count: Annotated[int | None, typer.Option(help="End after this number of verdicts.", min=1)] = None,
+    count: Annotated[
+        int | None, typer.Option(help="End after this number of verdicts or checked messages.", min=1)
+    ] = None,
     timeout: Annotated[float | None, typer.Option(help="End after this number of seconds.", min=0)] = None,
+    validate: Annotated[
+        bool, typer.Option("--validate", help="Instead check every message against its station's `asyncapi`.")
+    ] = False,
     username: Annotated[str | None, typer.Option(help="User name for the broker.")] = None,
     password_file: Annotated[Path | None, typer.Option(help="File that holds the password.")] = None,
     ca: Annotated[
@@ -29,16 +37,21 @@ def watch(
 ) -> None:
     """Print verdicts as they arrive, each press once.
 
-    It ends with exit code 1 if --count is not reached in --timeout seconds."""
+    It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
+    its station describes it."""
     import json
     import os
     import sys
 
     from edge.core.errors import ConfigError
     from edge.core.printable import printable
+    from edge.extras import needs
     from edge.messaging.mqtt_broker import Broker, Tls
     from edge.messaging.subscriber import describe, station_filter
     from edge.messaging.subscriber import watch as listen
+
+    if validate:
+        needs("validate", "--validate")
 
     def tell(sentence: str) -> None:
         print(f"gelgate: {printable(sentence)}", file=sys.stderr)
@@ -49,8 +62,12 @@ def watch(
         raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
     tls = None if ca is None else Tls(ca).context()
     broker = Broker(host, port, f"gelgate-watch-{os.getpid()}", username, password, tls)
+    topics = station_filter(prefix, site, line, station)
+    if validate:
+        _validate(broker, topics, count, timeout)
+        return
     results = heatmaps = 0
-    for seen in listen(broker, station_filter(prefix, site, line, station), save, count, timeout, tell):
+    for seen in listen(broker, topics, save, count, timeout, tell):
         if seen.kind == "result":
             results += 1
             line = json.dumps(seen.content) if as_json else printable(describe(seen.content, seen.station))
@@ -67,4 +84,32 @@ def watch(
         tell(f"{heatmaps} heatmap(s) saved in {save}")
     if count is not None and results < count:
         tell(f"{results} verdict(s) arrived in {timeout:g} s, expected {count}; check that the gateway runs")
+        raise typer.Exit(1)
+
+
+def _validate(broker: "Broker", topics: str, count: int | None, timeout: float | None) -> None:
+    """Print every fault. count: of messages that end it."""
+    import sys
+
+    from edge.core.printable import printable
+    from edge.messaging.subscriber import received
+    from edge.messaging.validation import StationsCheck
+
+    check, faults = StationsCheck(), 0
+    try:
+        for message in received(
+            broker, topics, timeout, lambda text: print(f"gelgate: {text}", file=sys.stderr)
+        ):
+            for fault in check.see(message):
+                faults += 1
+                print(printable(fault), flush=True)
+            if count is not None and check.checked >= count:
+                break
+    finally:
+        print(f"{check.checked} messages checked, {faults} not as described", flush=True)
+        for root, number in check.undescribed.items():
+            print(
+                f"{printable(root)}: {number} messages not checked, its topic asyncapi is empty", flush=True
+            )
+    if faults or check.undescribed or (count is not None and check.checked < count):
         raise typer.Exit(1)

@@ -22,6 +22,7 @@ from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import station_handlers
 from edge.gateway.commands import Commands
+from edge.gateway.description import described
 from edge.gateway.free_space import FreeSpace
 from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
@@ -34,6 +35,7 @@ from edge.gateway.snapshots import Snapshots
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
 from edge.gateway.status import StationStatus
+from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.payloads import StatePayload, availability_message, state_message
 from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
@@ -70,6 +72,7 @@ def build(
     handlers = station_handlers(calls)
     policy = policy_of(config, frozenset(handlers))
     commands = Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
+    retained_state.announce(asyncapi_message(described(config)))
     context = _sink_context(config, clock, retained_state, commands)
     sinks = _open_sinks(config, context, closing)
     publisher = Publisher(

@@ -81,7 +81,13 @@ def iso_time(time_ns: int) -> str:
 class Payload(BaseModel):
     """The fields of every JSON payload. `time` is computed from `time_ns` and must agree with it."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        strict=True,
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        json_schema_serialization_defaults_required=True,
+    )
 
     version: Literal[1] = 1
     time_ns: int = Field(ge=0, description="wall clock, nanoseconds since 1970 UTC")
@@ -170,6 +176,15 @@ class ResultPayload(Payload):
 
     Exactly one of `verdict` and `error` is set: a press that could not be scored has no verdict, and is never a pass.
     """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [
+                {"properties": {"verdict": {"type": "null"}, "error": {"type": "string"}}},
+                {"properties": {"verdict": {"type": "string"}, "error": {"type": "null"}}},
+            ]
+        }
+    )
 
     press_id: PressId
     is_replayed: bool = Field(

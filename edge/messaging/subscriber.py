@@ -16,7 +16,7 @@ from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
-__all__ = ["Seen", "describe", "station_filter", "watch"]
+__all__ = ["Seen", "describe", "received", "station_filter", "watch"]
 
 # Press ids remembered in order to leave out repetitions: more than an outbox replays at once.
 REMEMBERED: Final = 100_000
@@ -77,6 +77,18 @@ def watch(
             if wanted == 0:
                 awaited = seen.content["press_id"]
                 end.not_after(time.monotonic() + LAST_PICTURE_S)
+
+
+def received(
+    broker: Broker,
+    topic_filter: str,
+    timeout_s: float | None = None,
+    tell: Callable[[str], None] = lambda sentence: None,
+) -> Iterator[Received]:
+    """Every message, for `timeout_s` seconds, else for ever. tell, errors: as `watch`."""
+    return _received(
+        broker, topic_filter, _End(None if timeout_s is None else time.monotonic() + timeout_s), tell
+    )
 
 
 def describe(result: Mapping[str, Any], station: str) -> str:

@@ -18,13 +18,15 @@ __all__ = ["TOPICS", "Topic"]
 
 
 class Topic(NamedTuple):
-    """name: below the root; `<...>` stands for one level. payload: a model, or a word for what is no JSON object."""
+    """name: below the root; `<...>` stands for one level. payload: a model, or a word for what has none. may_be_empty:
+    when there is nothing, the retained message is removed."""
 
     name: str
     qos: int
     is_retained: bool
     payload: type[BaseModel] | str
     meaning: str
+    may_be_empty: bool = False
 
 
 TOPICS: Final[tuple[Topic, ...]] = (
@@ -48,12 +50,13 @@ TOPICS: Final[tuple[Topic, ...]] = (
         True,
         "PNG",
         "the picture of `last/press`, on a fixed topic for dashboards; empty without one",
+        may_be_empty=True,
     ),
     Topic(
         "last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.2 and before"
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
-    Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over"),
+    Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),
     Topic("stats", 0, False, StatsPayload, "counters, for dashboards"),
     Topic("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),
     Topic("cmd/<verb>/response", 1, False, CommandResponse, "the answer, with the request's transaction"),

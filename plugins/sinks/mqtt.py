@@ -12,6 +12,7 @@ never leads from 5 to 3.1.1, and a sink at 3.1.1 keeps trying 5.
 Ref: MQTT 5.0 and 3.1.1 (OASIS). Seen with mosquitto 2.0.11 and amqtt 0.12.1.
 """
 
+import json
 import logging
 import random
 import threading
@@ -26,6 +27,8 @@ from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
+from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
+from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt_availability import Availability
@@ -50,7 +53,13 @@ class MqttSink:
     """Messages of one station to one broker. Any thread may send; messages of one thread keep their order."""
 
     def __init__(
-        self, broker: Broker, station: Station, backoff: Backoff, *, has_availability: bool = True
+        self,
+        broker: Broker,
+        station: Station,
+        backoff: Backoff,
+        *,
+        has_availability: bool = True,
+        announcements: Sequence[Outgoing] = (),
     ) -> None:
         self._broker = broker
         self._station = station
@@ -70,6 +79,7 @@ class MqttSink:
         self._born: dict[str, Message] = {}
         self._requests = Requests(station)
         offline = None if station.offline is None else self._full(station.offline)
+        self._announcements = announcements  # on topics of their own, after every birth
         self._availability = Availability(broker, offline, is_wanted=has_availability)
         self._lost = threading.Event()  # of the connection in use, or of the last attempt
         self._threads = [
@@ -271,6 +281,7 @@ class MqttSink:
                 born[message.topic] = message
             except SinkRejected as error:
                 refusals.append(error)
+        refusals += self._announce(connection)
         self._strikes.has_proof = bool(born)
         self._faults.pop("birth", None)
         if refusals:
@@ -279,6 +290,15 @@ class MqttSink:
             )
             log.warning("%s", self._faults["birth"])
         return born
+
+    def _announce(self, connection: Connection) -> list[SinkRejected]:
+        refusals: list[SinkRejected] = []
+        for announcement in self._announcements:
+            try:
+                connection.publish(announcement)
+            except SinkRejected as error:
+                refusals.append(error)
+        return refusals
 
     def _subscribe(self, connection: Connection) -> None:
         self._faults.pop("commands", None)
@@ -319,7 +339,25 @@ class Mqtt(SinkPlugin[MqttOptions]):
         """A sink that starts to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
         backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
         broker = options.broker(station.client_id)
-        return MqttSink(broker, station, backoff, has_availability=options.availability).start()
+        return MqttSink(
+            broker,
+            station,
+            backoff,
+            has_availability=options.availability,
+            announcements=_announcements(options, station.root),
+        ).start()
+
+
+def _announcements(options: MqttOptions, root: str) -> list[Outgoing]:
+    if options.home_assistant is None:
+        return []
+    described = DescribedStation.of_root(root)
+    topic = discovery_topic(described, options.home_assistant)
+    return [
+        Outgoing(
+            topic, json.dumps(discovery(described)).encode(), retain=True, content_type="application/json"
+        )
+    ]
 
 
 plugin = Mqtt()

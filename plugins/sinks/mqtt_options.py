@@ -3,9 +3,10 @@
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.errors import ConfigError
+from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from edge.messaging.mqtt_broker import Broker, Tls
 
@@ -17,6 +18,8 @@ LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
 _OWN_MACHINE: Final = ("localhost", "127.0.0.1", "::1")
 
 # A control character is refused by brokers, and shows as nothing in a log.
+TopicLevel = Annotated[str, AfterValidator(topic_level)]
+
 PlainText = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\x00-\x1f\x7f]*$")]
 
 
@@ -67,6 +70,10 @@ class MqttOptions(BaseModel):
         default=30.0, ge=1, le=3600, description="the longest pause between attempts to connect"
     )
 
+    home_assistant: TopicLevel | None = Field(
+        default=None,
+        description="announce the station to Home Assistant below this topic; its own default is `homeassistant`",
+    )
     availability: bool = Field(
         default=True,
         description="keep the topic `availability`; its last will needs a second connection, client id "

@@ -1,0 +1,49 @@
+"""What a configured station tells others about itself."""
+
+from dataclasses import dataclass
+from importlib.metadata import version
+
+from edge.config import Config
+from edge.core.sink_context import Place, topic_root
+from edge.gateway.command_table import COMMANDS
+from edge.messaging.descriptions.station import DescribedStation, ServedCommand
+
+__all__ = ["DescribedBroker", "broker_of", "described"]
+
+
+def described(config: Config) -> DescribedStation:
+    """The station of this configuration, with the commands that it serves."""
+    table, commands = config.station, config.commands
+    served = {*commands.unsigned, *commands.signed}
+    return DescribedStation(
+        root=topic_root(table.prefix, table.site, table.line, table.station),
+        place=str(Place(table.site, table.line, table.station)),
+        version=version("gelgate"),
+        commands=[
+            ServedCommand(one.verb, one.arguments, one.help, is_signed=one.verb in commands.signed)
+            for one in COMMANDS
+            if one.verb in served
+        ],
+    )
+
+
+@dataclass(frozen=True)
+class DescribedBroker:
+    """The broker of a station. user: the station's name there. discovery_prefix: of Home Assistant, None for none."""
+
+    host: str = "localhost"
+    port: int = 1883
+    user: str = ""
+    discovery_prefix: str | None = None
+
+
+def broker_of(config: Config) -> DescribedBroker:
+    """That of the first `mqtt` sink; a station without one is described with the usual values."""
+    options = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
+    has_tls = options.get("tls") is not None
+    return DescribedBroker(
+        host=str(options.get("host", "localhost")),
+        port=int(options.get("port") or (8883 if has_tls else 1883)),
+        user=str(options.get("username") or config.station.station),
+        discovery_prefix=options.get("home_assistant"),
+    )

@@ -1,0 +1,163 @@
+"""The AsyncAPI 3 document of a station: every topic, its delivery, and the schema of its payload.
+
+It is retained on the station's topic `asyncapi`, so that the broker's address is enough to know everything.
+Ref: AsyncAPI 3.0.0, MQTT bindings 0.2.0 (asyncapi.com).
+"""
+
+import json
+import re
+from typing import Any, Final
+
+from pydantic import BaseModel
+
+from edge.core.ports import Message
+from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.descriptions.payload_schemas import REFERENCE, published_schemas, request_schema
+from edge.messaging.descriptions.station import DescribedStation, ServedCommand
+from edge.messaging.payloads import ALARMS
+from edge.messaging.topics import TOPICS, Topic
+
+__all__ = ["asyncapi_message", "document"]
+
+_CONTENT: Final = {
+    "PNG": ("image/png", {"type": "string", "format": "binary"}),
+    "JPEG": ("image/jpeg", {"type": "string", "format": "binary"}),
+    "text": ("text/plain", {"enum": ["online", "offline"]}),
+    "AsyncAPI": ("application/json", {"type": "object", "required": ["asyncapi", "channels"]}),
+}
+
+_PARAMETERS: Final = {
+    "press id": {"description": "the `press_id` of the result, a ULID"},
+    "alarm": {"description": "the alarm's id", "enum": list(ALARMS)},
+}
+
+_ABOUT: Final = """\
+Verdicts of a touch inspection station. Within `{version}` fields may be added: ignore those that you do not know.
+A result may arrive twice, with the same `press_id`. An empty payload on a retained topic means "nothing here"."""
+
+
+def asyncapi_message(station: DescribedStation) -> Message:
+    """The document, retained."""
+    text = json.dumps(document(station), separators=(",", ":"), ensure_ascii=False)
+    return Message("asyncapi", text.encode(), qos=1, retain=True)
+
+
+def document(station: DescribedStation) -> dict[str, Any]:
+    """Plain JSON that meets the published schema of AsyncAPI 3.0.0."""
+    published = [topic for topic in TOPICS if not topic.name.startswith("cmd/")]
+    models = dict.fromkeys(topic.payload for topic in published if not isinstance(topic.payload, str))
+    schemas = published_schemas([*models, CommandResponse])
+    requests = {_request_name(one): request_schema(CommandRequest, one.arguments) for one in station.commands}
+    return {
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": f"gelgate station {station.place}",
+            "version": station.version,
+            "description": _ABOUT.format(version=station.root.rpartition("/")[2]),
+        },
+        "defaultContentType": "application/json",
+        "channels": {
+            **{_key(topic): _channel(station, topic) for topic in published},
+            **{f"cmd_{one.verb}": _request_channel(station, one) for one in station.commands},
+            "cmd_response": _response_channel(station),
+        },
+        "operations": {
+            **{f"send_{_key(topic)}": _sends(topic) for topic in published},
+            **{f"receive_{one.verb}": _receives(one) for one in station.commands},
+        },
+        "components": {
+            "schemas": {**schemas, **requests},
+            "messages": {
+                **dict(map(_message, published)),
+                "Empty": _EMPTY,
+                "CommandResponse": _of(CommandResponse),
+            },
+        },
+    }
+
+
+_EMPTY: Final = {
+    "summary": "nothing here: the retained message is removed",
+    "payload": {"type": "string", "maxLength": 0},
+}
+
+
+def _key(topic: Topic) -> str:
+    return re.sub(r"\W+", "_", re.sub(r"/?<.*?>", "", topic.name))
+
+
+def _message_name(topic: Topic) -> str:
+    return f"{_key(topic)}_{topic.payload}" if isinstance(topic.payload, str) else topic.payload.__name__
+
+
+def _message(topic: Topic) -> tuple[str, dict[str, Any]]:
+    if not isinstance(topic.payload, str):
+        return _message_name(topic), _of(topic.payload)
+    content_type, payload = _CONTENT[topic.payload]
+    return _message_name(topic), {"contentType": content_type, "payload": payload}
+
+
+def _of(model: type[BaseModel]) -> dict[str, Any]:
+    return {
+        "summary": (model.__doc__ or "").partition("\n")[0],
+        "contentType": "application/json",
+        "payload": {"$ref": REFERENCE.format(model=model.__name__)},
+    }
+
+
+def _channel(station: DescribedStation, topic: Topic) -> dict[str, Any]:
+    named = {name: re.sub(r"\W", "_", name) for name in re.findall(r"<(.*?)>", topic.name)}
+    address = topic.name
+    for name, parameter in named.items():
+        address = address.replace(f"<{name}>", f"{{{parameter}}}")
+    names = [_message_name(topic), *(["Empty"] if topic.may_be_empty else [])]
+    channel: dict[str, Any] = {
+        "address": f"{station.root}/{address}",
+        "description": topic.meaning,
+        "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in names},
+    }
+    if named:
+        channel["parameters"] = {parameter: _PARAMETERS[name] for name, parameter in named.items()}
+    return channel
+
+
+def _sends(topic: Topic) -> dict[str, Any]:
+    return {
+        "action": "send",
+        "channel": {"$ref": f"#/channels/{_key(topic)}"},
+        "summary": topic.meaning,
+        "bindings": {"mqtt": {"qos": topic.qos, "retain": topic.is_retained, "bindingVersion": "0.2.0"}},
+    }
+
+
+def _request_channel(station: DescribedStation, command: ServedCommand) -> dict[str, Any]:
+    signed = " Only with a signature." if command.is_signed else ""
+    payload = {"$ref": REFERENCE.format(model=_request_name(command))}
+    return {
+        "address": f"{station.root}/cmd/{command.verb}",
+        "description": f"{command.help}.{signed}",
+        "messages": {"request": {"contentType": "application/json", "payload": payload}},
+    }
+
+
+def _response_channel(station: DescribedStation) -> dict[str, Any]:
+    return {
+        "address": f"{station.root}/cmd/{{verb}}/response",
+        "description": "the answer, with the request's transaction",
+        "parameters": {"verb": {"description": "that of the request, served or not"}},
+        "messages": {"CommandResponse": {"$ref": "#/components/messages/CommandResponse"}},
+    }
+
+
+def _request_name(command: ServedCommand) -> str:
+    return f"{command.verb}_request"
+
+
+def _receives(command: ServedCommand) -> dict[str, Any]:
+    return {
+        "action": "receive",
+        "channel": {"$ref": f"#/channels/cmd_{command.verb}"},
+        "summary": command.help,
+        "bindings": {"mqtt": {"qos": 1, "retain": False, "bindingVersion": "0.2.0"}},
+        "reply": {"channel": {"$ref": "#/channels/cmd_response"}},
+    }

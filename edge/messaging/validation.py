@@ -1,0 +1,144 @@
+"""Checks the messages of stations against the AsyncAPI document that each station keeps at the broker.
+
+It knows the document alone, not the payload models: what passes here can be read by a subscriber who has no more.
+"""
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from edge.core.sink_context import TOPIC_VERSION
+from edge.messaging.mqtt_broker import Received
+
+if TYPE_CHECKING:
+    from jsonschema import Draft7Validator
+
+__all__ = ["DocumentCheck", "StationsCheck"]
+
+# Messages of a station that wait for its document; retained ones arrive in any order, and at once.
+MOST_WAITING: Final = 10_000
+
+# A reference to a reference is followed this often.
+MOST_REFERENCES: Final = 8
+
+_IMAGES: Final = {"image/png": b"\x89PNG\r\n\x1a\n", "image/jpeg": b"\xff\xd8\xff"}
+
+
+class DocumentCheck:
+    """The messages that one document describes. Errors: ValueError for a document that cannot be used."""
+
+    def __init__(self, document: Mapping[str, Any]) -> None:
+        from jsonschema import SchemaError
+
+        self._document = document
+        try:
+            channels = [self._resolved(reference) for reference in self._sent()]
+            self._channels = [
+                (
+                    _pattern(one["address"]),
+                    [self._described(self._resolved(m)) for m in one["messages"].values()],
+                )
+                for one in channels
+            ]
+        except (KeyError, TypeError, AttributeError, ValueError, SchemaError) as error:
+            raise ValueError(
+                f"not an AsyncAPI 3 document with channels and operations: {error!r:.300}"
+            ) from error
+
+    def fault(self, topic: str, payload: bytes) -> str | None:
+        """What is wrong with a message, as one sentence; None if the document describes it."""
+        for pattern, messages in self._channels:
+            if pattern.fullmatch(topic):
+                faults = [message.fault(payload) for message in messages]
+                return None if None in faults else faults[0]
+        return "no channel of the document has this topic"
+
+    def _sent(self) -> Iterable[Mapping[str, Any]]:
+        """The channels on which the station sends, each once."""
+        operations = self._document["operations"].values()
+        references = [one["channel"] for one in operations if one["action"] == "send"]
+        references += [one["reply"]["channel"] for one in operations if "reply" in one]
+        return {one["$ref"]: one for one in references}.values()
+
+    def _resolved(self, value: Mapping[str, Any]) -> Any:
+        found: Any = value
+        for _ in range(MOST_REFERENCES):
+            if "$ref" not in found:
+                return found
+            found, path = self._document, str(found["$ref"]).removeprefix("#/").split("/")
+            for level in path:
+                found = found[level]
+        raise ValueError("a reference leads to itself")
+
+    def _described(self, message: Mapping[str, Any]) -> "_Described":
+        from jsonschema import Draft7Validator
+
+        schema = {"allOf": [message["payload"]], "components": self._document.get("components", {})}
+        Draft7Validator.check_schema(schema)
+        return _Described(message.get("contentType"), Draft7Validator(schema))
+
+
+@dataclass(frozen=True)
+class _Described:
+    content_type: str | None
+    validator: "Draft7Validator"
+
+    def fault(self, payload: bytes) -> str | None:
+        from referencing.exceptions import Unresolvable
+
+        if self.content_type in _IMAGES:
+            return None if payload.startswith(_IMAGES[self.content_type]) else f"it is no {self.content_type}"
+        try:
+            text = payload.decode()
+            content = json.loads(text) if self.content_type == "application/json" else text
+            found = next(self.validator.iter_errors(content), None)
+        except (ValueError, RecursionError, Unresolvable) as error:
+            return f"it cannot be read as {self.content_type} ({error})"
+        return None if found is None else f"{found.json_path}: {found.message:.300}"
+
+
+class StationsCheck:
+    """Every message of any number of stations. checked: how many were; they wait until their document is here."""
+
+    def __init__(self) -> None:
+        self.checked = 0
+        self._documents: dict[str, DocumentCheck] = {}
+        self._waiting: dict[str, list[Received]] = defaultdict(list)
+
+    @property
+    def undescribed(self) -> Mapping[str, int]:
+        """Stations whose document has not come, with the number of their messages."""
+        return {root: len(messages) for root, messages in self._waiting.items() if messages}
+
+    def see(self, message: Received) -> Sequence[str]:
+        """The faults of this message, and of those that have waited for it; requests of others are left out."""
+        root, marker, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
+        if not marker or re.fullmatch(r"cmd/[^/]+", topic):
+            return []
+        found = [] if topic != "asyncapi" else self._learn(root, message)
+        if root not in self._documents:
+            if len(self._waiting[root]) < MOST_WAITING:
+                self._waiting[root].append(message)
+            return found
+        waiting = [*self._waiting.pop(root, []), message]
+        return [*found, *(fault for one in waiting for fault in self._check(root, one))]
+
+    def _learn(self, root: str, message: Received) -> list[str]:
+        try:
+            self._documents[root] = DocumentCheck(json.loads(message.payload))
+        except (ValueError, RecursionError) as error:
+            return [f"{message.topic}: {error}"]
+        return []
+
+    def _check(self, root: str, message: Received) -> list[str]:
+        self.checked += 1
+        fault = self._documents[root].fault(message.topic, message.payload)
+        return [] if fault is None else [f"{message.topic}: {fault}"]
+
+
+def _pattern(address: str) -> re.Pattern[str]:
+    parts = re.split(r"({.*?})", address)
+    return re.compile("".join("[^/]+" if part.startswith("{") else re.escape(part) for part in parts))
