@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import clean
+.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -42,6 +42,21 @@ fuzz-importers: $(VENV)/.test
 # PaDiM and PatchCore are trained by anomalib on simulated presses, imported, and inspect on the virtual sensor.
 demo-import: $(VENV)/.test $(VENV)-importers/.made
 	$(BIN)/pytest tests/bench/test_imported.py -m bench -s
+
+# From a station to a verdict in Node-RED, step by step, and Home Assistant's own check of the discovery message. Needs node,
+# and for Home Assistant a Python that it supports (HOME_ASSISTANT_PYTHON); what is absent is skipped with a message.
+HOME_ASSISTANT_PYTHON ?= python3.13
+NODE_RED ?= node-red@5
+test-subscribers: $(VENV)/.test $(VENV)-subscribers/.made
+	GELGATE_SUBSCRIBERS=$(VENV)-subscribers $(BIN)/pytest tests/subscribers -m subscribers -s
+
+$(VENV)-subscribers/.made:
+	mkdir -p $(VENV)-subscribers
+	cd $(VENV)-subscribers && npm install --no-audit --no-fund --silent '$(NODE_RED)' mqtt || echo "npm cannot install Node-RED here"
+	{ $(HOME_ASSISTANT_PYTHON) -m venv $(VENV)-subscribers/home-assistant && \
+	  $(VENV)-subscribers/home-assistant/bin/python -m pip install --quiet homeassistant paho-mqtt; } || \
+	  echo "Home Assistant cannot be installed here"
+	touch $@
 
 # Every verb in an environment of its own, made by `pip install .` without extras.
 test-plain: $(VENV)/.test
@@ -130,4 +145,4 @@ debian:
 	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
-	rm -rf $(VENV) $(VENV)-importers build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers build dist *.egg-info

@@ -29,6 +29,7 @@ def describe(
         Format,
         typer.Option(
             "--format",
+            metavar="|".join(Format),
             help="asyncapi: topics and schemas; homeassistant: its discovery message; node-red: a flow to import; "
             "mosquitto: access rules.",
         ),
@@ -61,9 +62,9 @@ def described_text(config: "Config", form: Format) -> str:
     station, broker = described(config), broker_of(config)
     if form is Format.MOSQUITTO:
         return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix)
-    made = {
-        Format.ASYNCAPI: lambda: document(station),
-        Format.HOME_ASSISTANT: lambda: discovery(station),
-        Format.NODE_RED: lambda: flow(station, broker.host, broker.port),
-    }[form]()
+    made: object = document(station)
+    if form is Format.HOME_ASSISTANT:
+        made = discovery(station)
+    elif form is Format.NODE_RED:
+        made = flow(station, broker.host, broker.port, has_tls=broker.has_tls)
     return json.dumps(made, indent=2, ensure_ascii=False) + "\n"

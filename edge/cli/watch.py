@@ -39,23 +39,15 @@ def watch(
 
     It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
     its station describes it."""
-    import json
     import os
-    import sys
 
     from edge.core.errors import ConfigError
-    from edge.core.printable import printable
     from edge.extras import needs
     from edge.messaging.mqtt_broker import Broker, Tls
-    from edge.messaging.subscriber import describe, station_filter
-    from edge.messaging.subscriber import watch as listen
+    from edge.messaging.subscriber import station_filter
 
     if validate:
         needs("validate", "--validate")
-
-    def tell(sentence: str) -> None:
-        print(f"gelgate: {printable(sentence)}", file=sys.stderr)
-
     try:
         password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
     except OSError as error:
@@ -65,9 +57,27 @@ def watch(
     topics = station_filter(prefix, site, line, station)
     if validate:
         _validate(broker, topics, count, timeout)
-        return
+    else:
+        _watch(broker, topics, save, count, timeout, as_json=as_json)
+
+
+def _watch(
+    broker: "Broker",
+    topics: str,
+    save: Path | None,
+    count: int | None,
+    timeout: float | None,
+    *,
+    as_json: bool,
+) -> None:
+    import json
+
+    from edge.core.printable import printable
+    from edge.messaging.subscriber import describe
+    from edge.messaging.subscriber import watch as listen
+
     results = heatmaps = 0
-    for seen in listen(broker, topics, save, count, timeout, tell):
+    for seen in listen(broker, topics, save, count, timeout, _tell):
         if seen.kind == "result":
             results += 1
             line = json.dumps(seen.content) if as_json else printable(describe(seen.content, seen.station))
@@ -75,31 +85,27 @@ def watch(
         elif seen.kind == "heatmap":
             heatmaps += 1
         elif seen.kind == "state":
-            tell(
+            _tell(
                 f"{seen.station} is {seen.content.get('state', '?')} {seen.content.get('reason') or ''}".rstrip()
             )
         else:
-            tell(f"{seen.station} alarm {seen.content.get('alarm', '?')}: {seen.content.get('text', '')}")
+            _tell(f"{seen.station} alarm {seen.content.get('alarm', '?')}: {seen.content.get('text', '')}")
     if heatmaps:
-        tell(f"{heatmaps} heatmap(s) saved in {save}")
+        _tell(f"{heatmaps} heatmap(s) saved in {save}")
     if count is not None and results < count:
-        tell(f"{results} verdict(s) arrived in {timeout:g} s, expected {count}; check that the gateway runs")
+        _tell(f"{results} verdict(s) arrived in {timeout:g} s, expected {count}; check that the gateway runs")
         raise typer.Exit(1)
 
 
 def _validate(broker: "Broker", topics: str, count: int | None, timeout: float | None) -> None:
     """Print every fault. count: of messages that end it."""
-    import sys
-
     from edge.core.printable import printable
     from edge.messaging.subscriber import received
     from edge.messaging.validation import StationsCheck
 
     check, faults = StationsCheck(), 0
     try:
-        for message in received(
-            broker, topics, timeout, lambda text: print(f"gelgate: {text}", file=sys.stderr)
-        ):
+        for message in received(broker, topics, timeout, _tell):
             for fault in check.see(message):
                 faults += 1
                 print(printable(fault), flush=True)
@@ -113,3 +119,11 @@ def _validate(broker: "Broker", topics: str, count: int | None, timeout: float |
             )
     if faults or check.undescribed or (count is not None and check.checked < count):
         raise typer.Exit(1)
+
+
+def _tell(sentence: str) -> None:
+    import sys
+
+    from edge.core.printable import printable
+
+    print(f"gelgate: {printable(sentence)}", file=sys.stderr)

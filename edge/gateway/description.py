@@ -33,6 +33,7 @@ class DescribedBroker:
 
     host: str = "localhost"
     port: int = 1883
+    has_tls: bool = False
     user: str = ""
     discovery_prefix: str | None = None
 
@@ -44,6 +45,7 @@ def broker_of(config: Config) -> DescribedBroker:
     return DescribedBroker(
         host=str(options.get("host", "localhost")),
         port=int(options.get("port") or (8883 if has_tls else 1883)),
+        has_tls=has_tls,
         user=str(options.get("username") or config.station.station),
         discovery_prefix=options.get("home_assistant"),
     )

@@ -18,6 +18,7 @@ from edge.core.gel import GelState
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.verdict import Kind
+from edge.messaging.defect_place import DefectPlace, Pair
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
@@ -149,26 +150,6 @@ class InfoPayload(Payload):
 
 
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)
-
-
-Pair = tuple[float, float]
-Box = tuple[float, float, float, float]
-
-
-class DefectPlace(BaseModel):
-    """A connected part of the score map above the threshold.
-
-    Places are counted from the top left corner of the inspected region, which the picture shows.
-    """
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
-
-    box_px: tuple[int, int, int, int] = Field(description="left, top, width, height")
-    box_mm: Box = Field(description="the same in millimetres")
-    centroid_px: Pair = Field(description="x, y of its centre of area")
-    centroid_mm: Pair = Field(description="the same in millimetres")
-    area_mm2: float = Field(ge=0, description="its area in square millimetres")
-    score: float = Field(description="the largest score in it")
 
 
 class ResultPayload(Payload):

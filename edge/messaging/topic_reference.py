@@ -130,7 +130,7 @@ def reference(commands: Iterable[DocumentedCommand]) -> str:
 
 def _overview() -> Iterator[str]:
     yield "## Topics\n\n| topic | QoS | retained | payload | what it is |\n| --- | --- | --- | --- | --- |"
-    for topic, qos, retained, payload, meaning in TOPICS:
+    for topic, qos, retained, payload, meaning, _ in TOPICS:
         name = payload if isinstance(payload, str) else f"[{payload.__name__}](#{payload.__name__.lower()})"
         yield f"| `{topic}` | {qos} | {'yes' if retained else 'no'} | {name} | {meaning} |"
 
@@ -164,7 +164,7 @@ def _alarms() -> Iterator[str]:
 
 
 def _payloads() -> Iterator[str]:
-    for model in dict.fromkeys(payload for *_, payload, _ in TOPICS if not isinstance(payload, str)):
+    for model in dict.fromkeys(one.payload for one in TOPICS if not isinstance(one.payload, str)):
         schema = model.model_json_schema()
         yield f"\n## {model.__name__}\n\n{schema.get('description', '')}\n"
         yield "| field | type | meaning |\n| --- | --- | --- |"

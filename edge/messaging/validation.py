@@ -87,6 +87,7 @@ class _Described:
     validator: "Draft7Validator"
 
     def fault(self, payload: bytes) -> str | None:
+        from jsonschema.exceptions import best_match
         from referencing.exceptions import Unresolvable
 
         if self.content_type in _IMAGES:
@@ -94,7 +95,7 @@ class _Described:
         try:
             text = payload.decode()
             content = json.loads(text) if self.content_type == "application/json" else text
-            found = next(self.validator.iter_errors(content), None)
+            found = best_match(self.validator.iter_errors(content))
         except (ValueError, RecursionError, Unresolvable) as error:
             return f"it cannot be read as {self.content_type} ({error})"
         return None if found is None else f"{found.json_path}: {found.message:.300}"

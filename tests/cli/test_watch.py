@@ -11,6 +11,8 @@ import typer
 
 from edge.cli.watch import watch as watch_command
 from edge.core.errors import SinkUnavailable
+from edge.messaging.descriptions.asyncapi import asyncapi_message
+from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Outgoing
 from edge.messaging.mqtt_connection import Connection
@@ -25,6 +27,14 @@ def broker(request: pytest.FixtureRequest) -> Iterator[LocalBroker]:
     if request.param not in available_brokers():
         pytest.skip(f"SKIPPED, NOT TESTED: the broker {request.param} is not installed")
     with LocalBroker(request.param) as running:
+        yield running
+
+
+@pytest.fixture
+def mosquitto_alone() -> Iterator[LocalBroker]:
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    with LocalBroker("mosquitto") as running:
         yield running
 
 
@@ -226,3 +236,53 @@ def test_too_few_verdicts_in_time_is_a_failure(
 
     assert ended.value.exit_code == 1
     assert "0 verdict(s) arrived in 0.2 s, expected 3" in capsys.readouterr().err
+
+
+def validated(broker: LocalBroker, count: int, *messages: tuple[str, bytes]) -> None:
+    """Run `gelgate watch --validate` on these retained messages."""
+    speaker = Connection.open(Broker(broker.host, broker.port, "speaker"))
+    for topic, payload in messages:
+        speaker.publish(Outgoing(f"{ROOT}/{topic}", payload, retain=True))
+    speaker.close()
+    watch_command(host=broker.host, port=broker.port, count=count, timeout=20, validate=True)
+
+
+DOCUMENT = asyncapi_message(DescribedStation.of_root(ROOT)).payload
+
+
+def test_messages_as_described_are_counted(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
+    """The document itself is one of them."""
+    validated(broker, 2, ("asyncapi", DOCUMENT), ("availability", b"online"))
+
+    assert capsys.readouterr().out == "2 messages checked, 0 not as described\n"
+
+
+def test_a_message_that_is_not_as_described_is_named(
+    broker: LocalBroker, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its topic, the place in it and what is wrong; the exit code says so too. It is not shown raw."""
+    with pytest.raises(typer.Exit) as end:
+        validated(broker, 2, ("asyncapi", DOCUMENT), ("availability", b"\x1b[31mred"))
+
+    said = capsys.readouterr().out
+    assert end.value.exit_code == 1
+    assert f"{ROOT}/availability: $:" in said
+    assert "\x1b[31m" not in said
+    assert said.endswith("2 messages checked, 1 not as described\n")
+
+
+def test_a_station_without_a_description_is_named(
+    mosquitto_alone: LocalBroker, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing was checked, and the sentence says why."""
+    speaker = Connection.open(Broker(mosquitto_alone.host, mosquitto_alone.port, "speaker"))
+    speaker.publish(Outgoing(f"{ROOT}/availability", b"online", retain=True))
+    speaker.close()
+
+    with pytest.raises(typer.Exit):
+        watch_command(host=mosquitto_alone.host, port=mosquitto_alone.port, timeout=0.3, validate=True)
+
+    assert (
+        "gelgate/plant/line1/press2: 1 messages not checked, its topic asyncapi is empty"
+        in capsys.readouterr().out
+    )

@@ -8,6 +8,8 @@ from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.cli.describe import Format, described_text
+from edge.config import load_config
 from edge.core.ports import Message
 from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.status import StationStatus
@@ -58,3 +60,14 @@ def test_the_counters_name_the_raised_alarms() -> None:
     status.stats(Summary(), AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
 
     assert json.loads(said[-1].payload)["alarms"] == ["gel", "overload"]
+
+
+def test_a_station_keeps_its_own_description_at_the_broker(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Retained from the start on: what `gelgate describe` prints."""
+    config = station_config(tmp_path, recording, bundle)
+    with SteppedStation(config) as station:
+        kept = {message.topic: message.payload for message in station.parts.retained_state.all()}
+
+    assert json.loads(kept["asyncapi"]) == json.loads(described_text(load_config(config), Format.ASYNCAPI))

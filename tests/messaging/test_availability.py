@@ -106,7 +106,7 @@ def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: O
 def test_without_the_second_connection_the_topic_is_empty(
     mosquitto: LocalBroker, open_sink: Opens, listen: Listen
 ) -> None:
-    """With the option off nothing says online: nobody could say offline later."""
+    """With the option off nothing says online: no one could say offline later."""
     listener = listen(mosquitto)
 
     sink = open_sink(mosquitto, availability=False)

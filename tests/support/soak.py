@@ -3,7 +3,8 @@
     python tests/support/soak.py --rounds 60
 
 Each round is a gateway process of its own on the same database, with a real broker and a subscriber. *Made* is a press
-that the database has; *delivered*, one whose result the subscriber has; *counted*, one that the gel's count has.
+that the database has; *delivered*, one whose result the subscriber has; *counted*, one that the gel's count has. Every
+message that the subscriber gets is checked against the AsyncAPI document that the station keeps at the broker.
 """
 
 import argparse
@@ -19,7 +20,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
 from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Received
+from edge.messaging.validation import StationsCheck
 from edge.store.integrity import check_database
 from edge.store.outbox import Outbox
 
@@ -45,7 +48,8 @@ PROCESSES = multiprocessing.get_context("forkserver")
 @dataclass
 class Outcome:
     """What was done, and what became of the presses. doubled: results that came twice with another content. findings:
-    faults of the database at the end."""
+    faults of the database at the end. checked, undescribed: messages, and what is wrong with those that are not as the
+    station's document says."""
 
     faults: Counter[str] = field(default_factory=Counter)
     made: int = 0
@@ -54,12 +58,16 @@ class Outcome:
     lost: int = 0
     doubled: int = 0
     findings: list[str] = field(default_factory=list)
+    checked: int = 0
+    undescribed: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
         words = ", ".join(f"{n} {fault}" for fault, n in sorted(self.faults.items()))
         return (
             f"faults injected {self.faults.total()} ({words})\npresses made {self.made}, delivered {self.delivered}, "
-            f"counted {self.counted}, lost {self.lost}, doubled {self.doubled}"
+            f"counted {self.counted}, lost {self.lost}, doubled {self.doubled}\n"
+            f"messages checked {self.checked}, not as described {len(self.undescribed)}"
+            + "".join(f"\n{fault}" for fault in self.undescribed)
             + "".join(f"\nthe database: {finding}" for finding in self.findings)
         )
 
@@ -69,6 +77,8 @@ class Subscriber:
 
     def __init__(self, port: int) -> None:
         self.results: dict[str, set[str]] = defaultdict(set)
+        self.check = StationsCheck()
+        self.faults: list[str] = []
         self._is_subscribed = threading.Event()
         self._client = paho.Client(CallbackAPIVersion.VERSION2)
         self._client.on_connect = lambda client, *_: client.subscribe("gelgate/#", 1)
@@ -90,10 +100,23 @@ class Subscriber:
         self._client.loop_stop()
 
     def _arrived(self, client: object, data: object, message: paho.MQTTMessage) -> None:
+        received = Received(message.topic, bytes(message.payload), message.qos, message.retain)
+        self.faults += self.check.see(_closed(received))
         if message.topic.endswith("/gel/v1/result"):
             content = json.loads(message.payload)
             content.pop("is_replayed")
             self.results[content["press_id"]].add(json.dumps(content, sort_keys=True))
+
+
+def _closed(message: Received) -> Received:
+    """The document with its schemas closed: a field that it does not name is a fault too."""
+    if not message.topic.endswith("/asyncapi"):
+        return message
+    document = json.loads(message.payload)
+    for schema in document["components"]["schemas"].values():
+        if "properties" in schema:
+            schema["additionalProperties"] = False
+    return replace(message, payload=json.dumps(document).encode())
 
 
 def play(config: Path, empties_outbox: bool) -> None:
@@ -272,6 +295,8 @@ def _judge(bench: Bench, outcome: Outcome) -> None:
     outcome.made, outcome.delivered = len(made), len(made & set(results))
     outcome.lost = outcome.made - outcome.delivered
     outcome.doubled = sum(len(contents) > 1 for contents in results.values())
+    outcome.checked, outcome.undescribed = bench.subscriber.check.checked, bench.subscriber.faults
+    outcome.undescribed += [f"{root}: no document" for root in bench.subscriber.check.undescribed]
     outcome.findings = [finding.text for finding in check_database(bench.database) if finding.is_fault]
 
 
@@ -283,7 +308,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="gelgate-soak-") as folder:
         outcome = soak(Path(folder), given.rounds, given.seed, lambda line: print(line, flush=True))
     print(outcome)
-    if outcome.lost or outcome.doubled or outcome.findings or outcome.counted != outcome.made:
+    if (
+        outcome.lost
+        or outcome.doubled
+        or outcome.findings
+        or outcome.undescribed
+        or outcome.counted != outcome.made
+    ):
         raise SystemExit(1)
 
 

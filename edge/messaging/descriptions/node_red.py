@@ -7,12 +7,13 @@ Ref: nodered.org, "Storing flows"; mqtt in, template and http nodes of Node-RED 
 import hashlib
 import html
 from typing import Any, Final
+from urllib.parse import quote
 
 from edge.messaging.descriptions.station import DescribedStation
 
 __all__ = ["PAGE", "flow"]
 
-PAGE: Final = "/gelgate/{id}"
+PAGE: Final = "/gelgate/{place}"
 """The path of the page at the Node-RED server."""
 
 _KEEP_JSON: Final = """\
@@ -61,9 +62,12 @@ img { max-width: 100%% }
 """
 
 
-def flow(station: DescribedStation, host: str = "localhost", port: int = 1883) -> list[dict[str, Any]]:
-    """The nodes of the flow, plain JSON to import. host, port: of the broker; user and password are set in Node-RED."""
-    page = PAGE.format(id=station.id)
+def flow(
+    station: DescribedStation, host: str = "localhost", port: int = 1883, *, has_tls: bool = False
+) -> list[dict[str, Any]]:
+    """The nodes of the flow, plain JSON to import. host, port, has_tls: of the broker; user, password and certificates
+    are set in Node-RED."""
+    page = PAGE.format(place=quote(station.place))
     page_html = _HTML % {"place": html.escape(station.place), "page": page}
     row = _Row(station)
     return [
@@ -75,6 +79,7 @@ def flow(station: DescribedStation, host: str = "localhost", port: int = 1883) -
             "broker": host,
             "port": str(port),
             "protocolVersion": "5",
+            "usetls": has_tls,
         },
         *row.subscription("last/press", "json", _KEEP_JSON, shown=True),
         *row.subscription("gel", "json", _KEEP_JSON),

@@ -1,0 +1,155 @@
+"""The discovery message of Home Assistant: its templates are rendered on what a station really sends.
+
+`make test-subscribers` checks it against the schemas of Home Assistant itself.
+"""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import jinja2
+import pytest
+
+from edge.core.gel import GelState
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.core.verdict import Kind
+from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
+from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.payloads import (
+    GelPayload,
+    ResultPayload,
+    StatePayload,
+    StatsPayload,
+    gel_message,
+    press_messages,
+    state_message,
+    stats_message,
+)
+from edge.messaging.topics import TOPICS
+from edge.store.gel_ledger import GelRecord
+from plugins.sinks.mqtt import plugin
+from plugins.sinks.mqtt_options import MqttOptions
+
+from .conftest import ROOT, Listener
+
+STATION = DescribedStation.of_root(ROOT)
+DEVICE = discovery(STATION)
+
+
+def result(**outcome: Any) -> list[Message]:
+    fields = {"press_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV", "part": "bolt", "sensor_serial": "S", "gel_id": "S-1"}
+    payload = ResultPayload(time_ns=10**18, gel_presses=801, gel_limit_presses=1000, **fields, **outcome)
+    return list(press_messages(payload, GelRecord("S", "S-1", 801, 1000, 0.8, 0)))
+
+
+FAILED = result(verdict=Kind.FAIL, score=2.5, threshold=1.0, score_ratio=2.5)
+PASSED = result(verdict=Kind.PASS, score=0.5, threshold=1.0, score_ratio=0.5)
+NO_SCORE = result(error="saturated")
+WORN = [
+    gel_message(
+        GelPayload(
+            time_ns=1,
+            sensor_serial="S",
+            gel_id="S-1",
+            presses=1003,
+            limit_presses=1000,
+            state=GelState.REPLACE,
+        )
+    )
+]
+HALTED = [state_message(StatePayload(time_ns=1, state="halted", reason="no sensor"))]
+LOST = [state_message(StatePayload(time_ns=1, state="lost"))]
+
+
+def stats(**more: Any) -> list[Message]:
+    numbers = {"uptime_s": 1.0, "frames": 1, "frames_corrupt": 0, "delivered_fps": 18.0, "presses": 1}
+    return [stats_message(StatsPayload(time_ns=1, **numbers, **more))]
+
+
+@pytest.mark.parametrize(
+    ("component", "messages", "shown"),
+    [
+        ("verdict", FAILED, "fail"),
+        ("verdict", NO_SCORE, "error"),
+        ("failed", FAILED, "ON"),
+        ("failed", NO_SCORE, "ON"),
+        ("failed", PASSED, "OFF"),
+        ("score_ratio", FAILED, "2.5"),
+        ("score_ratio", NO_SCORE, "None"),
+        ("time", FAILED, "2001-09-09T01:46:40.000000Z"),
+        ("state", HALTED, "halted"),
+        ("gel_state", WORN, "replace"),
+        ("gel_presses", WORN, "1003"),
+        ("gel_left", WORN, "0"),
+        ("gel_left", FAILED, "199"),
+        ("alarm", stats(), "OFF"),
+        ("alarm", stats(alarms=("gel",)), "ON"),
+        ("latency", stats(latency_ms_p50=31.5), "31.5"),
+        ("latency", stats(), "None"),
+        ("unsent", stats(outbox_rows=3), "3"),
+    ],
+)
+def test_each_entity_shows_what_the_station_says(component: str, messages: list[Message], shown: str) -> None:
+    """From the topic that it names. Home Assistant reads `None` as "unknown"."""
+    entity = DEVICE["components"][component]
+    by_topic = {
+        f"{ROOT}/{message.topic}": json.loads(message.payload) for message in messages if message.payload
+    }
+
+    text = rendered(entity["value_template"], by_topic[entity["state_topic"]])
+
+    assert text == shown
+    assert shown in entity.get("options", [shown])
+
+
+def rendered(template: str, value: dict[str, Any]) -> str:
+    return jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(template).render(value_json=value)
+
+
+@pytest.mark.parametrize(("messages", "shown"), [(HALTED, "online"), (LOST, "offline")])
+def test_a_station_that_is_gone_is_not_available(messages: list[Message], shown: str) -> None:
+    """From the last will of the state; a halted station is there, and says why it does not inspect."""
+    assert DEVICE["availability_topic"] == f"{ROOT}/state"
+    assert rendered(DEVICE["availability_template"], json.loads(messages[0].payload)) == shown
+
+
+def test_every_topic_is_one_of_the_station() -> None:
+    """And each entity has an id of its own, which is the same at every start."""
+    own = {f"{ROOT}/{topic.name}" for topic in TOPICS}
+    entities = DEVICE["components"].values()
+
+    named = {value for one in entities for key, value in one.items() if key.endswith("_topic")}
+
+    assert named <= own
+    assert f"{ROOT}/last/heatmap" in named
+    assert len({one["unique_id"] for one in entities}) == len(entities)
+    assert discovery(STATION) == DEVICE
+
+
+def test_two_stations_are_two_devices() -> None:
+    """A line with the same name at another site."""
+    other = DescribedStation.of_root(ROOT.replace("plant", "site2"))
+
+    assert discovery_topic(other) != discovery_topic(STATION)
+    assert discovery(other)["device"]["identifiers"] != DEVICE["device"]["identifiers"]
+
+
+def test_the_sink_announces_the_station_where_it_is_asked_to(
+    mosquitto: LocalBroker, listen: Callable[..., Listener]
+) -> None:
+    """Retained, on Home Assistant's topic and not below the station's; by default nothing is announced."""
+    listener = listen(mosquitto, "#")
+    for more in ({}, {"home_assistant": "ha"}):
+        options = MqttOptions.model_validate({"host": "127.0.0.1", "port": mosquitto.port, **more})
+        sink = plugin.open(options, Station(ROOT, "press2"))
+        sink.send(Message("stats", b"{}", qos=1))
+        sink.close()
+
+    listener.wait_for(lambda heard: len(heard.heard) == 3)
+    late = listen(mosquitto, "#", client_id="late")
+    late.wait_for(lambda heard: len(heard.heard) == 1)
+
+    assert [message.topic for message in late.heard] == [discovery_topic(STATION, "ha")]
+    assert json.loads(late.heard[0].payload) == DEVICE

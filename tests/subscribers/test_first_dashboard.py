@@ -1,0 +1,199 @@
+"""From a station to its verdict in programs of others, as docs/subscribers.md leads: no line of code.
+
+Run by `make test-subscribers`, which installs them. Ours are the station and the printed descriptions alone.
+"""
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from station import MQTT, press_recording, small_bundle, station_config
+
+from edge.cli.describe import Format, described_text
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.gateway import Gateway
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.pictures import png
+from edge.store.outbox import Outbox
+
+pytestmark = pytest.mark.subscribers
+
+INSTALLED = Path(os.environ.get("GELGATE_SUBSCRIBERS", ".venv-subscribers")).absolute()
+ROOT = "gelgate/site/line/station/gel/v1"
+WITHIN_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def broker() -> Iterator[LocalBroker]:
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
+    with LocalBroker("mosquitto") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def config(broker: LocalBroker, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A station that has inspected three presses, the second one damaged, the last one sound; it is closed again."""
+    folder = tmp_path_factory.mktemp("station")
+    bundle = small_bundle(folder / "bundle", press_recording(folder / "nominal", 12, seed=1))
+    recording = press_recording(folder / "presses", 3, dented=[1], seed=2)
+    path = station_config(folder, recording, bundle, sinks=MQTT % broker.port)
+    loaded = load_config(path)
+    with Gateway.open(loaded, SystemClock()) as gateway:
+        gateway.run(threading.Event(), presses=3)
+        with Outbox(loaded.store.path) as outbox:
+            _until(lambda: outbox.status().rows == 0)
+    return path
+
+
+def _until(is_so: Callable[[], object], within_s: float = WITHIN_S) -> None:
+    deadline = time.monotonic() + within_s
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+
+
+@pytest.fixture(scope="module")
+def installed() -> Path:
+    if not (INSTALLED / "node_modules" / "node-red").is_dir() or shutil.which("node") is None:
+        pytest.skip(f"SKIPPED, NOT TESTED: Node-RED is not installed in {INSTALLED}")
+    return INSTALLED
+
+
+@pytest.fixture(scope="module")
+def dashboard(config: Path, installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A Node-RED server with the printed flow; gives the address of its page."""
+    started = time.monotonic()
+    folder = tmp_path_factory.mktemp("node-red")
+    (folder / "flows.json").write_text(described_text(load_config(config), Format.NODE_RED), encoding="utf-8")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    program = installed / "node_modules" / "node-red" / "red.js"
+    with (folder / "log").open("wb") as log:
+        server = subprocess.Popen(
+            ["node", program, "-u", folder, "-p", str(port), "flows.json"],
+            stdout=log,
+            stderr=log,
+            cwd=folder,
+            env={**os.environ, "HOME": str(folder)},
+        )
+    address = f"http://127.0.0.1:{port}/gelgate/site/line/station"
+    try:
+        _until(lambda: b"PASS" in get(address).upper() or server.poll() is not None)
+        print(f"\nfrom the printed flow to the verdict in Node-RED: {time.monotonic() - started:.1f} s")
+        yield address
+    finally:
+        server.terminate()
+        server.wait(20)
+
+
+def get(address: str) -> bytes:
+    try:
+        with urllib.request.urlopen(address, timeout=5) as answer:
+            return bytes(answer.read())
+    except (urllib.error.URLError, ConnectionError):
+        return b""
+
+
+def test_the_verdict_is_on_a_page_of_node_red(dashboard: str) -> None:
+    """With part, ratio to the threshold, gel, and that the station has stopped since."""
+    page = get(dashboard).decode()
+
+    assert '<h1 class="pass">pass</h1>' in page
+    assert "PZ0 pos1" in page
+    assert "3 of 1000 presses" in page
+    assert "offline" in page
+
+
+def test_the_picture_is_that_of_the_verdict(dashboard: str) -> None:
+    """A PNG, with the facts inside."""
+    texts = png.texts(get(f"{dashboard}/picture.png"))
+
+    assert texts["verdict"] == "pass"
+    assert texts["part"] == "PZ0/pos1"
+
+
+READ = """
+const client = require("mqtt").connect("mqtt://127.0.0.1:" + process.argv[1], { protocolVersion: 5 });
+const heard = {};
+client.on("message", (topic, payload) => { heard[topic] = payload.toString("latin1"); });
+client.subscribe("gelgate/#", () => setTimeout(() => { console.log(JSON.stringify(heard)); client.end(); }, 1000));
+"""
+
+
+def test_a_client_of_node_reads_everything_from_the_broker(
+    broker: LocalBroker, config: Path, installed: Path
+) -> None:
+    """Nothing but the address: the document names the topics that it has just received."""
+    done = subprocess.run(
+        ["node", "-e", READ, str(broker.port)],
+        cwd=installed,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    heard = json.loads(done.stdout)
+    document = json.loads(heard[f"{ROOT}/asyncapi"])
+    addresses = {channel["address"] for channel in document["channels"].values()}
+
+    fixed = {topic for topic in heard if "/alarm/" not in topic}
+    assert fixed <= addresses
+    assert {
+        f"{ROOT}/{name}" for name in ("state", "availability", "last/press", "last/heatmap", "gel")
+    } <= fixed
+    assert json.loads(heard[f"{ROOT}/last/press"])["verdict"] == "pass"
+
+
+CHECK = """
+import asyncio, importlib, json, sys
+from homeassistant.components.mqtt.schemas import DEVICE_DISCOVERY_SCHEMA
+from homeassistant.const import __version__
+from homeassistant.core import HomeAssistant
+
+async def check():
+    hass = HomeAssistant(sys.argv[1])  # templates need one
+    device = json.load(sys.stdin)
+    DEVICE_DISCOVERY_SCHEMA(device)
+    shared = {key: value for key, value in device.items() if key not in ("components", "origin")}
+    for name, one in device["components"].items():
+        platform = importlib.import_module("homeassistant.components.mqtt." + one.pop("platform"))
+        platform.DISCOVERY_SCHEMA({**shared, **one})
+    await hass.async_stop(force=True)
+    print(__version__, len(device["components"]))
+
+asyncio.run(check())
+"""
+
+
+def test_home_assistant_accepts_the_discovery_message(config: Path, tmp_path: Path) -> None:
+    """By its own schemas: that of the device, and that of the platform of each entity."""
+    python = INSTALLED / "home-assistant" / "bin" / "python"
+    if not python.exists():
+        pytest.skip(f"SKIPPED, NOT TESTED: Home Assistant is not installed at {python}")
+    message = described_text(load_config(config), Format.HOME_ASSISTANT)
+
+    done = subprocess.run(
+        [python, "-c", CHECK, tmp_path],
+        input=message,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+    assert done.returncode == 0, done.stderr
+    version, entities = done.stdout.split()
+    assert int(entities) == len(json.loads(message)["components"])
+    print(f"\naccepted by Home Assistant {version}")
