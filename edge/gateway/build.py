@@ -62,7 +62,7 @@ def build(
     checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
     by default as it was at the start. Errors: ConfigError, BundleError, StoreError.
     """
-    table, calls, retained_state = config.station, LoopCalls[StationLoop](), RetainedState()
+    table, calls, retained_state = config.station, LoopCalls[StationLoop](), _retained_state(config)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
     part = _first_part(config, bundles, store)
@@ -72,7 +72,6 @@ def build(
     handlers = station_handlers(calls)
     policy = policy_of(config, frozenset(handlers))
     commands = Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
-    retained_state.announce(asyncapi_message(described(config)))
     context = _sink_context(config, clock, retained_state, commands)
     sinks = _open_sinks(config, context, closing)
     publisher = Publisher(
@@ -115,6 +114,13 @@ def build(
         overview=overview,
         stats_s=table.stats_s,
     )
+
+
+def _retained_state(config: Config) -> RetainedState:
+    """With the station's description, which does not change while it runs."""
+    retained_state = RetainedState()
+    retained_state.announce(asyncapi_message(described(config)))
+    return retained_state
 
 
 def _open_bundles(

@@ -9,7 +9,7 @@ import pytest
 
 from edge.core.gel import GelState
 from edge.core.verdict import Kind
-from edge.gateway.commands import COMMANDS
+from edge.gateway.command_table import COMMANDS
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
