@@ -17,9 +17,11 @@ from export.reading.foreign import float32
 
 __all__ = ["Reduced", "distances_both_ways", "reduced"]
 
-# A direction whose squared distance would change by less than this part counts as ridge: far above the rounding of an
-# inverse in float32 (1e-5), far below what a score shows.
+# A direction whose squared distance would change by less than this part counts as ridge: far below what a score shows.
 CUT = 1e-3
+# So does one that the file's own rounding moves away from the ridge: by at most the condition of the matrix times half
+# a unit of its last digit, measured on anomalib's inverses of 550 x 550. The directions of presses are far above it.
+ROUNDINGS = 4
 # Matrices decomposed at once, so that memory stays bounded.
 BLOCK = 64
 Dense = Callable[[slice], NDArray[Any]]
@@ -56,7 +58,7 @@ def reduced(
     """The thin form of `count` symmetric matrices (d, d), ridge included.
 
     dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
-    diagonal; None takes the usual smallest eigenvalue. Errors: ConfigError for matrices that are no covariances.
+    diagonal; None finds it. Errors: ConfigError for matrices that are no covariances.
     """
     bottom = _ridge(dense, count, is_inverse) if ridge is None else ridge
     values, rows, needed, loss = [], [], 0, 0.0
@@ -65,7 +67,7 @@ def reduced(
         apart = np.abs(spread / bottom - 1)
         order = np.argsort(-np.abs(np.log(spread / bottom)), axis=1, kind="stable")
         apart = np.take_along_axis(apart, order, axis=1)
-        most = int((apart > CUT).sum(axis=1).max())
+        most = int((apart > _cut(spread, bottom, dense(slice(0, 1)).dtype)).sum(axis=1).max())
         needed = max(needed, most)
         keep = max(1, most if rank is None else min(rank, most))
         loss = max(loss, float(apart[:, keep:].max(initial=0.0)))
@@ -93,13 +95,23 @@ def _spectrum(
     return (1 / values if is_inverse else values), vectors
 
 
+def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDArray[np.float64]:
+    """How far from 1 an eigenvalue over the ridge may be and still count as ridge, (m, 1)."""
+    condition = spread.max(axis=1, keepdims=True) / ridge
+    digit = np.finfo(dtype if dtype.kind == "f" else np.float64).epsneg
+    return np.asarray(np.maximum(CUT, ROUNDINGS * digit * condition), np.float64)
+
+
 def _ridge(dense: Dense, count: int, is_inverse: bool) -> float:
-    """The usual smallest eigenvalue, over some cells."""
+    """The middle of the eigenvalues that are as small as the smallest, over some cells."""
     chosen = np.unique(np.linspace(0, count - 1, min(count, BLOCK)).astype(np.int64))
-    matrices = np.concatenate([np.asarray(dense(slice(k, k + 1)), np.float64) for k in chosen])
-    values = np.linalg.eigvalsh(np.where(np.isfinite(matrices), matrices, 0))
-    ends = 1 / np.maximum(values[:, -1], 1e-12) if is_inverse else np.maximum(values[:, 0], 1e-12)
-    return float(np.median(ends))
+    stored = np.concatenate([np.asarray(dense(slice(k, k + 1))) for k in chosen])
+    matrices = stored.astype(np.float64)
+    values = np.maximum(np.linalg.eigvalsh(np.where(np.isfinite(matrices), matrices, 0)), 1e-12)
+    spread = 1 / values if is_inverse else values
+    least = spread.min(axis=1, keepdims=True)
+    limits = least * (1 + _cut(spread, float(np.median(least)), stored.dtype))
+    return float(np.nanmedian(np.where(spread <= limits, spread, np.nan)))
 
 
 def _padded(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
