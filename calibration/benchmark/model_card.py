@@ -2,7 +2,8 @@
 
 `make docs` writes it, and `gelgate evaluate-backbone --page` does after a new evaluation. `tactile_resnet18.json` comes
 from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from
-`calibration.benchmark.ablations`; the text is `calibration/benchmark/page.md.jinja`.
+`calibration.benchmark.ablations`; the text is `calibration/benchmark/page.md.jinja`. The same three files of
+`tactile_lite0` are about the trunk that `calibration.training.joined_trunk` makes; its text is `touch.md.jinja`.
 """
 
 import json
@@ -17,6 +18,7 @@ from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 from plugins.backbones.tactile import tactile_resnet18
+from plugins.backbones.tactile_lite0 import tactile_lite0
 
 __all__ = ["NAME", "TRIALS_FORMAT", "card", "evaluation_tables", "page"]
 
@@ -44,24 +46,43 @@ def page(folder: Path) -> str:
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text(encoding="utf-8"))
-        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"))
+        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"), touch=_touch(folder))
     except (OSError, ValueError, KeyError, TemplateError) as error:
         raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
 
 
-def _beside(folder: Path, what: str) -> dict[str, Any] | None:
-    file = folder / f"{NAME}_{what}.json"
+def _touch(folder: Path) -> dict[str, Any] | None:
+    """The facts, evaluation and trials of the trunk for real touch; None where a folder is a run of the other trunk."""
+    file = folder / f"{tactile_lite0.name}.json"
+    if not file.is_file():
+        return None
+    return {
+        "facts": json.loads(file.read_text(encoding="utf-8")),
+        "evaluation": _beside(folder, "evaluation", tactile_lite0.name),
+        "trials": _beside(folder, "trials", tactile_lite0.name),
+    }
+
+
+def _beside(folder: Path, what: str, name: str = NAME) -> dict[str, Any] | None:
+    file = folder / f"{name}_{what}.json"
     found: dict[str, Any] | None = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
     return found
 
 
 def card(
-    facts: dict[str, Any], evaluation: dict[str, Any] | None, trials: dict[str, Any] | None = None
+    facts: dict[str, Any],
+    evaluation: dict[str, Any] | None,
+    trials: dict[str, Any] | None = None,
+    touch: dict[str, Any] | None = None,
 ) -> str:
-    """The page as Markdown. An evaluation or trials file of other weights or another format is omitted."""
+    """The page as Markdown. An evaluation or trials file of other weights or another format is omitted.
+
+    touch: facts, evaluation and trials of the trunk for real touch.
+    """
     template = _environment(facts["recipe"]).get_template("page.md.jinja")
     return template.render(
         facts=facts,
+        touch=touch,
         evaluation=evaluation if _is_of(facts, evaluation) else None,
         trials=trials if trials and trials["format"] == TRIALS_FORMAT and trials["rows"] else None,
         commands=[*_training_commands(facts), _evaluation_command(evaluation)],
@@ -90,6 +111,7 @@ def _environment(recipe: Mapping[str, Any]) -> Environment:
         "interval": _interval,
         "listed": _listed,
         "mean": _mean,
+        "means": _means,
         "number": _number,
     }
     return found
@@ -134,6 +156,13 @@ def _interval(measure: Mapping[str, Any] | None) -> str:
 
 def _mean(methods: Mapping[str, Mapping[str, float]], measure: str) -> str:
     return f"{sum(values[measure] for values in methods.values()) / len(methods):.3f}"
+
+
+def _means(rows: Iterable[Mapping[str, Any]], backbone: str) -> dict[str, float]:
+    """Of one backbone, the mean of each measure over the detectors; measures that one of them lacks are left out."""
+    own = [row["measures"] for row in rows if row["backbone"] == backbone]
+    shared = [name for name in own[0] if all(one.get(name, {}).get("value") is not None for one in own)]
+    return {name: sum(one[name]["value"] for one in own) / len(own) for name in shared}
 
 
 def _number(value: float | str) -> str:
