@@ -21,6 +21,7 @@ _PACKAGES = {
     "parquet": ("pyarrow",),
     "oak": ("depthai",),
     "validate": ("jsonschema",),
+    "datamatrix": ("zxingcpp",),
 }
 
 

@@ -11,6 +11,7 @@ from edge.core.errors import ConfigError
 from edge.core.overview.codes import CodeKind, TagFamily
 from edge.core.overview.presence import Zone
 from edge.core.overview.rules import OverviewRules
+from edge.extras import needs
 
 __all__ = ["OverviewTable"]
 
@@ -32,8 +33,8 @@ class OverviewTable(PluginTable):
 
     codes: tuple[CodeKind, ...] = Field(
         default=(),
-        description="kinds of code to read on the part: qr, apriltag (OpenCV reads no DataMatrix); without any no id "
-        "is asked for",
+        description="kinds of code to read on the part: qr, apriltag, datamatrix (extra `datamatrix`); without any no "
+        "id is asked for",
     )
     apriltag_family: TagFamily = Field(default="36h11", description="the family of the AprilTags")
     part_pattern: Annotated[str, AfterValidator(_with_part)] | None = Field(
@@ -81,10 +82,13 @@ class OverviewTable(PluginTable):
         return self
 
     def rules(self) -> OverviewRules:
-        """What a still must show. Errors: ConfigError for a picture of the empty station that cannot be read."""
+        """What a still must show. Errors: ConfigError for a picture of the empty station that cannot be read, and for a
+        kind of code whose reader is not installed."""
         import cv2
         import numpy as np
 
+        if "datamatrix" in self.codes:
+            needs("datamatrix", "overview.codes with datamatrix")
         empty = None
         if self.empty is not None:
             raw = cv2.imread(str(self.empty), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)

@@ -1,5 +1,6 @@
 """The table `[overview]`: what it refuses, with which sentence, and where its paths begin."""
 
+import sys
 from pathlib import Path
 
 import cv2
@@ -78,7 +79,8 @@ def test_a_path_of_the_plugin_begins_at_the_files_folder(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('codes = ["datamatrix"]', "overview.codes"),
+        ('codes = ["ean13"]', "overview.codes"),
+        ("select = true", "need codes"),
         ('part_pattern = "(?P<part>.*)"', "need codes"),
         ('codes = ["qr"]\npart_pattern = "(.*)"', "no group `part`"),
         ('codes = ["qr"]\npart_pattern = "(?P<part>"', "no regular expression"),
@@ -125,3 +127,14 @@ def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
 
     assert overview is not None
     assert (overview.codes, overview.parts) == (("qr", "apriltag"), {"17": "PZ0"})
+
+
+def test_a_data_matrix_needs_its_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check before a start says what to install."""
+    table = load_config(written(tmp_path, 'codes = ["datamatrix"]')).overview
+    assert table is not None
+    monkeypatch.setitem(sys.modules, "zxingcpp", None)
+    with pytest.raises(
+        ConfigError, match=r"datamatrix needs zxingcpp, .*; pip install 'gelgate\[datamatrix\]'"
+    ):
+        table.rules()

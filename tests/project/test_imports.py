@@ -9,6 +9,7 @@ HEAVY = {
     "onnx",
     "onnxscript",
     "depthai",
+    "zxingcpp",
     "matplotlib",
     "sklearn",
     "scipy",

@@ -26,14 +26,22 @@ def with_qr(text: str, mode: int = cv2.QRCODE_ENCODER_MODE_AUTO) -> NDArray[np.u
     return _with(cv2.resize(code, (150, 150), interpolation=cv2.INTER_NEAREST))
 
 
+def with_data_matrix(text: str, *, gs1: bool = False) -> NDArray[np.uint8]:
+    """A white part with a DataMatrix code; for GS1 each field begins with its number in brackets."""
+    import zxingcpp
+
+    code = zxingcpp.create_barcode(text, zxingcpp.BarcodeFormat.DataMatrix, gs1=gs1)
+    return _with(np.array(code.to_image(scale=6), np.uint8))
+
+
 def encoded(grey: NDArray[np.uint8]) -> bytes:
     return cv2.imencode(".jpg", grey)[1].tobytes()
 
 
 def _with(code: NDArray[np.uint8]) -> NDArray[np.uint8]:
     still = blank()
-    side = len(code)
-    top, left = (SIZE[1] - side) // 2, (SIZE[0] - side) // 2
-    still[top - 20 : top + side + 20, left - 20 : left + side + 20] = 255
-    still[top : top + side, left : left + side] = code
+    h, w = code.shape
+    top, left = (SIZE[1] - h) // 2, (SIZE[0] - w) // 2
+    still[top - 20 : top + h + 20, left - 20 : left + w + 20] = 255
+    still[top : top + h, left : left + w] = code
     return still

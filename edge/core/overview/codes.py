@@ -1,4 +1,4 @@
-"""The codes on a part: QR and AprilTag, read by OpenCV. OpenCV has no reader of DataMatrix."""
+"""The codes on a part: QR and AprilTag, read by OpenCV, and DataMatrix, read by zxing-cpp (the extra `datamatrix`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from edge.core.printable import printable
 
 __all__ = ["Code", "CodeKind", "TagFamily", "read_codes"]
 
-CodeKind = Literal["qr", "apriltag"]
+CodeKind = Literal["qr", "apriltag", "datamatrix"]
 TagFamily = Literal["36h11", "36h10", "25h9", "16h5"]
 
-# Longer than any id on a part; a QR code has room for 4,296 letters, and this text is published.
+# Longer than any id on a part: a QR code has room for 4,296 letters, a DataMatrix for 2,335. This text is published.
 MOST_LETTERS: Final = 256
 
 
 @dataclass(frozen=True)
 class Code:
-    """One code that was read. text: of a QR code, printable; of an AprilTag its number."""
+    """One code that was read. text: of a QR code or DataMatrix, printable; of an AprilTag its number."""
 
     kind: CodeKind
     text: str
@@ -35,6 +35,7 @@ def read_codes(
     found = {
         *(_qr_codes(grey) if "qr" in kinds else ()),
         *(_april_tags(grey, family) if "apriltag" in kinds else ()),
+        *(_data_matrices(grey) if "datamatrix" in kinds else ()),
     }
     return tuple(sorted(found, key=lambda code: (code.kind, code.text)))
 
@@ -51,6 +52,16 @@ def _qr_codes(grey: NDArray[np.uint8]) -> list[Code]:
 def _april_tags(grey: NDArray[np.uint8], family: TagFamily) -> list[Code]:
     _, numbers, _ = _tag_reader(family).detectMarkers(grey)
     return [] if numbers is None else [Code("apriltag", str(int(number))) for number in numbers.ravel()]
+
+
+def _data_matrices(grey: NDArray[np.uint8]) -> list[Code]:
+    """The text as it is in the code, without brackets around the fields of GS1."""
+    import zxingcpp
+
+    found = zxingcpp.read_barcodes(
+        grey, formats=zxingcpp.BarcodeFormat.DataMatrix, text_mode=zxingcpp.TextMode.Plain
+    )
+    return [Code("datamatrix", printable(one.text)[:MOST_LETTERS]) for one in found if one.text]
 
 
 @cache

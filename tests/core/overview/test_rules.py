@@ -8,14 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from overview_stills import blank, encoded, with_qr, with_tag
+from overview_stills import blank, encoded, with_data_matrix, with_qr, with_tag
 
 from edge.core.imaging.quality import Reason
-from edge.core.overview.codes import Code, read_codes
+from edge.core.overview.codes import Code, CodeKind, read_codes
 from edge.core.overview.presence import Zone, changed_share
 from edge.core.overview.rules import OverviewRules, OverviewView
 from edge.core.part_position import PartPosition
+from edge.extras import is_installed
 
+needs_zxing = pytest.mark.skipif(
+    not is_installed("zxingcpp"), reason="SKIPPED, NOT TESTED: the package zxing-cpp is not installed"
+)
 PZ0, PZ1, LEFT, RIGHT = (
     PartPosition(*one) for one in (("PZ0", "pos1"), ("PZ1", "pos1"), ("PZ2", "left"), ("PZ2", "right"))
 )
@@ -54,6 +58,26 @@ def test_a_qr_code_is_its_text() -> None:
     assert read_codes(still, ["qr"]) == (Code("qr", "PZ0;0042"),)
     assert read_codes(still, ["qr", "apriltag"]) == (Code("apriltag", "3"), Code("qr", "PZ0;0042"))
     assert read_codes(blank(), ["qr", "apriltag"]) == ()
+
+
+@needs_zxing
+@pytest.mark.parametrize("light_on_dark", [False, True])
+def test_a_data_matrix_is_its_text(light_on_dark: bool) -> None:
+    """Also one that a laser has etched bright into a dark part, and turned; other kinds do not see it."""
+    still = with_data_matrix("PZ0;0042")
+    turned = np.ascontiguousarray(np.rot90(255 - still if light_on_dark else still))
+
+    assert read_codes(turned, ["datamatrix"]) == (Code("datamatrix", "PZ0;0042"),)
+    assert read_codes(turned, ["qr", "apriltag"]) == ()
+    assert read_codes(with_qr("PZ0"), ["datamatrix"]) == ()
+
+
+@needs_zxing
+def test_a_gs1_data_matrix_is_its_text_without_brackets() -> None:
+    """`part_pattern` fits the text that is in the code, not one that a reader has made nice."""
+    still = with_data_matrix("(01)09506000134352(17)260101", gs1=True)
+
+    assert read_codes(still, ["datamatrix"]) == (Code("datamatrix", "010950600013435217260101"),)
 
 
 def test_control_characters_of_a_code_do_not_reach_a_terminal() -> None:
@@ -206,5 +230,6 @@ def test_a_region_lies_in_the_picture(sides: tuple[float, float, float, float]) 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 2), (1, 300), (300, 1), (20, 20), (21, 21)])
 def test_a_region_too_small_for_a_code_has_none(size: tuple[int, int]) -> None:
-    """OpenCV's readers are not given what they cannot take."""
-    assert read_codes(np.full(size, 150, np.uint8), ["qr", "apriltag"]) == ()
+    """The readers are not given what they cannot take."""
+    kinds: list[CodeKind] = ["qr", "apriltag", *(["datamatrix"] if is_installed("zxingcpp") else [])]
+    assert read_codes(np.full(size, 150, np.uint8), kinds) == ()
