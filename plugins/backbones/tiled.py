@@ -23,8 +23,8 @@ STRIDE = 32
 def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     """The trunk for one tile, with the layout in its metadata. Input `frames` uint8 (n, size, size, 3).
 
-    Errors: ConfigError for a trunk without the one input `frames`, one that is tiled already, or a tile size that is
-    not a multiple of 32.
+    Errors: ConfigError for bytes that are no trunk, one without the one input `frames`, one that is tiled already, or a
+    tile size that is not a multiple of 32.
     """
     import onnx
     from onnx import helper
@@ -47,7 +47,7 @@ def mosaic_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     import onnx
     from onnx import helper
 
-    model = onnx.load_from_string(trunk)
+    model = _read(trunk)
     facts = {entry.key: entry.value for entry in model.metadata_props if entry.key != TILES_KEY}
     helper.set_model_props(model, facts)
     model = _plain(model.SerializeToString(), tiles)
@@ -87,12 +87,31 @@ def _plain(trunk: bytes, tiles: Tiles) -> Any:
         raise ConfigError(
             f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}; choose another size"
         )
-    model = onnx.load_from_string(trunk)
-    if [i.name for i in model.graph.input] != ["frames"] or any(
-        p.key == TILES_KEY for p in model.metadata_props
-    ):
-        raise ConfigError("only a plain trunk, with the one input 'frames' and no tiles yet, can be tiled")
+    model = _read(trunk)
+    inputs = model.graph.input
+    is_tiled = any(entry.key == TILES_KEY for entry in model.metadata_props)
+    if is_tiled or [(i.name, len(i.type.tensor_type.shape.dim)) for i in inputs] != [("frames", 4)]:
+        raise ConfigError(
+            "only a plain trunk, with the one input 'frames' (n, height, width, 3) and no tiles yet, can be tiled"
+        )
+    try:
+        onnx.checker.check_model(model)
+    except onnx.checker.ValidationError as error:
+        raise ConfigError(f"the trunk is no sound ONNX model: {str(error).splitlines()[0]}") from error
     return model
+
+
+def _read(trunk: bytes) -> Any:
+    """Errors: ConfigError for a file that is no ONNX model."""
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        return onnx.load_from_string(trunk)
+    except DecodeError as error:
+        raise ConfigError(
+            "the trunk is cut short or is no ONNX model; name the .onnx file of a trunk"
+        ) from error
 
 
 def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
@@ -106,7 +125,10 @@ def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
     for output in fixed.graph.output:
         for dim in output.type.tensor_type.shape.dim:
             dim.Clear()
-    inferred = onnx.shape_inference.infer_shapes(fixed, strict_mode=True, data_prop=True)
+    try:
+        inferred = onnx.shape_inference.infer_shapes(fixed, strict_mode=True, data_prop=True)
+    except onnx.shape_inference.InferenceError as error:
+        raise ConfigError(f"the trunk does not take tiles of {tiles.size} pixels: {error}") from error
     shapes = {}
     for output in inferred.graph.output:
         _, c, h, w = (dim.dim_value for dim in output.type.tensor_type.shape.dim)

@@ -1,5 +1,6 @@
 """A tiled trunk: the plain trunk's features of every tile in one mosaic, which detectors score as one map."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,45 @@ def test_only_a_plain_trunk_is_tiled() -> None:
         tile_trunk(tile_trunk(PLAIN, TILES), TILES)
     with pytest.raises(ConfigError, match="multiple of 32"):
         tile_trunk(PLAIN, tiling((96, 160), 48, 16))
+
+
+def broken(change: str) -> bytes:
+    """The plain trunk after one change."""
+    import onnx
+
+    model = onnx.load_from_string(PLAIN)
+    match change:
+        case "flat":
+            del model.graph.input[0].type.tensor_type.shape.dim[0]
+        case "unsound":
+            model.graph.node[0].input[0] = "nowhere"
+        case "sized":
+            weight = next(one for one in model.graph.initializer if len(one.dims) == 4)
+            weight.CopyFrom(
+                onnx.helper.make_tensor(weight.name, 1, [64, 7, 7, 7], b"\0" * 64 * 343 * 4, raw=True)
+            )
+    return bytes(model.SerializeToString())
+
+
+@pytest.mark.parametrize(
+    ("trunk", "words"),
+    [
+        (b"no graph", "no ONNX model"),
+        (PLAIN[:-1000], "no ONNX model"),
+        (b"", "only a plain trunk"),
+        (broken("flat"), "only a plain trunk"),
+        (broken("unsound"), "no sound ONNX model"),
+        (broken("sized"), "does not take tiles of 64 pixels"),
+    ],
+    ids=["text", "cut", "empty", "flat", "unsound", "sized"],
+)
+@pytest.mark.parametrize("tile", [tile_trunk, mosaic_trunk])
+def test_a_file_that_is_no_trunk_is_refused(
+    tile: Callable[[bytes, Tiles], bytes], trunk: bytes, words: str
+) -> None:
+    """In a sentence, whatever is wrong with it."""
+    with pytest.raises(ConfigError, match=words):
+        tile(trunk, TILES)
 
 
 def test_the_layout_survives_writing() -> None:
