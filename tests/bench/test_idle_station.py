@@ -14,6 +14,7 @@ from statistics import median
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from station import gel, jpeg, press_recording, small_bundle, station_config
 
 from edge.clock import SystemClock
@@ -29,16 +30,19 @@ pytestmark = pytest.mark.bench
 GELGATE = Path(sys.executable).parent / "gelgate"
 FPS, MEASURED_S, WARM_UP_S, FRAMES = 25.0, 60.0, 25.0, 25
 # Levels of noise and JPEG quality that give about 1 MB, as USB 2.0 can carry at this rate.
-GRAIN, QUALITY = 3.0, 90
+GRAIN, QUALITY = 3, 90
+SENSOR = "GelSight Mini R0B TEST-0001"
 
 
 def stream(folder: Path, size: tuple[int, int]) -> tuple[Path, list[bytes]]:
     """One second of a free gel in that size, to be repeated."""
     rng = np.random.default_rng(0)
-    payloads = [larger(jpeg(gel(rng)), size, rng) for _ in range(FRAMES)]
-    with RecordingWriter(
-        folder, RecordingHeader("GelSight Mini R0B TEST-0001", "TEST0001", size, FPS)
-    ) as writer:
+    grain = cv2.randn(np.empty((size[1], size[0], 3), np.int16), (0, 0, 0), (GRAIN, GRAIN, GRAIN))
+    payloads = [
+        larger(jpeg(gel(rng)), size, np.roll(grain, int(rng.integers(size[1])), axis=0))
+        for _ in range(FRAMES)
+    ]
+    with RecordingWriter(folder, RecordingHeader(SENSOR, "TEST0001", size, FPS)) as writer:
         for number, payload in enumerate(payloads):
             writer.add(payload, round(number * 1e9 / FPS))
     return folder, payloads
@@ -46,25 +50,22 @@ def stream(folder: Path, size: tuple[int, int]) -> tuple[Path, list[bytes]]:
 
 def nominal(folder: Path, size: tuple[int, int]) -> Path:
     """Presses in that size."""
-    found, rng = Recording.open(press_recording(folder / "small", 12)), np.random.default_rng(1)
-    with RecordingWriter(
-        folder / "nominal", RecordingHeader("GelSight Mini", "TEST0001", size, FPS)
-    ) as writer:
+    found = Recording.open(press_recording(folder / "small", 12))
+    with RecordingWriter(folder / "nominal", RecordingHeader(SENSOR, "TEST0001", size, FPS)) as writer:
         for one in found:
-            writer.add(larger(one.frame.payload, size, rng), one.frame.timestamp_ns, one.label)
+            writer.add(larger(one.frame.payload, size), one.frame.timestamp_ns, one.label)
     return folder / "nominal"
 
 
-def larger(payload: bytes, size: tuple[int, int], rng: np.random.Generator) -> bytes:
-    """The picture in that size, with a camera's grain: the cost of reading a JPEG grows with its bytes."""
+def larger(payload: bytes, size: tuple[int, int], grain: NDArray[np.int16] | None = None) -> bytes:
+    """The picture in that size. grain: of a camera, int16 (h, w, 3); reading a JPEG costs time by its bytes."""
     picture = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_COLOR)
     if size == (picture.shape[1], picture.shape[0]):
         return payload
-    large = cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC).astype(np.float32)
-    large += GRAIN * rng.standard_normal(large.shape, np.float32)
-    return cv2.imencode(".jpg", large.clip(0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[
-        1
-    ].tobytes()
+    large = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
+    if grain is not None:
+        large = cv2.add(large, grain, dtype=cv2.CV_8U)
+    return cv2.imencode(".jpg", large, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
 
 
 def share_of_a_core(config: Path) -> float:
