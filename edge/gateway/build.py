@@ -196,7 +196,7 @@ def _overview(config: Config, clock: Clock, status: StationStatus, closing: Exit
 
 
 def _snapshots(config: Config, clock: Clock, closing: ExitStack) -> Snapshots:
-    """Next to the database; off where nobody may ask for one."""
+    """Next to the database; off where it is not served."""
     is_served = "snapshot" in (*config.commands.signed, *config.commands.unsigned)
     snapshots = Snapshots(config.store.path.with_suffix(".snapshots") if is_served else None, clock)
     closing.callback(snapshots.close)

@@ -6,6 +6,7 @@ import pytest
 
 from edge.config import load_config, sink_names
 from edge.gateway.build import _names_before
+from plugins.sinks.mqtt_options import MqttOptions, TlsOptions
 
 from .test_config import SOUND, refusal, written
 
@@ -75,6 +76,25 @@ def test_broker_options_that_no_station_can_work_with_are_refused(tmp_path: Path
     text = SOUND + f'[[sinks]]\nplugin = "mqtt"\noptions = {{ {option} }}\n'
 
     assert f"'sinks.1.options.{option.split(' ')[0]}'" in refusal(tmp_path, text)
+
+
+def test_what_is_open_to_others_is_a_warning(tmp_path: Path) -> None:
+    """A connection that is not encrypted, a station without a name, a password that every user may read."""
+    secret = tmp_path / "password"
+    secret.write_text("s")
+    secret.chmod(0o604)
+    plain = MqttOptions(host="broker.plant").warnings()
+    named = MqttOptions(host="localhost", username="station1", password_file=secret).warnings()
+    secret.chmod(0o640)
+    tls = TlsOptions(ca=tmp_path / "ca.crt")
+
+    assert [text.partition(",")[0] for text in plain] == [
+        "the connection is not encrypted; set tls",
+        "no user name is given",
+    ]
+    assert named == [f"password file {secret} is open to every user; set its rights to 0640"]
+    assert MqttOptions(host="broker.plant", tls=tls, username="a", password_file=secret).warnings() == []
+    assert MqttOptions(host="127.0.0.1").warnings() == []
 
 
 @pytest.mark.parametrize("plugin", ["recorded", "usb_mock"])

@@ -136,6 +136,26 @@ def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path
         assert (finding.error, finding.text) == (None, f"http://127.0.0.1:{port}/metrics on this machine")
 
 
+def test_the_check_prints_what_is_open_to_others(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Behind what it found of the receiver."""
+    secret = tmp_path / "password"
+    secret.write_text("s")
+    secret.chmod(0o604)
+    with socket.socket() as away:
+        away.bind(("127.0.0.1", 0))
+        broker = (
+            f'host = "127.0.0.1", port = {away.getsockname()[1]}, username = "a", password_file = "{secret}"'
+        )
+        sink = f'[[sinks]]\nplugin = "mqtt"\noptions = {{ {broker} }}\n'
+        path = station_config(tmp_path, recording, bundle, sinks=sink)
+        with preflight(load_config(path), SystemClock()) as checked:
+            (finding,) = [finding for finding in checked.findings if finding.part == "sink mqtt"]
+
+    assert finding.error is None
+    assert finding.text.endswith("is open to every user; set its rights to 0640")
+    assert "; warning: password file" in finding.text
+
+
 def overview_finding(folder: Path, recording: Path, bundle: Path, table: str) -> Finding:
     path = station_config(folder, recording, bundle)
     path.write_text(path.read_text() + f"\n[overview]\n{table}\n")
