@@ -166,16 +166,18 @@ def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[st
 
 def _row(trunk: str, method: str, trials: Sequence[tuple[str, dict[str, Column]]]) -> dict[str, Any]:
     columns = [column for _, column in trials]
+    # Not every trial has foreign frames or presses of another object.
+    names = dict.fromkeys(name for column in columns for name in column)
     return {
         "backbone": trunk,
         "detector": method,
-        "measures": {name: _mean(columns, name) for name in columns[0]},
+        "measures": {name: _mean(columns, name) for name in names},
         "trials": {trial: {name: _plain(column[0]) for name, column in row.items()} for trial, row in trials},
     }
 
 
 def _mean(rows: Sequence[dict[str, Column]], name: str) -> dict[str, Any]:
-    column = np.mean([row[name] for row in rows], axis=0)
+    column = np.mean([row[name] for row in rows if name in row], axis=0)
     span = interval(column[1:]) if len(column) > 1 else None
     return {
         "value": _plain(column[0]),

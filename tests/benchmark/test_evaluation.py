@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -69,6 +70,24 @@ def test_a_black_square_is_found() -> None:
     assert 0.8 < pixel["over_images"][0] <= pixel["value"] <= pixel["over_images"][1] <= 1
     each = [row["trials"][name]["pixel_auroc"] for name in ("a", "b")]
     assert np.isclose(np.mean(each), pixel["value"], atol=1e-4)
+
+
+def test_a_measure_that_a_trial_lacks_is_the_mean_of_the_others() -> None:
+    """One of two trials has foreign frames: the share of them that scores high is that trial's, in either order."""
+    plain = EvaluationSet("Squares", "Black squares.", (partial(trial, "a", 0), partial(own_alone, "b", 1)))
+    for trials in (plain.trials, plain.trials[::-1]):
+        found = evaluate(
+            {"random": random_trunk()}, {"squares": replace(plain, trials=trials)}, ("padim",), replicates=0
+        )
+        (row,) = found["sets"]["squares"]["rows"]
+        assert row["measures"]["foreign_out"]["value"] == row["trials"]["a"]["foreign_out"] == 1.0
+        assert "foreign_out" not in row["trials"]["b"]
+
+
+def own_alone(name: str, seed: int) -> Trial:
+    """Such a trial without foreign frames."""
+    found = trial(name, seed)
+    return replace(found, frames=found.frames[:8], masks=found.masks[:8], is_foreign=np.zeros(8, np.bool_))
 
 
 def test_brief_sets_compare_what_ships_with_random_weights() -> None:
