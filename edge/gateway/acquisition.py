@@ -230,8 +230,12 @@ class Acquisition:
         return not self._is_waiting or len(self._frames) < self._depth
 
     def _await_room(self) -> None:
+        """A wait for the consumer is not the sensor's silence: the time without a frame begins after it."""
         with self._changed:
+            if self._has_room():
+                return
             self._changed.wait_for(lambda: self._has_room() or self._closing.is_set())
+        self._last_ns = self._clock.monotonic_ns()
 
     def _welcome(self, device: Device) -> None:
         known = self._status.identity

@@ -244,8 +244,9 @@ def _open_sinks(config: Config, context: Station, closing: ExitStack) -> dict[st
 def _opener(
     config: Config, controls: Mapping[str, int], clock: Clock, closing: ExitStack, checked: Preflight | None
 ) -> Callable[[], Device]:
-    """Opens the sensor; the first call returns the one that the check before the start has opened."""
-    again = device_opener(config.device, controls, clock)
+    """Opens the sensor; the first call returns the one that the check before the start has opened, the others open the
+    same one again: a virtual sensor goes on where it was."""
+    again = (checked.open_device if checked else None) or device_opener(config.device, controls, clock)
     first = checked.take_device() if checked else None
     if first is None:
         return again

@@ -30,7 +30,6 @@ from edge.gateway.command_table import COMMANDS
 from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
 from edge.gateway.opening import BundleOpener, device_opener
-from edge.model.bundle import Bundle
 from edge.model.licence import licence_sentence
 from edge.store.press_store import Store
 
@@ -51,13 +50,15 @@ class Finding:
 class Preflight:
     """The findings, in the order in which a start uses the parts, and the open parts. Close it after the start.
 
-    opener: has opened the bundles. bundles: those without a fault, their golden frames scored.
+    opener: has opened the bundles. bundles: those without a fault, their golden frames scored. open_device: opens the
+    sensor that was tried once more; None where it was not tried.
     """
 
     def __init__(self, opener: BundleOpener) -> None:
         self.findings: list[Finding] = []
         self.opener = opener
         self.bundles = BundleSet()
+        self.open_device: Callable[[], Device] | None = None
         self._device: Device | None = None
 
     def take_device(self) -> Device | None:
@@ -98,7 +99,9 @@ class Preflight:
     def open_sensor(self, config: Config, clock: Clock) -> str:
         """Open the sensor and compare its mode with the bundle's. Errors: DeviceError, BundleMismatch."""
         bundle = next((one.bundle for one in self.bundles.bundles.values()), None)
-        self._device = _open_sensor(config, clock, bundle)
+        _require_sensor(config)
+        self.open_device = device_opener(config.device, bundle.profile.controls if bundle else {}, clock)
+        self._device = self.open_device()
         sensor = self._device.identity
         if bundle is not None and sensor.mode != bundle.profile.native:
             native = bundle.profile.native
@@ -155,8 +158,8 @@ def _newest_revision(config: Config, part: PartPosition) -> int | None:
     return None
 
 
-def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
-    """Errors: DeviceError. It must also open: another process may hold it."""
+def _require_sensor(config: Config) -> None:
+    """Errors: DeviceNotFound."""
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     discovered = plugin.discover(options)
@@ -166,7 +169,6 @@ def _open_sensor(config: Config, clock: Clock, bundle: Bundle | None) -> Device:
             f"no sensor for device '{config.device.plugin}' is plugged in"
             + (f" ({seen})" if seen else "; check the cable, then `gelgate devices`")
         )
-    return device_opener(config.device, bundle.profile.controls if bundle else {}, clock)()
 
 
 def _overview(table: OverviewTable) -> str:

@@ -311,6 +311,19 @@ def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -
     assert acquisition.status.state is AcquisitionState.CLOSED
 
 
+def test_a_wait_for_the_consumer_is_not_the_sensors_silence(tmp_path: Path) -> None:
+    """An inspection of ten seconds, while the queue is full: the sensor is not opened again."""
+    options = options_for(tmp_path, frames=20)
+    clock = FakeClock()
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=2) as acquisition:
+        wait_for(lambda: acquisition.status.frames == 2)
+        clock.sleep(10)
+        frames = all_frames(acquisition)
+
+    assert len(frames) == 20
+    assert acquisition.status.reconnects == 0
+
+
 def test_the_reader_steps_without_a_thread_and_without_time() -> None:
     """Open, a frame, a broken one, unplugged, a pause, opened again, a frame: in the order in which steps are taken."""
     clock = FakeClock()

@@ -137,3 +137,13 @@ def test_a_recording_played_on_demand_knows_an_interruption(
         summary = gateway.run(threading.Event())
 
     assert summary.presses == 3
+
+
+def test_an_interruption_of_a_run_that_was_checked(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """`gelgate run` opens the sensor for its check; the same one is opened again, and goes on with the recording."""
+    config = station_config(tmp_path, recording, bundle, pace=0, faults=["unplug@34:0.05"])
+
+    done = gelgate("run", "--config", config)
+
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-2].startswith("3 presses: ")
