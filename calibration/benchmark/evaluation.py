@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.benchmark.limits import fitted_limit, limit_columns
+from calibration.benchmark.limits import fitted_limits, limit_columns
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import FORMAT, Trial
 from calibration.fitting.features import extract, trunk_grid
@@ -19,7 +18,6 @@ from edge import registry
 from edge.core.detector import Detector, Features, Grid, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.model.onnx_prune import cut_trunk
-from edge.model.packing import pack, unpack
 from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
@@ -61,11 +59,12 @@ def random_trunk() -> bytes:
 
 @dataclass(frozen=True)
 class _Taken:
-    """The features of one trial by one trunk."""
+    """The features of one trial by one trunk. take: those of further frames, every tap."""
 
     grid: Grid
     nominal: Nominal
     scored: Features
+    take: Callable[[NDArray[np.uint8]], Features]
 
 
 @dataclass(frozen=True)
@@ -201,7 +200,7 @@ def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
 
     free = trial.nominal.no_contact
     nominal = Nominal(take(trial.nominal.frames), trial.nominal.touched, None if free is None else take(free))
-    return _Taken(grid, nominal, take(trial.frames))
+    return _Taken(grid, nominal, take(trial.frames), take)
 
 
 def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
@@ -209,7 +208,13 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     of them that score above every sound held-out press. Where the trial states a false-alarm rate, AU-PRO up to 5 % and
     the measures at the fitted limit are added (`calibration.benchmark.limits`).
     """
-    maps, scores = _scored(detector, taken)
+    learner = _learner(detector, taken.grid)
+    bank = learner.bank(taken.nominal)
+    scored = learner.scored(bank, taken.scored, range(len(trial.frames)))
+    maps, scores, limit = scored.maps, scored.scores, 0.0
+    if trial.alpha is not None:
+        limits = fitted_limits(learner, bank, taken.nominal, trial, taken.take)
+        maps, scores, limit = limits.applied(maps, scores)
     own = trial.is_own
     masks = trial.masks[own]
     label = np.array([bool(mask.any()) for mask in masks])
@@ -230,26 +235,11 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     if trial.alpha is not None:
         more = pixel_measures(maps[own], masks, weights, _MORE_FALSE_ALARMS)
         columns["aupro_fpr05"] = more.aupro
-        limit = fitted_limit(_learner(detector, taken.grid), taken.nominal, trial)
         columns |= limit_columns(limit, trial, maps, scores, weights)
+        plain = limit_columns(limits.plain, trial, scored.maps, scored.scores, weights)
+        columns |= {f"plain_{name}": plain[name] for name in ("detected", "peak_found", "false_alarms")}
+        columns["plain_aupro_fpr01"] = pixel_measures(scored.maps[own], masks, weights, _FALSE_ALARMS).aupro
     return columns
-
-
-def _scored(detector: Detector, taken: _Taken) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Score maps (n, h, w) and anomaly scores (n,) by the detector's own graph."""
-    learner = _learner(detector, taken.grid)
-    bank = learner.bank(taken.nominal)
-    head = open_session(learner.head(bank), _THREADS, f"head of {detector.name}")
-    wanted = {given.name for given in head.get_inputs()}
-    stored = {
-        name: unpack(pack(array, packing), packing)
-        for name, array in bank.arrays.items()
-        if name in wanted
-        for packing in [bank.packing.get(name, "none")]
-    }
-    frames = len(next(iter(taken.scored.values())))
-    answers = [_one(head, stored, taken.scored, wanted, k) for k in range(frames)]
-    return np.stack([m for m, _ in answers]), np.array([s for _, s in answers])
 
 
 def _learner(detector: Detector, grid: Grid) -> Learner:
@@ -257,14 +247,6 @@ def _learner(detector: Detector, grid: Grid) -> Learner:
     parameters = detector.parameters("corrected")
     read = Grid(grid.frame, {tap: grid.taps[tap] for tap in detector.taps(parameters)}, grid.pixels_per_mm)
     return Learner(detector, read, parameters, seed=0, threads=_THREADS)
-
-
-def _one(
-    head: ort.InferenceSession, stored: dict[str, NDArray[Any]], features: Features, wanted: set[str], k: int
-) -> tuple[NDArray[np.float32], float]:
-    taps = {tap: maps[k : k + 1] for tap, maps in features.items() if tap in wanted}
-    score_map, score = head.run(["score_map", "score"], {**taps, **stored})
-    return score_map[0], float(score[0])
 
 
 def _image_auroc(scores: NDArray[np.float64], label: NDArray[np.bool_], weights: Column) -> Column:

@@ -4,18 +4,24 @@ A gateway reports a press whose score lies above the limit. The map's peak may l
 passes; the two shares side by side say whether the features or the limit hide damage.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.benchmark.trial import Trial
+from calibration.benchmark.trial import PROFILE, Trial
 from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner, held_out_scores
+from calibration.fitting.held_out import Learner
+from calibration.fitting.limit_choice import Choice
+from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.threshold import conformal_threshold
-from edge.core.detector import Nominal
+from edge.core.detector import Bank, Features, Nominal
+from edge.core.imaging.region import Region
 from edge.core.verdict import Kind, decide
 
-__all__ = ["PEAK_PX", "fitted_limit", "is_on_damage", "limit_columns"]
+__all__ = ["PEAK_PX", "FittedLimits", "fitted_limits", "is_on_damage", "limit_columns"]
 
 PEAK_PX = 6
 """How far from the damage a map's peak may lie: one and a half cells of the finest tap."""
@@ -25,19 +31,42 @@ _FOLDS, _SEED = 5, 0
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+U8 = NDArray[np.uint8]
 
 
-def fitted_limit(learner: Learner, nominal: Nominal, trial: Trial) -> float:
-    """The limit that a fit of these presses would set, from out-of-fold scores; their features are not taken again.
+@dataclass(frozen=True, eq=False)
+class FittedLimits:
+    """plain: the limit of the raw scores. choice: what a fit would choose instead, if anything."""
 
-    Errors: FitError; ValueError for a trial without a false-alarm rate.
+    plain: float
+    choice: Choice
+
+    def applied(self, maps: NDArray[np.float32], scores: Float) -> tuple[NDArray[np.float32], Float, float]:
+        """Raw maps (n, h, w) and scores (n,) as a bundle publishes them, and its limit."""
+        if self.choice.chosen is None:
+            return maps, scores, self.plain
+        relative = [self.choice.chosen.limit.relative(one[None])[0] for one in maps]
+        published = np.stack(relative).astype(np.float32)
+        return published, np.asarray(published.max(axis=(1, 2)), np.float64), 1.0
+
+
+def fitted_limits(
+    learner: Learner, bank: Bank, nominal: Nominal, trial: Trial, take: Callable[[U8], Features]
+) -> FittedLimits:
+    """The limits that a fit of these presses would set; their features are not taken again.
+
+    take: the features of frames. Errors: FitError; ValueError for a trial without a false-alarm rate.
     """
     if trial.alpha is None:
         raise ValueError(f"the trial '{trial.name}' states no false-alarm rate")
     specimens = trial.nominal.specimens or (None,) * len(trial.nominal)
     folds, _ = held_out_folds(specimens, _FOLDS, np.random.default_rng(_SEED))
-    scores = held_out_scores(learner, nominal, folds)
-    return conformal_threshold(scores, trial.alpha, specimens=specimens).value
+    height, width = trial.frames.shape[1:3]
+    region = Region((PROFILE.size[0] - width) // 2, (PROFILE.size[1] - height) // 2, width, height)
+    step = LimitStep(learner, trial.nominal, (PROFILE, region), take, folds, trial.alpha)
+    scores = step.scores(nominal, lambda fraction: None)
+    plain = conformal_threshold(scores, trial.alpha, specimens=specimens).value
+    return FittedLimits(plain, step.choice(bank, nominal))
 
 
 def is_on_damage(maps: NDArray[np.float32], masks: Mask) -> Mask:
@@ -61,8 +90,7 @@ def limit_columns(
     another object against the held-out ones, are added where there are some. Without weights of their own, the last
     three have no interval.
     """
-    is_fail: Mask = np.array([decide(float(score), limit).kind is Kind.FAIL for score in scores], np.bool_)
-    own = trial.is_own
+    is_fail, own = _is_fail(scores, limit), trial.is_own
     damaged: Mask = np.asarray(trial.masks[own].any(axis=(1, 2)), np.bool_)
     columns = {
         "detected": _share(is_fail[own], damaged, weights),
@@ -77,6 +105,10 @@ def limit_columns(
         columns["others_detected"] = _alone(is_fail[trial.is_other].mean(), len(weights))
         columns["others_auroc"] = _alone(right.mean(), len(weights))
     return columns
+
+
+def _is_fail(scores: Float, limit: float) -> Mask:
+    return np.array([decide(float(score), limit).kind is Kind.FAIL for score in scores], np.bool_)
 
 
 def _share(flags: Mask, chosen: Mask, weights: Float) -> Float:

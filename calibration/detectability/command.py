@@ -79,7 +79,7 @@ def detectability(
 
 def _kinds(asked: list[str] | None) -> tuple[str, ...]:
     """Errors: ConfigError for an unknown kind."""
-    from calibration.detectability.damage import KINDS
+    from calibration.rendered_damage.damage import KINDS
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 

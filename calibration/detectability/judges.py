@@ -16,6 +16,7 @@ from calibration.fitting.features import extract
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.map_limits.head_limit import limited_like
 from edge import registry
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError
@@ -140,7 +141,8 @@ class _Folds:
     def judge(self, held: NDArray[np.int64]) -> Judge:
         """The judge of the presses held out. Errors: FitError."""
         whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
-        graphs = Graphs(trunk=whole.graphs.trunk, head=self.learner.head(bank))
+        head, bank = limited_like(whole.bank, self.learner.head(bank), bank)
+        graphs = Graphs(trunk=whole.graphs.trunk, head=head)
         assert whole.manifest.backbone is not None
         manifest, files = bundle_files(
             whole.manifest,

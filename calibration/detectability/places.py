@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.detectability.damage import Spot
+from calibration.rendered_damage.damage import Spot
 from calibration.simulator.field_of_view import Field, grids
 
 __all__ = ["Place", "PlaceGrid", "touched_places"]

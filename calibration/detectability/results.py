@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calibration.detectability.damage import KINDS
 from calibration.detectability.places import Place
 from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.study import Plan, Trial
+from calibration.rendered_damage.damage import KINDS
 from edge.model.detectability import DetectabilityCard, KindCard
 
 __all__ = ["KindResult", "card", "results", "table"]

@@ -5,23 +5,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.detectability.damage import KINDS, Damage, Spot
-from calibration.detectability.imprint import Station
-from calibration.simulator.field_of_view import Field, grids
+from calibration.rendered_damage.damage import KINDS, Damage, Spot
+from calibration.rendered_damage.footprint import surroundings
+from calibration.rendered_damage.imprint import Station
 from edge.core.verdict import Kind as Result
 from edge.model.manifest import Manifest
 from edge.model.scorer import Scored, Scorer
 
 __all__ = ["Judge", "Press", "sizes_mm", "smallest_found"]
 
-# A score map's peak may lie this far outside the damage: a cell of the deepest tap is 16 pixels, 1.0 mm at 320x240.
-_OUTSIDE_MM = 1.0
-# Damage is where it is deeper than this share of its size: a rim has no end.
-_EDGE_SHARE = 0.05
 # The smallest size tried, as a share of the largest, and the number of sizes: each is 1.13 times the one before.
 _SMALLEST_SHARE, _SIZES = 1 / 50, 33
 
@@ -73,7 +68,7 @@ class Judge:
         if self._result(scored) is not Result.FAIL:
             return False
         row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)
-        return bool(_surroundings(damage, press.station.field)[row, column])
+        return bool(surroundings(damage, press.station.field)[row, column])
 
     def bracket(self, press: Press, kind: str, spot: Spot) -> tuple[float, float]:
         """The smallest size found at that spot, (missed, found] in mm. Errors: NotScorable."""
@@ -81,11 +76,3 @@ class Judge:
 
     def _result(self, scored: Scored) -> Result:
         return self.manifest.decide(scored.anomaly_score).kind
-
-
-def _surroundings(damage: Damage, field: Field) -> NDArray[np.bool_]:
-    """The damage and what lies within a cell of it, bool (h, w)."""
-    damaged = np.abs(damage.relief(*grids(field))) > _EDGE_SHARE * damage.size_mm
-    across, down = (2 * round(_OUTSIDE_MM / m) + 1 for m in field.mm_per_px)
-    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, down))
-    return np.asarray(cv2.dilate(damaged.astype(np.uint8), reach), np.bool_)

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from calibration.detectability.damage import KINDS, Spot
 from calibration.detectability.free_gel import free_gel
-from calibration.detectability.imprint import Station
 from calibration.detectability.judges import MIN_PRESSES, panel
 from calibration.detectability.places import Place, PlaceGrid, touched_places
-from calibration.detectability.rendering import EditedPress
 from calibration.detectability.search import Judge
 from calibration.fitting.colours import refuses
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.rendered_damage.damage import KINDS, Spot
+from calibration.rendered_damage.imprint import Station
+from calibration.rendered_damage.rendering import EditedPress
 from calibration.simulator.constants import CROP_MM
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable

@@ -22,6 +22,7 @@ from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEnt
 from edge.model.scorer import Scorer, map_peaks
 
 __all__ = [
+    "SCATTERED_MM",
     "check_given",
     "contact_range",
     "cost_card",
@@ -30,6 +31,7 @@ __all__ = [
     "measured_tolerance",
     "placeholders",
     "provenance",
+    "scatter_mm",
     "scatter_warnings",
     "warnings",
 ]
@@ -112,9 +114,10 @@ def cost_card(
     )
 
 
-# Measured: up to 1.8 mm on simulated parts placed by hand, where their contacts are wide and shallow; 4.2 mm and more
-# on balls pressed anywhere, where these methods find a fifth of the damage that inreach finds.
 SCATTERED_MM = 3.0
+"""Presses whose contacts scatter more have no common place. Measured: up to 1.8 mm on simulated parts placed by hand,
+where their contacts are wide and shallow; 4.2 mm and more on balls pressed anywhere, where methods that compare places
+find a fifth of the damage that inreach finds."""
 
 
 def contact_range(presses: NominalPresses) -> ContactRange | None:
@@ -169,6 +172,16 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     return found
 
 
+def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
+    """How far half of the contacts lie from their common middle; None where no touch is known."""
+    if not presses.touches:
+        return None
+    middles = (
+        np.array([(touch.x, touch.y) for touch in presses.touches]) * profile.size / profile.pixels_per_mm
+    )
+    return float(np.median(np.linalg.norm(middles - np.median(middles, axis=0), axis=1)))
+
+
 def free_gel_warnings(presses: NominalPresses) -> list[str]:
     """Whether the picture of the free gel belongs to the presses: where it does not, no place is known."""
     said = foreign_free_gel(presses.touches, presses.reliefs) if presses.reliefs else None
@@ -182,13 +195,8 @@ def scatter_warnings(
 
     Errors: FitError where it is; a warning instead where `is_scattered` allows it.
     """
-    if not detector.compares_places or not presses.touches:
-        return []
-    middles = (
-        np.array([(touch.x, touch.y) for touch in presses.touches]) * profile.size / profile.pixels_per_mm
-    )
-    scatter = float(np.median(np.linalg.norm(middles - np.median(middles, axis=0), axis=1)))
-    if scatter <= SCATTERED_MM:
+    scatter = scatter_mm(presses, profile)
+    if not detector.compares_places or scatter is None or scatter <= SCATTERED_MM:
         return []
     found = (
         f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector.name} compares place "

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -12,6 +12,8 @@ from calibration.fitting.options import (
     Alpha,
     Backbone,
     Holdout,
+    LeaveOut,
+    Limit,
     NoContact,
     Output,
     Overwrite,
@@ -74,10 +76,8 @@ def fit(
     scattered: Annotated[
         bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")
     ] = False,
-    leave_out: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="A press to leave out, by its name in a warning."),
-    ] = None,
+    limit: Limit = "chosen",
+    leave_out: LeaveOut = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
     revision: Revision = None,
@@ -106,11 +106,20 @@ def fit(
         folds=folds,
         with_trunk=trunk,
         is_scattered=scattered,
+        limit=_limit(limit),
         revision=revision or next_revision(output),
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")
     make(partial(fit_files, presses, config), output, overwrite)
+
+
+def _limit(word: str) -> Literal["chosen", "plain"]:
+    from edge.core.errors import ConfigError
+
+    if word not in ("chosen", "plain"):
+        raise ConfigError(f"no limit is named '{word}'; write --limit chosen or --limit plain")
+    return "plain" if word == "plain" else "chosen"
 
 
 def _detection(method: str, mode: str, settings: list[str], backbone: str) -> dict[str, Any]:
@@ -248,7 +257,8 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 
 def summary(fitted: "Fitted", output: Path) -> None:
-    """The summary of the bundle, in four lines."""
+    """The summary of the bundle, in five lines."""
+    from edge.model.limit_facts import limit_sentence
     from edge.model.promise import promise
 
     manifest = fitted.manifest
@@ -256,6 +266,8 @@ def summary(fitted: "Fitted", output: Path) -> None:
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
+    if sentence := limit_sentence(manifest.facts):
+        typer.echo(f"limit: {sentence}")
     typer.echo(f"false alarms: {promise(limit)}")
     if cost:
         typer.echo(

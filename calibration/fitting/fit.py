@@ -5,9 +5,9 @@ The detector has the mathematics; the procedure (which presses, which folds, whi
 
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,15 @@ from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.heads import check_head
-from calibration.fitting.held_out import Learner, held_out_scores
+from calibration.fitting.held_out import Learner
+from calibration.fitting.limit_choice import Choice
+from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.trunks import Trunk
+from calibration.map_limits.head_limit import bank_with_limit, head_with_limit, limit_arrays
+from calibration.map_limits.kinds import PLAIN
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
@@ -68,7 +72,8 @@ class FitConfig:
     threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
     to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
     with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
-    compares place with place. revision: see `Facts`.
+    compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
+    `paper` always has the plain one. revision: see `Facts`.
     """
 
     part: str
@@ -86,6 +91,7 @@ class FitConfig:
     folds: int = 5
     with_trunk: bool = True
     is_scattered: bool = False
+    limit: Literal["chosen", "plain"] = "chosen"
     revision: int | None = None
 
     def __post_init__(self) -> None:
@@ -93,6 +99,15 @@ class FitConfig:
         check_given(self.threshold)
         if self.folds < 2:
             raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
+
+    @property
+    def why_plain(self) -> str:
+        """Why there is one limit for all places whatever it finds; empty where a limit is chosen."""
+        if self.threshold is not None:
+            return "the threshold was given"
+        if self.mode == "paper":
+            return "the published methods have no other"
+        return "it was asked for" if self.limit == "plain" else ""
 
 
 @dataclass(frozen=True)
@@ -165,13 +180,34 @@ class _Fit:
         self.learner = Learner(
             self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
         )
+        self.limits = self._timed("threshold", self._limit_step)
         bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
         self.warnings += room_warnings(room)
         self.warnings += bank.facts.get("warnings", ())
-        self.graphs = Graphs(trunk=self.config.trunk.graph, head=self.learner.head(bank))
+        self.choice = self._timed("threshold", lambda: self._choice(bank, replace(nominal, room=room)))
+        head = self.learner.head(bank)
+        if (chosen := self.choice.chosen) is not None:
+            arrays = limit_arrays(chosen.limit)
+            head, bank, scores = head_with_limit(head, arrays), bank_with_limit(bank, arrays), chosen.scores
+        self.graphs = Graphs(trunk=self.config.trunk.graph, head=head)
         self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
         self.warnings += self.apart
         return self._measured(bank, scores)
+
+    def _limit_step(self) -> LimitStep | None:
+        """None where the threshold is given."""
+        config = self.config
+        if config.threshold is not None:
+            return None
+        view = config.profile, config.region
+        return LimitStep(
+            self.learner, self.presses, view, self._taken, self.folds, config.alpha, config.why_plain
+        )
+
+    def _choice(self, bank: Bank, nominal: Nominal) -> Choice:
+        if self.limits is None:
+            return Choice(PLAIN, self.config.why_plain)
+        return self.limits.choice(bank, nominal)
 
     def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
         bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
@@ -190,26 +226,27 @@ class _Fit:
         return lambda fraction: self.report(stage, fraction)
 
     def _features(self) -> tuple[Features, Features | None]:
-        session = open_session(
+        self.session = open_session(
             self.config.trunk.graph, self.config.threads, f"trunk '{self.config.trunk.id}'"
         )
         region = self.config.region
         self.grid = trunk_grid(
-            session,
+            self.session,
             self.detector.taps(self.parameters),
             (region.height, region.width),
             self.config.profile.pixels_per_mm,
         )
         check_head(self.detector, self.grid, self.parameters)
-        features = extract(session, self.presses.frames, self.grid, self._progress("features"))
+        features = extract(self.session, self.presses.frames, self.grid, self._progress("features"))
         free = self.presses.no_contact
-        return features, None if free is None else extract(session, free, self.grid, lambda fraction: None)
+        return features, None if free is None else self._taken(free)
+
+    def _taken(self, frames: NDArray[np.uint8]) -> Features:
+        return extract(self.session, frames, self.grid, lambda fraction: None)
 
     def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
         """Anomaly scores of every press by a bank without it; None where the threshold is given."""
-        if self.config.threshold is not None:
-            return None
-        return held_out_scores(self.learner, nominal, self.folds, self._progress("threshold"))
+        return None if self.limits is None else self.limits.scores(nominal, self._progress("threshold"))
 
     def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
         """Score with the bundle as it will be loaded, then record the measurements."""
@@ -234,6 +271,8 @@ class _Fit:
         alpha = self.config.alpha
         if self.config.threshold is not None:
             return given_threshold(self.config.threshold, alpha)
+        if self.choice.chosen is not None:
+            return self.choice.chosen.threshold
         if scores is None:
             raise FitError("no threshold: neither given nor found from the presses")
         return self._limit(scores, tolerance.around(float(scores.max())))
@@ -274,7 +313,11 @@ class _Fit:
             mode=config.mode,
             parameters=_plain(self.parameters),
             repairs=tuple(bank.facts.get("repairs", ())),
-            facts={"backbone": config.trunk.facts, **{k: v for k, v in bank.facts.items() if k != "repairs"}},
+            facts={
+                "backbone": config.trunk.facts,
+                "limit": self.choice.facts(),
+                **{k: v for k, v in bank.facts.items() if k != "repairs"},
+            },
             profile=ProfileEntry.of(config.profile),
             region=RegionEntry.of(config.region),
             grid=GridEntry.of(self.grid, self._skipped()),

@@ -14,7 +14,7 @@ from edge.core.errors import FitError
 from edge.model.packing import pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
-__all__ = ["Learner", "held_out_scores"]
+__all__ = ["HeldOut", "Learner", "ScoredPresses", "held_out", "held_out_scores"]
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,17 @@ class Learner:
 
     def scores(self, bank: Bank, features: Features, rows: Sequence[int]) -> NDArray[np.float64]:
         """Anomaly scores (len(rows),) of those presses, with the bank as stored. Errors: FitError."""
+        return self.scored(bank, features, rows).scores
+
+    def scored(self, bank: Bank, features: Features, rows: Sequence[int]) -> "ScoredPresses":
+        """Score maps and anomaly scores of those presses, with the bank as stored. Errors: FitError."""
         head = open_session(self.head(bank), self.threads, f"head of {self.detector.name}")
         wanted = {i.name for i in head.get_inputs()}
         stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
         taps = {tap: maps for tap, maps in features.items() if tap in wanted}
-        return np.array([_head_score(head, {**_chosen(taps, [k]), **stored}) for k in rows])
+        found = [_head_answer(head, {**_chosen(taps, [k]), **stored}) for k in rows]
+        maps = np.stack([one for one, _ in found]) if found else np.empty((0, *self.grid.frame), np.float32)
+        return ScoredPresses(maps, np.array([score for _, score in found]))
 
     def bank_without(self, nominal: Nominal, held: NDArray[np.int64]) -> Bank:
         """A bank of the other presses, with the same share of room as the final bank. Errors: FitError."""
@@ -50,9 +56,45 @@ class Learner:
         room = nominal.room * len(kept) / nominal.presses
         return self.bank(replace(nominal, features=_chosen(nominal.features, kept), room=room))
 
-    def scores_without(self, nominal: Nominal, held: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Scores of the presses held out, by a bank of the others."""
-        return self.scores(self.bank_without(nominal, held), nominal.features, held.tolist())
+
+@dataclass(frozen=True, eq=False)
+class ScoredPresses:
+    """Of n presses: raw score maps float32 (n, h, w), and anomaly scores float64 (n,)."""
+
+    maps: NDArray[np.float32]
+    scores: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What banks without them show of the nominal presses, and of the same with damage, press by press."""
+
+    sound: ScoredPresses
+    edited: ScoredPresses
+
+
+def held_out(
+    learner: Learner,
+    nominal: Nominal,
+    folds: Sequence[NDArray[np.int64]],
+    edited: tuple[Features, NDArray[np.int64]] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> HeldOut:
+    """Out of fold. folds: a partition of the presses. edited: features of m presses with damage, and which nominal
+    press each was, (m,). Errors: FitError.
+    """
+    features, of = edited or (
+        {tap: maps[:0] for tap, maps in nominal.features.items()},
+        np.empty(0, np.int64),
+    )
+    sound, damaged = (_room(learner.grid, count) for count in (nominal.presses, len(of)))
+    for number, held in enumerate(folds):
+        bank = learner.bank_without(nominal, held)
+        _put(sound, held, learner.scored(bank, nominal.features, held.tolist()))
+        if (rows := np.flatnonzero(np.isin(of, held))).size:
+            _put(damaged, rows, learner.scored(bank, features, rows.tolist()))
+        progress((number + 1) / len(folds))
+    return HeldOut(sound, damaged)
 
 
 def held_out_scores(
@@ -61,22 +103,29 @@ def held_out_scores(
     folds: Sequence[NDArray[np.int64]],
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> NDArray[np.float64]:
-    """The out-of-fold score of every press, float64 (n,). folds: a partition of the presses. Errors: FitError."""
-    scores = np.empty(nominal.presses)
-    for number, held in enumerate(folds):
-        scores[held] = learner.scores_without(nominal, held)
-        progress((number + 1) / len(folds))
-    return scores
+    """The out-of-fold score of every press, float64 (n,). As `held_out`."""
+    return held_out(learner, nominal, folds, progress=progress).sound.scores
+
+
+def _room(grid: Grid, presses: int) -> ScoredPresses:
+    return ScoredPresses(np.empty((presses, *grid.frame), np.float32), np.empty(presses))
+
+
+def _put(into: ScoredPresses, rows: NDArray[np.int64], found: ScoredPresses) -> None:
+    into.maps[rows], into.scores[rows] = found.maps, found.scores
 
 
 def _chosen(features: Features, rows: Sequence[int] | NDArray[np.int64]) -> Features:
     return {tap: maps[np.asarray(rows)] for tap, maps in features.items()}
 
 
-def _head_score(head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]) -> float:
-    """The anomaly score of one press. Errors: FitError."""
+def _head_answer(
+    head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]
+) -> tuple[NDArray[np.float32], float]:
+    """The score map and the anomaly score of one press. Errors: FitError."""
     try:
-        return float(head.run(["score"], dict(inputs))[0][0])
+        score_map, score = head.run(["score_map", "score"], dict(inputs))
+        return score_map[0], float(score[0])
     except RUNTIME_ERRORS as error:
         raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
 

@@ -9,6 +9,8 @@ __all__ = [
     "Alpha",
     "Backbone",
     "Holdout",
+    "LeaveOut",
+    "Limit",
     "NoContact",
     "Output",
     "Overwrite",
@@ -55,6 +57,16 @@ Pattern = Annotated[
 Holdout = Annotated[
     float,
     typer.Option(help="Share of a dataset's specimens that is kept for `gelgate evaluate`.", min=0, max=0.9),
+]
+Limit = Annotated[
+    str,
+    typer.Option(
+        help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all places."
+    ),
+]
+LeaveOut = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="A press to leave out, by its name in a warning."),
 ]
 Settings = Annotated[
     list[str] | None,

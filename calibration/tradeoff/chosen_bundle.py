@@ -73,6 +73,7 @@ def bundle_of(
         seed=settings.seed,
         threads=settings.threads,
         is_scattered=True,
+        limit="plain",  # as the point was measured
     )
     presses = first(seen.nominal, point.presses)
     fitted = fit_files(presses, config, created=datetime.date.today().isoformat(), report=report)

@@ -6,9 +6,10 @@ and equal trunks give equal cuts.
 Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 from edge.model.onnx_validation import fields, output_names
+from edge.model.protobuf import written
 
 __all__ = ["cut_trunk"]
 
@@ -20,9 +21,6 @@ _NODE_INPUT, _NODE_OUTPUT, _NODE_ATTRIBUTE = 1, 2, 5
 _TENSOR_NAME, _FIRST_NAME = 8, 1
 # AttributeProto: a node with a subgraph may read any value by name.
 _SUBGRAPHS = (6, 11)
-_BYTES = 2  # wire type of a length-delimited field
-
-Field = tuple[int, int | memoryview]
 
 
 def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
@@ -45,7 +43,7 @@ def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
             if short is None:
                 return graph
             value = memoryview(short)
-        parts.append(_written(number, value))
+        parts.append(written(number, value))
     return b"".join(parts)
 
 
@@ -57,7 +55,7 @@ def _cut(graph: memoryview, kept: Sequence[str]) -> bytes | None:
         return None
     used, needed = _needed(nodes, kept)
     return b"".join(
-        _written(number, value)
+        written(number, value)
         for number, value in content
         if not isinstance(value, memoryview) or _stays(number, value, used, needed, kept)
     )
@@ -111,20 +109,3 @@ def _names(message: memoryview, field: int) -> list[bytes]:
 
 def _name(message: memoryview, field: int) -> bytes:
     return next(iter(_names(message, field)), b"")
-
-
-def _written(number: int, value: int | memoryview) -> bytes:
-    if isinstance(value, int):
-        return _varint(number << 3) + _varint(value)
-    return _varint(number << 3 | _BYTES) + _varint(len(value)) + bytes(value)
-
-
-def _varint(value: int) -> bytes:
-    return b"".join(_groups(value))
-
-
-def _groups(value: int) -> Iterator[bytes]:
-    while value > 0x7F:
-        yield bytes([value & 0x7F | 0x80])
-        value >>= 7
-    yield bytes([value])

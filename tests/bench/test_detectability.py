@@ -19,15 +19,15 @@ from damaged_part_presses import DamagedPartPresses, DamagedPress
 from numpy.typing import NDArray
 
 from calibration.benchmark.pictures import REGISTERED_BALLS
-from calibration.detectability.damage import KINDS
 from calibration.detectability.pod import Pod, fit_pod
-from calibration.detectability.rendering import EditedPress
 from calibration.detectability.results import results
 from calibration.detectability.search import Judge
 from calibration.detectability.study import Plan, Settings, plan, run
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
+from calibration.rendered_damage.damage import KINDS
+from calibration.rendered_damage.rendering import EditedPress
 from edge import registry
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.known_profiles import profile

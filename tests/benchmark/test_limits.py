@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.benchmark.evaluation import evaluate, random_trunk
-from calibration.benchmark.limits import fitted_limit, is_on_damage, limit_columns
+from calibration.benchmark.limits import fitted_limits, is_on_damage, limit_columns
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import Trial
 from calibration.fitting.nominal_presses import NominalPresses
@@ -108,4 +108,4 @@ def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
 def test_a_limit_needs_a_rate() -> None:
     """A trial without a false-alarm rate is refused before anything is fitted."""
     with pytest.raises(ValueError, match="the trial 'known' states no false-alarm rate"):
-        fitted_limit(None, None, replace(known(), alpha=None))  # type: ignore[arg-type]
+        fitted_limits(None, None, None, replace(known(), alpha=None), None)  # type: ignore[arg-type]

@@ -56,7 +56,7 @@ def test_threads_of_another_part_fail(scorer: Scorer, real_tactile: Path) -> Non
     """Three threaded parts on another sensor score above the threshold, where no more than two balls of 16 do."""
     limit = scorer.bundle.manifest.threshold.value
     for path in sorted((real_tactile / "RavenLiang1005__UniCal" / "GelSight").glob("*.png")):
-        assert scorer.score(load(path)).anomaly_score > 1.5 * limit
+        assert scorer.score(load(path)).anomaly_score > 1.2 * limit
 
 
 def test_a_mark_raises_the_map_where_it_is(scorer: Scorer, gelslam: Path) -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, REGION, Bench
 
-from calibration.detectability.compression import is_compressed
-from calibration.detectability.damage import KINDS, Damage, Spot
-from calibration.detectability.imprint import Station
-from calibration.detectability.rendering import EditedPress
+from calibration.rendered_damage.compression import is_compressed
+from calibration.rendered_damage.damage import KINDS, Damage, Spot
+from calibration.rendered_damage.imprint import Station
+from calibration.rendered_damage.rendering import EditedPress
 from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
 

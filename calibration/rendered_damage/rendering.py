@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.detectability.compression import compressed, is_compressed, uncompressed
-from calibration.detectability.damage import Damage
-from calibration.detectability.imprint import Station
+from calibration.rendered_damage.compression import compressed, is_compressed, uncompressed
+from calibration.rendered_damage.damage import Damage
+from calibration.rendered_damage.imprint import Station
 from calibration.simulator import gel
 from calibration.simulator.field_of_view import F32, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM

@@ -1,0 +1,106 @@
+"""A head that gives its score map in units of a `MapLimit`: the same arithmetic, appended to the detector's graph.
+
+The limit's arrays are further arrays of the bank, so the gateway, the exports and other programs score such a bundle
+as any other.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.map_limits.map_limit import MapLimit
+from edge.core.detector import Bank
+from edge.core.errors import FitError
+from edge.model.onnx_extend import Operation, extended, opset_of
+from edge.model.onnx_validation import GraphRefused
+
+__all__ = ["ARRAYS", "bank_with_limit", "can_extend", "head_with_limit", "limit_arrays", "limited_like"]
+
+_MAP, _SCORE = "score_map", "score"
+_RAW_MAP, _RAW_SCORE = "limit_raw_map", "limit_raw_score"
+
+ARRAYS = (
+    "limit_grid",
+    "limit_guard",
+    "limit_rows",
+    "limit_columns",
+    "limit_window_down_rows",
+    "limit_window_down_columns",
+    "limit_window_up_rows",
+    "limit_window_up_columns",
+)
+"""Every array that a limit may add to a bank. Columns are transposed: they multiply from the right."""
+
+# Reductions take their axes as an input from this opset on.
+_OLDEST_OPSET = 18
+
+
+def can_extend(head: bytes) -> bool:
+    """Whether a limit can be appended to this head."""
+    try:
+        _extended(head, {"limit_grid": np.ones((1, 1)), "limit_guard": np.ones((1, 1))})
+    except GraphRefused:
+        return False
+    return opset_of(head) >= _OLDEST_OPSET
+
+
+def limit_arrays(limit: MapLimit) -> dict[str, NDArray[np.float32]]:
+    """The limit as arrays of a bank."""
+    arrays = {"limit_grid": limit.grid, "limit_guard": np.full((1, 1), limit.guard)}
+    if limit.of.places is not None:
+        rows, columns = limit.of.places.up
+        arrays |= {"limit_rows": rows, "limit_columns": columns.T}
+    if limit.of.around is not None:
+        (down_rows, down_columns), (up_rows, up_columns) = limit.of.around.down, limit.of.around.up
+        arrays |= {"limit_window_down_rows": down_rows, "limit_window_down_columns": down_columns.T}
+        arrays |= {"limit_window_up_rows": up_rows, "limit_window_up_columns": up_columns.T}
+    return {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
+
+
+def bank_with_limit(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
+    """The bank with a limit's arrays. Errors: FitError for a detector with an array of such a name."""
+    taken = sorted(bank.arrays.keys() & set(ARRAYS))
+    if taken:
+        raise FitError(f"the detector's bank has an array '{taken[0]}', a name that limits use; rename it")
+    return Bank({**bank.arrays, **arrays}, bank.packing, bank.facts)
+
+
+def head_with_limit(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extended."""
+    try:
+        return _extended(head, arrays)
+    except GraphRefused as error:
+        raise FitError(f"no limit can be appended to the head: {error}") from error
+
+
+def limited_like(whole: Mapping[str, NDArray[Any]], head: bytes, bank: Bank) -> tuple[bytes, Bank]:
+    """A head and its bank with the limit that another bank's arrays hold; unchanged where it has none."""
+    arrays = {name: whole[name] for name in ARRAYS if name in whole}
+    return (head_with_limit(head, arrays), bank_with_limit(bank, arrays)) if arrays else (head, bank)
+
+
+def _extended(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    shapes = {name: array.shape for name, array in arrays.items()}
+    return extended(head, {_MAP: _RAW_MAP, _SCORE: _RAW_SCORE}, shapes, list(_operations(arrays)))
+
+
+def _operations(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Operation]:
+    """As `MapLimit.relative`."""
+    contrast, limit = _RAW_MAP, "limit_grid"
+    if "limit_window_down_rows" in arrays:
+        yield Operation("MatMul", ("limit_window_down_rows", _RAW_MAP), "limit_rows_averaged")
+        yield Operation("MatMul", ("limit_rows_averaged", "limit_window_down_columns"), "limit_averaged")
+        yield Operation("MatMul", ("limit_window_up_rows", "limit_averaged"), "limit_rows_raised")
+        yield Operation("MatMul", ("limit_rows_raised", "limit_window_up_columns"), "limit_surroundings")
+        yield Operation("Sub", (_RAW_MAP, "limit_surroundings"), "limit_contrast")
+        contrast = "limit_contrast"
+    if "limit_rows" in arrays:
+        yield Operation("MatMul", ("limit_rows", "limit_grid"), "limit_of_rows")
+        yield Operation("MatMul", ("limit_of_rows", "limit_columns"), "limit_of_places")
+        limit = "limit_of_places"
+    yield Operation("Div", (contrast, limit), "limit_relative")
+    yield Operation("Div", (_RAW_MAP, "limit_guard"), "limit_relative_raw")
+    yield Operation("Max", ("limit_relative", "limit_relative_raw"), _MAP)
+    yield Operation("ReduceMax", (_MAP,), _SCORE, axes=(1, 2))

@@ -1,0 +1,134 @@
+"""Appends operations to a head whose result becomes the head's own, without the onnx package.
+
+The head's values of that name are renamed; every other byte of it stays.
+
+Ref: onnx/onnx.proto3 (field numbers).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from edge.model.onnx_validation import GraphRefused, fields
+from edge.model.protobuf import Field, message, written
+
+__all__ = ["Operation", "extended", "opset_of"]
+
+# onnx.proto3, ModelProto, GraphProto and the entries used here.
+_GRAPH, _OPSET, _OPSET_VERSION = 7, 8, 2
+_NODE, _INITIALIZER, _INPUT, _VALUE_INFO = 1, 5, 11, 13
+_NODE_INPUT, _NODE_OUTPUT, _NODE_NAME, _NODE_KIND, _NODE_ATTRIBUTE = 1, 2, 3, 4, 5
+_SUBGRAPHS = (6, 11)
+_FLOAT, _INT64, _INT_ATTRIBUTE = 1, 7, 2
+_FIRST_NAME = 1
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One standard operation. axes: for a reduction, which does not keep them; an int64 constant of the graph."""
+
+    kind: str
+    inputs: tuple[str, ...]
+    output: str
+    axes: tuple[int, ...] = ()
+
+
+def extended(
+    head: bytes,
+    renamed: Mapping[str, str],
+    inputs: Mapping[str, Sequence[int]],
+    operations: Sequence[Operation],
+) -> bytes:
+    """The head with more operations.
+
+    renamed: values of the head to their new names; an operation gives each of the old ones. inputs: name to shape of
+    each further float32 input. Errors: GraphRefused for bytes that are not a model, or nodes with subgraphs.
+    """
+    more = b"".join(_appended(inputs, operations))
+    parts = []
+    for number, value in fields(memoryview(head)):
+        if number == _GRAPH and isinstance(value, memoryview):
+            parts.append(written(number, b"".join(_renamed(value, renamed)) + more))
+        else:
+            parts.append(written(number, value))
+    return b"".join(parts)
+
+
+def opset_of(head: bytes) -> int:
+    """The version of the standard operators. Errors: GraphRefused."""
+    return max(
+        (
+            version
+            for number, entry in fields(memoryview(head))
+            if number == _OPSET and isinstance(entry, memoryview)
+            for field, version in fields(entry)
+            if field == _OPSET_VERSION and isinstance(version, int)
+        ),
+        default=0,
+    )
+
+
+def _renamed(graph: memoryview, names: Mapping[str, str]) -> Iterator[bytes]:
+    """The fields of the graph; its declared outputs keep their names."""
+    for number, value in fields(graph):
+        if number == _NODE and isinstance(value, memoryview):
+            yield written(number, _renamed_node(value, names))
+        elif not (number == _VALUE_INFO and isinstance(value, memoryview) and _first_name(value) in names):
+            yield written(number, value)
+
+
+def _renamed_node(node: memoryview, names: Mapping[str, str]) -> bytes:
+    parts = []
+    for number, value in fields(node):
+        if number == _NODE_ATTRIBUTE and isinstance(value, memoryview) and _has_subgraph(value):
+            raise GraphRefused("it has a node with a graph of its own, which may read any value by name")
+        if number in (_NODE_INPUT, _NODE_OUTPUT) and isinstance(value, memoryview):
+            name = bytes(value).decode("utf-8", "replace")
+            parts.append(written(number, names.get(name, name)))
+        else:
+            parts.append(written(number, value))
+    return b"".join(parts)
+
+
+def _has_subgraph(attribute: memoryview) -> bool:
+    return any(number in _SUBGRAPHS for number, _ in fields(attribute))
+
+
+def _first_name(entry: memoryview) -> str:
+    found = (
+        bytes(value)
+        for number, value in fields(entry)
+        if number == _FIRST_NAME and isinstance(value, memoryview)
+    )
+    return next(found, b"").decode("utf-8", "replace")
+
+
+def _appended(inputs: Mapping[str, Sequence[int]], operations: Sequence[Operation]) -> Iterator[bytes]:
+    for name, shape in inputs.items():
+        yield written(_INPUT, _float_input(name, shape))
+    for operation in operations:
+        yield from _node(operation)
+
+
+def _float_input(name: str, shape: Sequence[int]) -> bytes:
+    dims = b"".join(written(1, message((1, size))) for size in shape)
+    return message((1, name), (2, message((1, message((1, _FLOAT), (2, dims))))))
+
+
+def _node(operation: Operation) -> Iterator[bytes]:
+    inputs, content = operation.inputs, list[Field]()
+    if operation.axes:
+        axes = f"{operation.output}_axes"
+        inputs = (*inputs, axes)
+        data = b"".join(axis.to_bytes(8, "little", signed=True) for axis in operation.axes)
+        yield written(_INITIALIZER, message((1, len(operation.axes)), (2, _INT64), (8, axes), (9, data)))
+        content = [(_NODE_ATTRIBUTE, message((1, "keepdims"), (3, 0), (20, _INT_ATTRIBUTE)))]
+    yield written(
+        _NODE,
+        message(
+            *((_NODE_INPUT, name) for name in inputs),
+            (_NODE_OUTPUT, operation.output),
+            (_NODE_NAME, f"appended {operation.output}"),
+            (_NODE_KIND, operation.kind),
+            *content,
+        ),
+    )

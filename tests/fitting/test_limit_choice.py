@@ -1,0 +1,148 @@
+"""Which limit a fit chooses, on maps whose differences between presses are known."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.fitting.edited_presses import EditedPresses
+from calibration.fitting.held_out import HeldOut, ScoredPresses
+from calibration.fitting.limit_choice import WORTH, Evidence, choose_limit
+from calibration.map_limits.kinds import KINDS
+
+PX = 4.0
+SIDE, PRESSES, EDITS = 48, 24, 24
+PLACES = next(kind for kind in KINDS if kind.name == "places")
+PLACE = 4 + 8 * np.arange(6)
+
+
+def scored(maps: np.ndarray) -> ScoredPresses:
+    return ScoredPresses(maps.astype(np.float32), maps.max(axis=(1, 2)).astype(np.float64))
+
+
+def noise(count: int, seed: int) -> np.ndarray:
+    return 1 + 0.02 * np.random.default_rng(seed).random((count, SIDE, SIDE))
+
+
+def evidence(background: np.ndarray, height: float = 0.3) -> Evidence:
+    """Nominal presses with this background, and damage of 3x3 pixels of this height on each of them."""
+    sound, near = background + noise(PRESSES, 1), np.zeros((EDITS, SIDE, SIDE), np.bool_)
+    for number in range(EDITS):
+        row, column = PLACE[number % 6], PLACE[number // 6 % 6]
+        near[number, row - 1 : row + 2, column - 1 : column + 2] = True
+    edited = sound + height * near
+    return Evidence(
+        HeldOut(scored(sound), scored(edited)),
+        scored(0.9 * sound),
+        None,
+        EditedPresses(np.zeros((EDITS, SIDE, SIDE, 3), np.uint8), np.arange(EDITS), near),
+        [np.arange(k, PRESSES, 4) for k in range(4)],
+        (None,) * PRESSES,
+        0.05,
+        PX,
+    )
+
+
+def even(spread: float) -> np.ndarray:
+    """Each press lies higher or lower as a whole."""
+    return np.asarray(np.random.default_rng(2).normal(3, spread, (PRESSES, 1, 1)))
+
+
+def lively() -> np.ndarray:
+    """Every press is much higher in one small place, one more and one less."""
+    found = np.zeros((PRESSES, SIDE, SIDE))
+    found[:, 30:40, 30:40] = 4 + np.random.default_rng(3).random((PRESSES, 1, 1))
+    return found
+
+
+def test_presses_of_unlike_level_are_compared_with_their_surroundings() -> None:
+    """One limit for all places is that of the highest press, under which damage on others hides."""
+    choice = choose_limit(evidence(even(1.0)))
+    assert choice.kind.window_mm is not None
+    assert choice.found is not None
+    assert choice.found[choice.kind.name] > choice.found["plain"] + 0.5
+    assert "24 small pieces" in choice.why
+
+
+def test_one_lively_place_does_not_rule_the_others() -> None:
+    """What every nominal press shows at one place leaves the limit of the other places as it is."""
+    choice = choose_limit(evidence(lively()))
+    assert choice.kind.is_by_place
+    assert choice.found is not None
+    assert choice.found["plain"] < 0.1 < 0.8 < choice.found[choice.kind.name]
+
+
+def test_equal_limits_leave_the_plain_one() -> None:
+    """Where damage is found by any limit, or by none, there is one limit for all places."""
+    for height in (9.0, 0.0):
+        choice = choose_limit(evidence(even(0.001), height))
+        assert (choice.kind.name, choice.chosen) == ("plain", None)
+        assert "no other limit clearly more" in choice.why
+
+
+def test_the_published_limit_is_one() -> None:
+    """As many nominal presses lie above 1 as above the limit that was found, and the promise is the same."""
+    chosen = choose_limit(evidence(even(1.0))).chosen
+    assert chosen is not None
+    assert chosen.threshold.value == 1
+    assert chosen.threshold.n == PRESSES
+    above = int((chosen.scores > 1 + 1e-6).sum())
+    assert chosen.threshold.by_press is not None
+    assert chosen.threshold.by_press.alarms == above <= 1
+
+
+def test_new_sound_presses_fail_no_more_than_promised() -> None:
+    """By place, with ranges of 24 presses: over 20 bundles at most 5 % of new presses fail."""
+    rates = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        maps = 1 + 0.02 * rng.random((PRESSES + 40, SIDE, SIDE))
+        maps[:, 30:40, 30:40] += rng.random((len(maps), 1, 1))
+        sound, found = scored(maps[:PRESSES]), evidence(even(0.0))
+        edited = scored(sound.maps + 0.4 * found.edited.near)
+        found = replace(found, held_out=HeldOut(sound, edited), known=scored(0.5 * sound.maps))
+        chosen = choose_limit(found, [PLACES]).chosen
+        assert chosen is not None
+        rates.append(np.mean(chosen.limit.relative(maps[PRESSES:]).max(axis=(1, 2)) > 1))
+    assert 0 < np.mean(rates) <= 0.05
+
+
+def test_a_press_is_no_part_of_its_own_range() -> None:
+    """Two pieces differ at one place: a third may differ at any other, so no range by place is known. With both pieces
+    in the range of each, nothing would seem to differ."""
+    two = np.zeros((PRESSES, SIDE, SIDE))
+    two[: PRESSES // 2, 30:40, 30:40] = 1
+    halves = [np.arange(PRESSES // 2), np.arange(PRESSES // 2, PRESSES)]
+    names = ("a",) * (PRESSES // 2) + ("b",) * (PRESSES // 2)
+    choice = choose_limit(replace(evidence(two), folds=halves, specimens=names), [PLACES])
+    assert choice.kind.name == "plain"
+
+
+def test_a_black_frame_goes_on_failing() -> None:
+    """A limit by which a black frame passes is not chosen, where nothing else refuses the frame."""
+    found = evidence(even(1.0))
+    dark = scored(np.full((1, SIDE, SIDE), 1.2 * found.plain.value))
+    kind = choose_limit(replace(found, black=dark)).kind
+    assert kind.window_mm is None
+    assert (
+        choose_limit(replace(found, black=scored(np.full((1, SIDE, SIDE), 9e3)))).kind.window_mm is not None
+    )
+
+
+def test_a_score_that_is_no_maximum_keeps_its_limit() -> None:
+    """The map says nothing of such a score."""
+    found = evidence(even(1.0))
+    sound = ScoredPresses(found.held_out.sound.maps, found.held_out.sound.scores + 1)
+    choice = choose_limit(replace(found, held_out=HeldOut(sound, found.held_out.edited)))
+    assert choice.kind.name == "plain"
+    assert "not the highest value" in choice.why
+
+
+def test_a_limit_has_to_find_clearly_more() -> None:
+    """One piece of damage in 24 is found by luck."""
+    found = evidence(even(1.0))
+    maps = found.held_out.sound.maps.copy()
+    maps[0] += 0.3 * found.edited.near[0]
+    choice = choose_limit(replace(found, held_out=HeldOut(found.held_out.sound, scored(maps))))
+    assert choice.found is not None
+    assert 0 < max(choice.found.values()) - choice.found["plain"] < WORTH
+    assert choice.kind.name == "plain"

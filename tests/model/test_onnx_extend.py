@@ -1,0 +1,63 @@
+"""Operations appended to a graph without the onnx package."""
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+
+from edge.model.onnx_extend import Operation, extended, opset_of
+from edge.model.onnx_validation import GraphRefused, check_graph
+from plugins.onnx_builder import Graph
+
+
+def doubling() -> bytes:
+    """y = 2 x, and twice that as `score`, which reads y."""
+    graph = Graph("doubling")
+    x = graph.input("x", ("n", 2, 3))
+    graph.output("y", graph.op("Add", x, x), ("n", 2, 3))
+    graph.output("score", graph.op("ReduceMax", "y", graph.ints(1, 2), keepdims=0), ("n",))
+    return graph.serialise()
+
+
+def test_a_result_is_replaced_by_what_is_appended() -> None:
+    """The old value has a new name for every node that reads it, and the output is the new one."""
+    more = extended(
+        doubling(), {"y": "old_y"}, {"factor": (1, 1)}, [Operation("Mul", ("old_y", "factor"), "y")]
+    )
+    check_graph(more)
+    onnx.checker.check_model(onnx.load_from_string(more), full_check=True)
+    x = np.ones((2, 2, 3), np.float32)
+    y, score = ort.InferenceSession(more).run(
+        ["y", "score"], {"x": x, "factor": np.full((1, 1), 5, np.float32)}
+    )
+    assert y == pytest.approx(10 * x)
+    assert score == pytest.approx([2, 2])  # it still reads the old value
+
+
+def test_a_reduction_has_its_axes() -> None:
+    """Each press has its own largest value."""
+    more = extended(doubling(), {"score": "old"}, {}, [Operation("ReduceMax", ("x",), "score", axes=(1, 2))])
+    x = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
+    assert ort.InferenceSession(more).run(["score"], {"x": x})[0] == pytest.approx([5, 11])
+
+
+def test_a_graph_inside_a_node_is_refused() -> None:
+    """It may read a value by the old name."""
+    branch = onnx.helper.make_graph(
+        [onnx.helper.make_node("Identity", ["y"], ["z"])],
+        "branch",
+        [],
+        [onnx.helper.make_tensor_value_info("z", onnx.TensorProto.FLOAT, None)],
+    )
+    node = onnx.helper.make_node("If", ["is"], ["out"], then_branch=branch, else_branch=branch)
+    graph = onnx.helper.make_graph(
+        [node], "g", [onnx.helper.make_tensor_value_info("is", onnx.TensorProto.BOOL, [])], []
+    )
+    model = onnx.helper.make_model(graph).SerializeToString()
+    with pytest.raises(GraphRefused, match="a graph of its own"):
+        extended(model, {"y": "old"}, {}, [])
+
+
+def test_the_opset_is_read() -> None:
+    """As it was written."""
+    assert opset_of(doubling()) == 18
