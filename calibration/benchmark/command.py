@@ -34,6 +34,10 @@ def evaluate_backbone(
     ] = None,
     trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
+    limits: Annotated[
+        bool,
+        typer.Option(help="measure at the fitted limit too, on real touch, which takes several times longer"),
+    ] = True,
     workers: Annotated[int, typer.Option(help="trials in parallel", min=1, max=64)] = 1,
     page: Annotated[Path | None, typer.Option(help="write this page of the manual")] = None,
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
@@ -63,6 +67,7 @@ def evaluate_backbone(
             sets,
             methods or compared_detectors(),
             replicates=replicates,
+            limits=limits,
             workers=workers,
             say=(lambda _: None) if is_terminal or json else lambda line: typer.echo(line, err=True),
             advance=advance,

@@ -1,7 +1,7 @@
 """Compares backbones: the same detectors, presses and measures on trunks with different weights."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +75,7 @@ class _Task:
     trunks: Mapping[str, bytes]
     detectors: Sequence[str]
     replicates: int
+    limits: bool
 
 
 def evaluate(
@@ -83,6 +84,7 @@ def evaluate(
     detectors: Sequence[str],
     *,
     replicates: int = 200,
+    limits: bool = True,
     workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
     advance: Callable[[int], None] = lambda done: None,
@@ -90,9 +92,10 @@ def evaluate(
     """One row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
 
     trunks: name to graph, the one that ships first. The intervals are bootstrapped over presses, within each trial.
-    Brief sets compare the first trunk and `random` alone. advance: called with the trials done.
+    Brief sets compare the first trunk and `random` alone. limits: measure at the fitted limit too where a trial states
+    a false-alarm rate; that fits each detector six times instead of once. advance: called with the trials done.
     """
-    tasks = list(_tasks(trunks, sets, detectors, replicates))
+    tasks = list(_tasks(trunks, sets, detectors, replicates, limits))
     results = in_order(_run, [task for _, task in tasks], workers)
     found: dict[str, list[tuple[str, Scored]]] = {name: [] for name in sets}
     for done, ((name, _), (trial, scored)) in enumerate(zip(tasks, results, strict=True), start=1):
@@ -110,7 +113,11 @@ def evaluate(
 
 
 def _tasks(
-    trunks: Mapping[str, bytes], sets: Mapping[str, EvaluationSet], detectors: Sequence[str], replicates: int
+    trunks: Mapping[str, bytes],
+    sets: Mapping[str, EvaluationSet],
+    detectors: Sequence[str],
+    replicates: int,
+    limits: bool,
 ) -> Iterator[tuple[str, _Task]]:
     taps = _taps(detectors)
     shallow = {name: cut_trunk(graph, taps) for name, graph in trunks.items()}
@@ -118,12 +125,13 @@ def _tasks(
     brief = {name: graph for name, graph in shallow.items() if name in (first, RANDOM)}
     for name, chosen in sets.items():
         for make in chosen.trials:
-            yield name, _Task(make, brief if chosen.is_brief else shallow, detectors, replicates)
+            yield name, _Task(make, brief if chosen.is_brief else shallow, detectors, replicates, limits)
 
 
 def _run(task: _Task) -> tuple[str, Scored]:
     """One trial's name and measures; runs in any process."""
     trial = task.make()
+    trial = trial if task.limits else replace(trial, alpha=None)
     return trial.name, scored_columns(task.trunks, trial, task.detectors, task.replicates)
 
 

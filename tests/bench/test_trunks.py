@@ -23,6 +23,7 @@ from edge.model.onnx_prune import cut_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tactile import tactile_resnet18, tactile_resnet18_int8
+from plugins.backbones.tactile_lite0 import tactile_lite0
 from plugins.backbones.tiled import mosaic_trunk
 from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
@@ -170,6 +171,19 @@ def widened(graph: bytes) -> bytes:
             wide = numpy_helper.to_array(tensor).astype(np.float32)
             tensor.CopyFrom(numpy_helper.from_array(wide, tensor.name))
     return bytes(model.SerializeToString())
+
+
+def test_the_trunk_for_real_touch() -> None:
+    """Its time after each tap and that of the default, in turns, with their ratio; one picture, two threads."""
+    rgb = frames(1, 224, 224)
+    for tap in ALL:
+        runs = [
+            bound(session(cut_trunk(one.trunk(), (tap,))), {"frames": rgb})
+            for one in (tactile_lite0, tactile_resnet18)
+        ]
+        touch, default = best_ms(*runs, repeats=25)
+        print(f"\n{tap}: {touch:.2f} ms, the default {default:.2f} ms, ratio {touch / default:.2f}")
+        assert touch > 0
 
 
 METHODS = ("padim", "spade", "fapm", "inreach", "subspace", "patchcore")

@@ -91,18 +91,23 @@ def noisy(alpha: float | None) -> Trial:
 
 
 def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
-    """Black squares fail and no sound press does; a trial without a rate has the old measures alone."""
+    """Black squares fail and no sound press does; a trial without a rate, and --no-limits, have the old measures
+    alone.
+    """
     rows = {}
-    for alpha in (0.05, None):
+    for alpha, limits in ((0.05, True), (None, True), (0.05, False)):
         chosen = EvaluationSet("Noisy", "Squares.", (lambda alpha=alpha: noisy(alpha),))
-        found = evaluate({"random": random_trunk()}, {"noisy": chosen}, ("padim",), replicates=4)
-        rows[alpha] = found["sets"]["noisy"]["rows"][0]["measures"]
-    measures = {name: measure["value"] for name, measure in rows[0.05].items()}
+        found = evaluate(
+            {"random": random_trunk()}, {"noisy": chosen}, ("padim",), replicates=4, limits=limits
+        )
+        rows[alpha, limits] = found["sets"]["noisy"]["rows"][0]["measures"]
+    measures = {name: measure["value"] for name, measure in rows[0.05, True].items()}
     assert measures["detected"] == measures["peak_found"] == measures["image_auroc"] == 1
     assert measures["false_alarms"] == measures["relit_alarms"] == 0
     assert measures["others_detected"] == measures["others_auroc"] == 1
     assert measures["aupro_fpr05"] > measures["aupro_fpr01"]
-    assert list(rows[None]) == ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01"]
+    old = ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01"]
+    assert list(rows[None, True]) == list(rows[0.05, False]) == old
 
 
 def test_a_limit_needs_a_rate() -> None:
