@@ -279,9 +279,7 @@ class Connection:
         properties = Properties(packet)  # type: ignore[no-untyped-call]
         if message.content_type is not None:
             properties.ContentType = message.content_type
-            properties.PayloadFormatIndicator = int(
-                message.content_type in ("application/json", "text/plain")
-            )
+            properties.PayloadFormatIndicator = int(message.content_type == "application/json")
         if message.expiry_s is not None:
             properties.MessageExpiryInterval = message.expiry_s
         if message.correlation is not None:

@@ -101,6 +101,7 @@ def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: O
 
     listener.wait_for(lambda heard: heard.payloads("cmd/marker") != [])
     assert listener.payloads("availability") == [b"online"]
+    assert not sink._availability.is_held
 
 
 def test_without_the_second_connection_the_topic_is_empty(
