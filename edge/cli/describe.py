@@ -61,7 +61,7 @@ def described_text(config: "Config", form: Format) -> str:
 
     station, broker = described(config), broker_of(config)
     if form is Format.MOSQUITTO:
-        return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix)
+        return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix, node=broker.node)
     made: object = document(station)
     if form is Format.HOME_ASSISTANT:
         made = discovery(station)

@@ -6,6 +6,7 @@ from importlib.metadata import version
 from edge.config import Config
 from edge.core.sink_context import Place, topic_root
 from edge.gateway.command_table import COMMANDS
+from edge.messaging.descriptions.sparkplug_node import SparkplugNode
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
 
 __all__ = ["DescribedBroker", "broker_of", "described"]
@@ -29,18 +30,21 @@ def described(config: Config) -> DescribedStation:
 
 @dataclass(frozen=True)
 class DescribedBroker:
-    """The broker of a station. user: the station's name there. discovery_prefix: of Home Assistant, None for none."""
+    """The broker of a station. user: the station's name there. discovery_prefix, node: of Home Assistant and of
+    Sparkplug, None where the station has none."""
 
     host: str = "localhost"
     port: int = 1883
     has_tls: bool = False
     user: str = ""
     discovery_prefix: str | None = None
+    node: SparkplugNode | None = None
 
 
 def broker_of(config: Config) -> DescribedBroker:
     """That of the first `mqtt` sink; a station without one is described with the usual values."""
     options = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
+    node = next((sink.options for sink in config.sinks if sink.plugin == "sparkplug"), None)
     has_tls = options.get("tls") is not None
     return DescribedBroker(
         host=str(options.get("host", "localhost")),
@@ -48,4 +52,7 @@ def broker_of(config: Config) -> DescribedBroker:
         has_tls=has_tls,
         user=str(options.get("username") or config.station.station),
         discovery_prefix=options.get("home_assistant"),
+        node=None
+        if node is None
+        else SparkplugNode.of(described(config).root, node.get("group"), node.get("node")),
     )

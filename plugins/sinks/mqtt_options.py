@@ -10,7 +10,7 @@ from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from edge.messaging.mqtt_broker import Broker, Tls
 
-__all__ = ["LARGEST_PACKET_BYTES", "MqttOptions", "TlsOptions"]
+__all__ = ["LARGEST_PACKET_BYTES", "BrokerOptions", "MqttOptions", "TlsOptions", "TopicLevel"]
 
 # The packet has room for a request that is a little too large, so that it gets an answer and not silence.
 LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
@@ -42,7 +42,7 @@ class TlsOptions(BaseModel):
         return self
 
 
-class MqttOptions(BaseModel):
+class BrokerOptions(BaseModel):
     """Where the broker is. The password is in a separate file, so that the configuration can be shown."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -68,16 +68,6 @@ class MqttOptions(BaseModel):
     )
     retry_s: float = Field(
         default=30.0, ge=1, le=3600, description="the longest pause between attempts to connect"
-    )
-
-    home_assistant: TopicLevel | None = Field(
-        default=None,
-        description="announce the station to Home Assistant below this topic; its own default is `homeassistant`",
-    )
-    availability: bool = Field(
-        default=True,
-        description="keep the topic `availability`; its last will needs a second connection, client id "
-        "`<client_id>-availability`",
     )
 
     @model_validator(mode="after")
@@ -133,6 +123,21 @@ class MqttOptions(BaseModel):
 
     def _address(self) -> tuple[str, int]:
         return self.host, self.port or (1883 if self.tls is None else 8883)
+
+
+class MqttOptions(BrokerOptions):
+    """Where the broker is, and what a station does there. The password is in a separate file, so that the configuration
+    can be shown."""
+
+    home_assistant: TopicLevel | None = Field(
+        default=None,
+        description="announce the station to Home Assistant below this topic; its own default is `homeassistant`",
+    )
+    availability: bool = Field(
+        default=True,
+        description="keep the topic `availability`; its last will needs a second connection, client id "
+        "`<client_id>-availability`",
+    )
 
 
 def _password(path: Path) -> str:

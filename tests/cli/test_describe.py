@@ -26,6 +26,9 @@ secret_file = "none"
 plugin = "jsonl"
 options = { folder = "out" }
 [[sinks]]
+plugin = "sparkplug"
+options = { group = "cell7" }
+[[sinks]]
 plugin = "mqtt"
 options = { host = "broker.plant", tls = {}, username = "touch2", password_file = "none", home_assistant = "ha" }
 """
@@ -61,10 +64,11 @@ def test_asyncapi_has_the_commands_that_are_served(config: Path) -> None:
 
 
 def test_the_rules_name_the_station_as_its_broker_knows_it(config: Path) -> None:
-    """By its user name; with the topic of Home Assistant, because the sink announces the station there."""
+    """By its user name; with the topics of Home Assistant and Sparkplug, because it has such sinks."""
     lines = text(config, "mosquitto").splitlines()
 
     assert "user touch2" in lines
+    assert "topic read spBv1.0/cell7/NCMD/line-press2" in lines
     assert "topic write ha/device/gelgate_plant_line_press2_gel_v1/config" in lines
 
 

@@ -9,6 +9,7 @@ import pytest
 from edge.core.errors import SinkRejected
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.home_assistant import discovery_topic
+from edge.messaging.descriptions.sparkplug_node import SparkplugNode
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
@@ -18,6 +19,7 @@ from edge.messaging.topics import TOPICS
 from .conftest import ROOT, require
 
 STATION = DescribedStation.of_root(ROOT)
+NODE = SparkplugNode.of(ROOT)
 SHIPPED = Path(__file__).parents[2] / "deploy" / "mosquitto" / "rules.acl"
 SENT = [topic.name for topic in TOPICS if topic.name != "cmd/<verb>"]
 
@@ -31,7 +33,9 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalBroker]:
     """With rules by name; names need no password here."""
     require("mosquitto")
     rules = tmp_path_factory.mktemp("rules") / "rules.acl"
-    rules.write_text(access_rules(STATION, "press2", discovery_prefix="homeassistant"), encoding="utf-8")
+    rules.write_text(
+        access_rules(STATION, "press2", discovery_prefix="homeassistant", node=NODE), encoding="utf-8"
+    )
     own_name = f"user {getpass.getuser()}"  # as which it reads the file
     with LocalBroker("mosquitto", extra=f"{own_name}\nacl_file {rules}") as running:
         yield running
@@ -53,13 +57,14 @@ def client(broker: LocalBroker) -> Iterator[Callable[..., Connection]]:
 
 
 def test_a_station_may_say_all_that_it_has_to_say(client: Callable[..., Connection]) -> None:
-    """Every topic of the manual, the announcement to Home Assistant, and requests to it arrive."""
+    """Every topic of the manual, the announcement to Home Assistant, and those of its Sparkplug node."""
     station = client("press2")
 
     for topic in SENT:
         station.publish(Outgoing(f"{ROOT}/{filled(topic)}", b"{}"))
     station.publish(Outgoing(discovery_topic(STATION), b"{}"))
-    station.subscribe(f"{ROOT}/cmd/+")
+    for verb in ("NBIRTH", "NDATA", "NDEATH"):
+        station.publish(Outgoing(f"spBv1.0/plant/{verb}/line1-press2", b"{}"))
 
 
 @pytest.mark.parametrize(
@@ -71,6 +76,9 @@ def test_a_station_may_say_all_that_it_has_to_say(client: Callable[..., Connecti
         f"{ROOT}/alarm/gel/more",
         "homeassistant/device/other/config",
         "homeassistant/status",
+        "spBv1.0/plant/NBIRTH/line1-press3",
+        "spBv1.0/plant/NCMD/line1-press2",
+        "spBv1.0/STATE/host",
         "other",
     ],
 )

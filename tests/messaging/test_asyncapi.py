@@ -180,6 +180,7 @@ def changed(**changes: Any) -> bytes:
         ("result", changed(verdict=None), "None is not of type 'string'"),
         ("result", changed(error="both"), "is not of type 'null'"),
         ("result", changed(mm_per_pixel=[0.06]), "mm_per_pixel"),
+        ("result", changed(mm_per_pixel=["0.06", "0.06"]), "mm_per_pixel[0]"),
         ("result", b"", "cannot be read"),
         ("result", b"\xff", "cannot be read"),
         ("result", b"[" * 100_000, "cannot be read"),

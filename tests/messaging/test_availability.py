@@ -88,6 +88,7 @@ def test_a_second_connection_that_is_lost_alone_is_opened_again(
 
     listener.wait_for(says(b"offline", b"online"))
     assert sink._connection is first
+    assert sink._availability._short_ones == 1  # at once, and not by the turn that comes after some time
 
 
 def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: Opens, listen: Listen) -> None:

@@ -25,6 +25,7 @@ from edge.gateway.gateway import Gateway
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.pictures import png
 from edge.store.outbox import Outbox
+from plugins.sinks.sparkplug_payload import DataType, Metric, encode
 
 pytestmark = pytest.mark.subscribers
 
@@ -154,6 +155,42 @@ def test_a_client_of_node_reads_everything_from_the_broker(
         f"{ROOT}/{name}" for name in ("state", "availability", "last/press", "last/heatmap", "gel")
     } <= fixed
     assert json.loads(heard[f"{ROOT}/last/press"])["verdict"] == "pass"
+
+
+DECODE = """
+const { decodePayload } = require("sparkplug-payload").get("spBv1.0");
+const { metrics, seq } = decodePayload(require("fs").readFileSync(0));
+console.log(JSON.stringify({ seq: Number(seq), metrics: metrics.map(({ name, value, type, isHistorical }) => (
+    { name, type, value: typeof value === "object" && value !== null ? Number(value) : value, late: !!isHistorical }
+)) }));
+"""
+
+
+def test_a_decoder_of_others_reads_our_sparkplug_payload(installed: Path) -> None:
+    """That of Eclipse Tahu, with the types of the specification."""
+    if not (installed / "node_modules" / "sparkplug-payload").is_dir():
+        pytest.skip(f"SKIPPED, NOT TESTED: sparkplug-payload is not installed in {installed}")
+    sent = [
+        Metric("n", DataType.INT64, 801, 1),
+        Metric("x", DataType.DOUBLE, 2.5, 1, is_historical=True),
+        Metric("b", DataType.BOOLEAN, False, 1),
+        Metric("s", DataType.STRING, "Bügel", 1),
+        Metric("none", DataType.STRING, None, 1),
+    ]
+
+    done = subprocess.run(
+        ["node", "-e", DECODE], cwd=installed, input=encode(sent, 1, 7), capture_output=True, check=True
+    )
+
+    read = json.loads(done.stdout)
+    assert read["seq"] == 7
+    assert [(one["name"], one["value"], one["type"], one["late"]) for one in read["metrics"]] == [
+        ("n", 801, "Int64", False),
+        ("x", 2.5, "Double", True),
+        ("b", False, "Boolean", False),
+        ("s", "Bügel", "String", False),
+        ("none", None, "String", False),
+    ]
 
 
 CHECK = """

@@ -4,6 +4,7 @@ Ref: mosquitto.conf(5), acl_file.
 """
 
 from edge.messaging.descriptions.home_assistant import discovery_topic
+from edge.messaging.descriptions.sparkplug_node import PUBLISHED, REQUESTED, SparkplugNode
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.topics import TOPICS
 
@@ -17,22 +18,30 @@ _HEAD = """\
 
 
 def access_rules(
-    station: DescribedStation, user: str, reader: str = "reader", discovery_prefix: str | None = None
+    station: DescribedStation,
+    user: str,
+    reader: str = "reader",
+    discovery_prefix: str | None = None,
+    node: SparkplugNode | None = None,
 ) -> str:
     """The lines of an `acl_file`. user: the station's name at the broker. discovery_prefix: of Home Assistant, where
-    the station announces itself there."""
+    the station announces itself there. node: of Sparkplug, where the station is one."""
     names = [topic.name.replace("<press id>", "+").replace("<alarm>", "+") for topic in TOPICS]
     sent = [name for name in names if not name.startswith("cmd/")]
     writes = [*(f"{station.root}/{name}" for name in sent), f"{station.root}/cmd/+/response"]
     if discovery_prefix is not None:
         writes.append(discovery_topic(station, discovery_prefix))
+    reads = [f"{station.root}/cmd/+"]
+    if node is not None:
+        writes += map(node.topic, PUBLISHED)
+        reads.append(node.topic(REQUESTED))
     return "\n".join(
         [
             _HEAD,
             f"# The station {station.place}: its own topics, and requests to it.",
             f"user {user}",
             *(f"topic write {topic}" for topic in writes),
-            f"topic read {station.root}/cmd/+",
+            *(f"topic read {topic}" for topic in reads),
             "",
             "# Sees what the station says, and no request.",
             f"user {reader}",

@@ -1,0 +1,71 @@
+"""One station at one broker twice: as itself and as a Sparkplug node."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import paho.mqtt.client as paho
+import pytest
+from paho.mqtt.enums import CallbackAPIVersion
+from station import MQTT, station_config
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.gateway import Gateway
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.store.outbox import Outbox
+from plugins.sinks.sparkplug_payload import decode
+
+SPARKPLUG = MQTT.replace('"mqtt"', '"sparkplug"')
+
+
+class Heard:
+    """What arrives at the broker, until the wanted topics have come."""
+
+    def __init__(self, port: int) -> None:
+        self.messages: list[tuple[str, bytes]] = []
+        self._changed = threading.Condition()
+        self._is_ready = threading.Event()
+        self.client = paho.Client(CallbackAPIVersion.VERSION2)
+        self.client.on_message = self._note
+        self.client.on_connect = lambda client, *_: client.subscribe("#", 1)
+        self.client.on_subscribe = lambda *_: self._is_ready.set()
+        self.client.connect("127.0.0.1", port)
+        self.client.loop_start()
+        assert self._is_ready.wait(20)
+
+    def _note(self, client: object, data: object, message: Any) -> None:
+        with self._changed:
+            self.messages.append((message.topic, bytes(message.payload)))
+            self._changed.notify_all()
+
+    def verdicts(self, level: str) -> list[object]:
+        metrics = [dict(decode(payload)) for topic, payload in self.messages if f"/{level}/" in topic]
+        return [one["Press/Verdict"] for one in metrics if "Press/Verdict" in one]
+
+    def wait_for_verdicts(self, n: int) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.verdicts("NDATA")) >= n, 30)
+
+
+def test_each_result_is_at_both(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Three results as JSON and three as metrics, in order, and nothing is left to send."""
+    if not available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: no broker is installed")
+    with LocalBroker() as broker:
+        heard = Heard(broker.port)
+        config = station_config(
+            tmp_path, recording, bundle, sinks=(MQTT + SPARKPLUG) % (broker.port, broker.port)
+        )
+        loaded = load_config(config)
+        with Gateway.open(loaded, SystemClock()) as gateway:
+            gateway.run(threading.Event(), presses=3)
+            heard.wait_for_verdicts(3)
+        heard.client.disconnect()
+        heard.client.loop_stop()
+
+    assert heard.verdicts("NDATA") == ["pass", "fail", "pass"]
+    assert heard.verdicts("NBIRTH") == [None]
+    assert sum(topic.endswith("/gel/v1/result") for topic, _ in heard.messages) == 3
+    with Outbox(loaded.store.path) as outbox:
+        assert outbox.status().rows == 0

@@ -1,0 +1,266 @@
+"""The Sparkplug node at a real broker: birth, data, death, rebirth.
+
+`make test-subscribers` reads its messages with the decoder of Eclipse Tahu.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from edge.core.errors import SinkRejected, SinkUnavailable
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.core.verdict import Kind
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Outgoing
+from edge.messaging.payloads import (
+    AlarmPayload,
+    InfoPayload,
+    ResultPayload,
+    StatePayload,
+    StatsPayload,
+    alarm_cleared,
+    alarm_message,
+    as_replayed,
+    info_message,
+    press_messages,
+    state_message,
+    stats_message,
+)
+from edge.messaging.topics import TOPICS
+from edge.store.gel_ledger import GelRecord
+from plugins.sinks.mqtt_options import MqttOptions
+from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
+from plugins.sinks.sparkplug_metrics import _FIELDS, initial_metrics, metrics_of
+from plugins.sinks.sparkplug_payload import DataType, Metric, decode, encode
+
+from .conftest import ROOT, Listener
+
+NODE = "line1-press2"
+STATE = state_message(StatePayload(time_ns=10**18, state="ready"))
+FAILED = list(
+    press_messages(
+        ResultPayload(
+            time_ns=10**18,
+            press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",
+            part="bolt",
+            verdict=Kind.FAIL,
+            score=2.5,
+            threshold=1.0,
+            score_ratio=2.5,
+            sensor_serial="S",
+            gel_id="S-1",
+            gel_presses=801,
+            gel_limit_presses=1000,
+        ),
+        GelRecord("S", "S-1", 801, 1000, 0.8, 0),
+        b"\x89PNG",
+    )
+)
+Open = Callable[[LocalBroker], SparkplugSink]
+Listen = Callable[..., Listener]
+
+
+def test_a_payload_is_that_of_the_specification() -> None:
+    """Worked by hand from the field numbers: timestamp 2, one metric (name, timestamp, datatype, boolean), seq 3."""
+    payload = encode([Metric("a", DataType.BOOLEAN, True, 1)], 2, 3)
+
+    assert payload.hex() == "0802" + "1209" + "0a0161" + "1801" + "200b" + "7001" + "1803"
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        (DataType.INT64, 0),
+        (DataType.INT64, 2**63 - 1),
+        (DataType.DOUBLE, -2.5),
+        (DataType.BOOLEAN, False),
+        (DataType.STRING, "Bügel"),
+        (DataType.STRING, ""),
+        (DataType.STRING, None),
+    ],
+)
+def test_a_value_survives_the_wire(kind: DataType, value: Any) -> None:
+    """Also those that are 0, false or empty, which are not null."""
+    assert decode(encode([Metric("x", kind, value, 1)], 1, 0)) == [("x", value)]
+
+
+def test_a_negative_integer_is_its_twos_complement() -> None:
+    """The field is unsigned in the specification."""
+    assert decode(encode([Metric("x", DataType.INT64, -1, 1)], 1, 0)) == [("x", 2**64 - 1)]
+
+
+def test_every_metric_is_a_field_of_a_payload() -> None:
+    """By the models, so that no metric stays null for a misspelt name; and each has one meaning."""
+    models = {topic.name: topic.payload for topic in TOPICS}
+    names = [metric.name for metric in initial_metrics(0)]
+
+    for topic, rows in _FIELDS.items():
+        model = models[topic]
+        assert not isinstance(model, str)
+        assert {field for _, _, field in rows} <= set(model.model_fields)
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        STATE,
+        *FAILED,
+        alarm_message(AlarmPayload(time_ns=1, alarm="gel", text="due")),
+        info_message(InfoPayload(time_ns=1, gelgate_version="1")),
+        stats_message(StatsPayload(time_ns=1, uptime_s=1, frames=1, frames_corrupt=0, delivered_fps=1, presses=1)),
+    ],
+    ids=lambda message: message.topic,
+)  # fmt: skip
+def test_data_has_only_metrics_of_the_birth(message: Message) -> None:
+    """With the same types: a host knows no others."""
+    born = {metric.name: metric.kind for metric in initial_metrics(0)}
+
+    assert {metric.name: metric.kind for metric in metrics_of(message, 1)}.items() <= born.items()
+
+
+def test_a_result_that_is_late_is_historical() -> None:
+    """With the time of its press; a value that there is not is null."""
+    metrics = {metric.name: metric for metric in metrics_of(as_replayed(FAILED[0]), 1)}
+
+    assert metrics["Press/Verdict"] == Metric(
+        "Press/Verdict", DataType.STRING, "fail", 10**12, is_historical=True
+    )
+    assert metrics["Press/Error"].value is None
+
+
+@pytest.fixture
+def open_sink() -> Iterator[Open]:
+    opened: list[SparkplugSink] = []
+
+    def make(broker: LocalBroker) -> SparkplugSink:
+        station = Station(ROOT, "press2", birth=lambda: [STATE, alarm_cleared("gel")])
+        options = SparkplugOptions.model_validate({"host": broker.host, "port": broker.port})
+        opened.append(plugin.open(options, station))
+        return opened[-1]
+
+    yield make
+    for sink in opened:
+        sink.close()
+
+
+def heard(listener: Listener) -> list[tuple[str, dict[str, Any]]]:
+    """(verb, metrics) of the node, in order."""
+    return [
+        (message.topic.split("/")[2], dict(decode(message.payload)))
+        for message in listener.heard
+        if message.topic.startswith("spBv1.0/plant/") and "/NCMD/" not in message.topic
+    ]
+
+
+def test_the_birth_has_every_metric_and_what_is_known(
+    mosquitto: LocalBroker, open_sink: Open, listen: Listen
+) -> None:
+    """Before the first data, with the state that the station has already said; nothing is retained."""
+    listener = listen(mosquitto, "spBv1.0/#")
+
+    open_sink(mosquitto).send(FAILED[0])
+
+    listener.wait_for(lambda one: len(heard(one)) == 2)
+    (birth, known), (data, changed) = heard(listener)
+    assert (birth, data) == ("NBIRTH", "NDATA")
+    assert set(known) == {metric.name for metric in initial_metrics(0)} | {"bdSeq", "Node Control/Rebirth"}
+    assert (known["Station/State"], known["Press/Verdict"], known["Node Control/Rebirth"]) == (
+        "ready",
+        None,
+        False,
+    )
+    assert (changed["Press/Verdict"], changed["Press/Score Ratio"]) == ("fail", 2.5)
+    assert [(message.qos, message.retain) for message in listener.heard] == [(0, False)] * 2
+
+
+def test_a_lost_connection_is_a_death_and_the_next_birth_is_another(
+    mosquitto: LocalBroker, open_sink: Open, listen: Listen
+) -> None:
+    """The broker publishes the death of the session that it belongs to, by its bdSeq."""
+    listener = listen(mosquitto, "spBv1.0/#")
+    sink = open_sink(mosquitto)
+    sink.send(FAILED[0])
+
+    assert sink._connection is not None
+    sink._connection.abandon("the cable is pulled")
+    listener.wait_for(lambda one: "NDEATH" in [verb for verb, _ in heard(one)])
+    sink.send(FAILED[0])
+
+    listener.wait_for(lambda one: [verb for verb, _ in heard(one)][-2:] == ["NBIRTH", "NDATA"])
+    first, _, death, second, _ = [metrics for _, metrics in heard(listener)]
+    assert death == {"bdSeq": first["bdSeq"]}
+    assert second["bdSeq"] == (first["bdSeq"] + 1) % 256
+    assert second["Press/Verdict"] == "fail"  # known from before
+
+
+def test_a_host_gets_a_rebirth(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
+    """The same session: the same bdSeq, and numbers from 0 again. Nonsense is left out."""
+    listener = listen(mosquitto, "spBv1.0/#")
+    sink = open_sink(mosquitto)
+    sink.send(FAILED[0])
+    listener.wait_for(lambda one: len(heard(one)) == 2)
+
+    for payload in (
+        b"\xff\xff",
+        encode([Metric("other", DataType.BOOLEAN, True, 1)], 1, None),
+        encode([Metric("Node Control/Rebirth", DataType.BOOLEAN, True, 1)], 1, None),
+    ):
+        listener._connection.publish(Outgoing(f"spBv1.0/plant/NCMD/{NODE}", payload))
+
+    listener.wait_for(lambda one: [verb for verb, _ in heard(one)].count("NBIRTH") == 2)
+    births = [metrics for verb, metrics in heard(listener) if verb == "NBIRTH"]
+    assert births[0]["bdSeq"] == births[1]["bdSeq"]
+    assert births[1]["Press/Verdict"] == "fail"
+    assert [seq(message.payload) for message in listener.heard if "/NBIRTH/" in message.topic] == [0, 0]
+
+
+def seq(payload: bytes) -> int:
+    """The field 3 at the end of a payload; 1 byte up to 127."""
+    assert payload[-2] == 0x18
+    return payload[-1]
+
+
+def test_messages_are_numbered_without_a_gap(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
+    """A host sees by the number that one is missing; the birth is 0."""
+    listener = listen(mosquitto, "spBv1.0/#")
+    sink = open_sink(mosquitto)
+
+    for _ in range(3):
+        sink.send(FAILED[0])
+
+    listener.wait_for(lambda one: len(one.heard) == 4)
+    assert [seq(message.payload) for message in listener.heard] == [0, 1, 2, 3]
+
+
+def test_a_node_that_ends_says_so(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
+    """A proper end publishes no will, so the death certificate is sent."""
+    listener = listen(mosquitto, "spBv1.0/#")
+    sink = open_sink(mosquitto)
+    sink.send(FAILED[0])
+
+    sink.close()
+    sink.close()
+
+    listener.wait_for(lambda one: [verb for verb, _ in heard(one)] == ["NBIRTH", "NDATA", "NDEATH"])
+
+
+def test_without_a_broker_messages_wait_and_pictures_do_not() -> None:
+    """What has no metric is done at once; what is no message of a station is refused."""
+    sink = plugin.open(SparkplugOptions(host="127.0.0.1", port=1), Station(ROOT, "press2"))
+
+    for message in FAILED:
+        if message.content_type == "image/png" or message.topic.startswith("last"):
+            sink.send(message)
+    with pytest.raises(SinkUnavailable, match="no broker answers"):
+        sink.send(FAILED[0])
+    with pytest.raises(SinkRejected, match="has no metrics"):
+        sink.send(Message("result", b"["))
+    sink.close()
+
+
+def test_a_result_is_delivered_to_both_sinks_of_one_broker() -> None:
+    """The outbox keeps what each has by its identity."""
+    assert SparkplugOptions().identity() != MqttOptions().identity()
