@@ -14,28 +14,31 @@ __all__ = ["direction_warnings", "painted"]
 
 MOST_FRAMES = 8
 SATURATED_SHARE = 0.5
+# Of the painted presses, that must score higher, or lower, for a direction to be known.
+AGREEING_SHARE = 0.75
 
 
 def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArray[np.float64]) -> list[str]:
     """Check the direction on some nominal frames, uint8 (n, h, w, 3) with their scores (n,).
 
-    Errors: FitError where painted frames score lower; a warning where they score the same, or where half of the nominal
-    scores have one value, as scores that are limited to 0..1 do.
+    Errors: FitError where most painted frames score lower; a warning where most do not score higher, or where half of
+    the nominal scores have one value, as scores that are limited to 0..1 do.
     """
     chosen = np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).astype(int)
     change = np.array([scorer.score(painted(frames[k])).anomaly_score - scores[k] for k in chosen])
     room = scorer.bundle.manifest.tolerance.around(float(np.abs(scores).max()))
-    if np.median(change) < -room:
+    rising, falling, count = int((change > room).sum()), int((change < -room).sum()), len(change)
+    if falling >= AGREEING_SHARE * count:
         raise FitError(
-            f"scores fall where a press is damaged: a painted square lowers {int((change < 0).sum())} of {len(change)} "
+            f"scores fall where a press is damaged: a painted square lowers {falling} of {count} "
             f"nominal scores, their median change is {float(np.median(change)):.3g}; pass --negate if lower scores are "
             "more anomalous in this graph, or choose another output with --score-output"
         )
     said = []
-    if np.abs(np.median(change)) <= room:
+    if rising < AGREEING_SHARE * count:
         said.append(
-            "a painted square does not change the score of a nominal press: whether higher scores are more anomalous "
-            "is not known; score a damaged press before use"
+            f"a painted square raises {rising} and lowers {falling} of {count} nominal scores: whether higher scores "
+            "are more anomalous is not known; score a damaged press before use"
         )
     largest = max(float((scores == value).mean()) for value in (scores.min(), scores.max()))
     if len(scores) >= 4 and largest > SATURATED_SHARE:

@@ -175,8 +175,25 @@ def test_limited_scores_and_blind_graphs_are_warned_of() -> None:
     said = " ".join(
         wrap_files(adapted(blind, FRAMES).graph, presses(), CONFIG, created="").manifest.provenance.warnings
     )
-    assert "a painted square does not change the score" in said
+    assert "a painted square raises 0 and lowers 0 of 6 nominal scores: whether higher" in said
     assert "100% of the nominal presses have one score" in said
+
+
+def test_a_direction_that_changes_from_press_to_press_is_warned_of() -> None:
+    """The brightness: the square raises it in three dark presses, and lowers it in three bright ones."""
+    brightness = parsed("""
+        theirs (float[n, 3, h, w] input) => (float[n, 1, h, w] anomaly_map, float[n] pred_score)
+        {
+            anomaly_map = ReduceMean <axes = [1], keepdims = 1> (input)
+            pred_score = ReduceMean <axes = [1, 2, 3], keepdims = 0> (anomaly_map)
+        }
+    """)
+    frames = np.stack([np.full_like(FRAMES[0], level) for level in (60, 70, 80, 170, 180, 190)])
+    ready = adapted(brightness, frames).graph
+
+    said = " ".join(wrap_files(ready, presses(frames), CONFIG, created="").manifest.provenance.warnings)
+
+    assert "a painted square raises 3 and lowers 3 of 6 nominal scores: whether higher" in said
 
 
 @pytest.mark.parametrize(
