@@ -20,8 +20,10 @@ readme-picture: demo
 tradeoff: $(VENV)/.test
 	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 
+# A process for each core, at most eight; `make test PROCESSES=0` runs the tests in one.
+PROCESSES ?= auto
 test: $(VENV)/.test debian lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train

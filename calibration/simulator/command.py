@@ -58,7 +58,9 @@ def simulate(
     ] = "",
     preview: Annotated[
         bool,
-        typer.Option("--preview", help="Only write <scene>_preview.png: frames, masks, its effects one by one."),
+        typer.Option(
+            "--preview", help="Only write <scene>_preview.png: frames, masks, its effects one by one."
+        ),
     ] = False,
     workers: Annotated[int, typer.Option(min=0, max=64, help="Processes; 0 is one per core.")] = 0,
     is_listed: Annotated[

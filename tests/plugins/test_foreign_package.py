@@ -224,7 +224,7 @@ def test_devices_lists_it(site: Path, tmp_path: Path) -> None:
         site, "devices", "--device", "watched_folder", "--option", f"folder={folder}", at=tmp_path
     )
 
-    assert "sensor   watched folder, serial ACME0001, 320x240" in listed
+    assert "found    watched folder, serial ACME0001, 320x240" in listed
 
 
 def test_from_nominal_presses_to_a_verdict_at_the_webhook(site: Path, tmp_path: Path) -> None:

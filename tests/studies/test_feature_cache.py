@@ -1,15 +1,13 @@
 """The feature cache: extracted once, found by content, complete or not at all."""
 
 import json
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from full_disk import with_room_for
 from tiny import tiny_trunk
 
 from calibration.dataset import LabelledPress
@@ -42,17 +40,6 @@ def cache(tmp_path: Path) -> FeatureCache:
 
 def entries(cache: FeatureCache) -> set[str]:
     return {path.name for path in cache.folder.iterdir() if path.is_dir()}
-
-
-@contextmanager
-def room_for(size: int) -> Iterator[None]:
-    """No file of this process may grow beyond `size` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_features_are_those_of_the_trunk(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
@@ -118,11 +105,8 @@ def test_an_incomplete_entry_is_extracted_again(
 def test_a_full_disk_leaves_no_entry(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
     """One sentence; when there is room, the same call works."""
     pictures = PressPictures(presses, VIEW)
-    with (
-        room_for(200),
-        pytest.raises(StoreError, match=r"the features cannot be written .* choose another folder"),
-    ):
-        cache.features(TRUNK, TAPS, pictures)
+    with pytest.raises(StoreError, match=r"the features cannot be written .* choose another folder"):
+        with_room_for(200, lambda: cache.features(TRUNK, TAPS, pictures))
 
     assert entries(cache) == set()
     assert len(cache.features(TRUNK, TAPS, pictures).features["layer1"]) == 3

@@ -1,12 +1,10 @@
 """Rows: results that survive interrupts, full disks and other versions."""
 
 import json
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from full_disk import with_room_for
 
 from calibration.studies.rows import ROW_FORMAT, Rows, frame, read_rows
 from edge.core.errors import ConfigError, StoreError
@@ -15,17 +13,6 @@ from edge.core.errors import ConfigError, StoreError
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "out" / "rows.jsonl"
-
-
-@contextmanager
-def room_for(size: int) -> Iterator[None]:
-    """No file of this process may grow beyond `size` bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_rows_are_read_back_in_order(path: Path) -> None:
@@ -69,8 +56,8 @@ def test_a_full_disk_keeps_the_rows_so_far_and_says_so(path: Path) -> None:
     rows = Rows(path)
     rows.append({"key": "a"})
     rows.append({"key": "b"})
-    with room_for(path.stat().st_size + 10), pytest.raises(StoreError) as refused:
-        rows.append({"key": "c", "text": "x" * 100})
+    with pytest.raises(StoreError) as refused:
+        with_room_for(path.stat().st_size + 10, lambda: rows.append({"key": "c", "text": "x" * 100}))
 
     assert str(refused.value) == (
         f"the disk is full: the 2 rows so far are kept in '{path}'; free some space and give the same command "
