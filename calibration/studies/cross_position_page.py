@@ -1,5 +1,6 @@
 """The page of the cross-position study, from its rows."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from calibration.studies.cross_position_study import STUDY
@@ -8,6 +9,7 @@ from calibration.studies.figures import shares_figure, svg
 from calibration.studies.page import Page
 from calibration.studies.page_parts import (
     by_setup,
+    cells_table,
     compared_table,
     cost_table,
     effects_table,
@@ -32,13 +34,17 @@ def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of this study."""
     scored = only_scored(rows)
     setups = list(by_setup(scored))
-    label = "share of the second position's nominal presses, %"
-    figures = {figure_name(STUDY, g): svg(shares_figure(g, "target_fraction", label)) for _, g in setups}
-    sections = [_head(rows)]
+    figures = {figure_name(STUDY, group): partial(_figure, group) for _, group in setups}
+    sections = [_head(rows), cells_table(rows, "target_fraction")]
     for (title, group), name in zip(setups, figures, strict=True):
         sections += [_setup(title, group), f"![{title}]({name})\n"]
     sections += [split_table(scored), refusals(rows), cost_table(scored, "target_fraction", _percent)]
     return Page("\n".join(section for section in sections if section), figures)
+
+
+def _figure(rows: "pd.DataFrame") -> str:
+    label = "share of the second position's nominal presses, %"
+    return svg(shares_figure(rows, "target_fraction", label))
 
 
 def _head(rows: "pd.DataFrame") -> str:
@@ -49,7 +55,7 @@ def _head(rows: "pd.DataFrame") -> str:
     return (
         "# Does a bank of one position serve another?\n\n"
         f"{where}. Each bank has a method's stable fraction of the first position's nominal presses and a share of the "
-        f"second's; {rows['held_out'].max()} nominal presses of each position and all defective ones are scored. "
+        f"second's; {int(rows['held_out'].max())} nominal presses of each position and all defective ones are scored. "
         f"Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}"
     )
 

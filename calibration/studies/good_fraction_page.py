@@ -1,13 +1,25 @@
 """The page of the good-fraction study, from its rows."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from calibration.studies.curves import Curve, curves, gel_share, same_in_every_seed
 from calibration.studies.figures import fraction_figure, overview_figure, shots_figure, svg
+from calibration.studies.good_fraction_study import FRACTIONS
 from calibration.studies.page import Page
-from calibration.studies.page_parts import by_setup, cost_table, only_scored, refusals, split_table, table
+from calibration.studies.page_parts import (
+    by_setup,
+    cells_table,
+    cost_table,
+    only_scored,
+    refusals,
+    split_table,
+    table,
+)
 from calibration.studies.published import stable_fraction
 from calibration.studies.stable import STABLE_WITHIN, stable_from
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
@@ -17,21 +29,27 @@ if TYPE_CHECKING:
 
 __all__ = ["page"]
 
+SEEDS = 10
+"""Of a complete study, as in the paper."""
+
 _FIGURE_MEASURES = ("aupro_001", "auprc", "image_auroc")
 
 
 def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of this study."""
     scored = only_scored(rows)
-    figures: dict[str, str] = {}
-    sections = [_head(rows)]
+    figures: dict[str, Callable[[], str]] = {}
+    sections = [
+        _head(rows),
+        *(cells_table(rows[rows[size].notna()], size) for size in ("fraction", "shots") if size in rows),
+    ]
     for title, group in by_setup(scored):
         drawn = dict(_figures(group))
         figures |= drawn
         sections += [_setup(title, group), *(f"![{name}]({name})\n" for name in drawn)]
     sections += [_splits(scored), refusals(rows)]
     if "fraction" in scored:
-        sections.append(cost_table(_quarters(scored), "fraction", _percent))
+        sections += [cost_table(_quarters(scored), "fraction", _percent), _complete(scored)]
     return Page("\n".join(section for section in sections if section), figures)
 
 
@@ -141,17 +159,50 @@ def _splits(rows: "pd.DataFrame") -> str:
     return split_table(rows.dropna(subset=["fraction"]) if "fraction" in rows else rows)
 
 
-def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, str]]:
-    """File name and SVG text of every figure of one setup."""
+def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, Callable[[], str]]]:
+    """File name of every figure of one setup, and what draws it."""
     setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
     base = "good-fraction-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup)
     if "fraction" in rows and rows["fraction"].notna().any():
         for measure in _FIGURE_MEASURES:
-            yield f"{base}-{measure}.svg", svg(overview_figure(rows, measure))
+            yield f"{base}-{measure}.svg", partial(_overview, rows, measure)
         for part in sorted(set(rows["part"])):
-            yield f"{base}-{part}.svg", svg(fraction_figure(rows, part))
+            yield f"{base}-{part}.svg", partial(_fractions, rows, part)
     if "shots" in rows and rows["shots"].notna().any():
-        yield f"{base}-shots.svg", svg(shots_figure(rows))
+        yield f"{base}-shots.svg", partial(_few, rows)
+
+
+def _overview(rows: "pd.DataFrame", measure: str) -> str:
+    return svg(overview_figure(rows, measure))
+
+
+def _fractions(rows: "pd.DataFrame", part: str) -> str:
+    return svg(fraction_figure(rows, part))
+
+
+def _few(rows: "pd.DataFrame") -> str:
+    return svg(shots_figure(rows))
+
+
+def _complete(rows: "pd.DataFrame") -> str:
+    """What the complete study of a part takes, from the mean of a cell's processor seconds at every fraction."""
+    lines, stages = [], [f"cpu_{stage}_s" for stage in ("fit", "score", "measure")]
+    cells = rows.dropna(subset=["fraction", *stages])
+    cells = cells.assign(seconds=cells[stages].sum(axis=1))
+    for (part, backbone, mode, split), group in cells.groupby(["part", "backbone", "mode", "split"]):
+        means = group.groupby(["method", "fraction"])["seconds"].mean()
+        each = {method: means[method] for method in sorted(set(group["method"]))}
+        if min(map(len, each.values())) > 1:
+            spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each.values()) / 60
+            pool = int(group["pool"].max()) if "pool" in group else int(group["presses"].max())
+            lines.append([part, backbone, mode, split, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
+    if not lines:
+        return ""
+    heading = ["part", "backbone", "mode", "split", "pool", "methods", "minutes of one core", "on two cores"]
+    return (
+        f"**A complete part**, {len(FRACTIONS)} fractions with {SEEDS} seeds, takes by these cells (fractions between "
+        f"them are interpolated; a busy machine takes longer):\n\n{table(heading, lines)}"
+    )
 
 
 def _at(curve: Curve, x: float) -> str:

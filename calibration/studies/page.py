@@ -1,6 +1,6 @@
 """What a report is made of: a page of markdown and its figures."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 __all__ = ["Page"]
@@ -8,7 +8,7 @@ __all__ = ["Page"]
 
 @dataclass(frozen=True)
 class Page:
-    """One study's page: markdown that names its figures, and the figures by file name, SVG text."""
+    """One study's page: markdown that names its figures, and what draws each as SVG text, by file name."""
 
     markdown: str
-    figures: Mapping[str, str] = field(default_factory=dict)
+    figures: Mapping[str, Callable[[], str]] = field(default_factory=dict)

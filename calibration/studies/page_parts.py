@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "by_setup",
+    "cells_table",
     "compared_table",
     "cost_table",
     "effects_table",
@@ -43,6 +44,29 @@ def by_setup(rows: "pd.DataFrame") -> Iterator[tuple[str, "pd.DataFrame"]]:
         weights = set(group["weights"].dropna()) if "weights" in group else set()
         said = f" ({', '.join(sorted(weights))})" if weights else ""
         yield f"{backbone}{said}, {mode} mode, split by {split}", group
+
+
+def cells_table(rows: "pd.DataFrame", condition: str) -> str:
+    """Which cells the rows have, by part and setup. condition: the column that the study varies."""
+    lines = [
+        [
+            part,
+            backbone,
+            mode,
+            split,
+            ", ".join(sorted(set(group["method"]))),
+            ", ".join(_named(group[condition].dropna().unique())),
+            group["seed"].nunique(),
+            len(group),
+        ]
+        for (part, backbone, mode, split), group in rows.groupby(["part", *_SETUP])
+    ]
+    heading = ["part", "backbone", "mode", "split", "methods", condition.replace("_", " "), "seeds", "cells"]
+    return f"**Cells.** What was computed, and what this page is made from:\n\n{table(heading, lines)}"
+
+
+def _named(values: Iterable[Any]) -> list[str]:
+    return [f"{value:g}" if isinstance(value, float) else str(value) for value in sorted(values)]
 
 
 def paper_note() -> str:
@@ -137,8 +161,8 @@ def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] 
         bank = f"{group['bank_bytes'].median() / 1e6:.1f}"
         lines.append([name(value), method, len(group), int(group["presses"].median()), *seconds, bank])
     heading = [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"]
-    spent = sum(rows[stage].sum() for stage in stages)
+    minutes = round(sum(rows[stage].sum() for stage in stages) / 60)
     return (
-        f"## Cost\n\nProcessor seconds, medians per cell; {len(rows)} cells took {spent / 60:.0f} minutes of one core "
-        f"in all.\n\n{table(heading, lines)}"
+        f"## Cost\n\nProcessor seconds, medians per cell; {len(rows)} cells took {minutes} "
+        f"minute{'s' * (minutes != 1)} of one core in all.\n\n{table(heading, lines)}"
     )

@@ -39,6 +39,15 @@ def _bad_presses(rows: "pd.DataFrame") -> Page:
     return page(rows)
 
 
+def _paper(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.paper_page import page
+
+    return page(rows)
+
+
+COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
+"""The studies that repeat a validation of the paper."""
+
 PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
     "good-fraction": _good_fraction,
     "cross-position": _cross_position,
@@ -49,7 +58,7 @@ PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
 
 
 def write_report(rows: Path, output: Path) -> list[Path]:
-    """Write the page of every study that has rows; figures are next to the pages.
+    """Write the page of every study that has rows, and one that compares them with the paper; figures are next to them.
 
     rows: a file, or the folder of one. Errors: ConfigError for a file without rows, StoreError for a full disk.
     """
@@ -64,18 +73,20 @@ def write_report(rows: Path, output: Path) -> list[Path]:
         raise ConfigError(
             f"'{path}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
         )
-    return [
+    written = [
         _write(output, name, PAGES[name](every[every["study"] == name].dropna(axis=1, how="all")))
         for name in known
     ]
+    repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
+    return [*written, *([] if repeated.empty else [_write(output, "paper", _paper(repeated))])]
 
 
 def _write(output: Path, name: str, page: Page) -> Path:
     target = output / f"{name}.md"
     try:
         output.mkdir(parents=True, exist_ok=True)
-        for file, svg in page.figures.items():
-            (output / file).write_text(svg, encoding="utf-8")
+        for file, draw in page.figures.items():
+            (output / file).write_text(draw(), encoding="utf-8")
         target.write_text(page.markdown, encoding="utf-8")
     except OSError as error:
         raise StoreError(

@@ -1,5 +1,6 @@
 """The page of the resolution study, from its rows."""
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from calibration.studies.effects import COMPARED, effects, medians
@@ -7,6 +8,7 @@ from calibration.studies.figures import conditions_figure, svg
 from calibration.studies.page import Page
 from calibration.studies.page_parts import (
     by_setup,
+    cells_table,
     compared_table,
     cost_table,
     effects_table,
@@ -41,8 +43,8 @@ def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of this study."""
     scored = only_scored(rows)
     setups = list(by_setup(scored))
-    figures = {figure_name(STUDY, group): _figure(group) for _, group in setups}
-    sections = [_head(rows)]
+    figures = {figure_name(STUDY, group): partial(_figure, group) for _, group in setups}
+    sections = [_head(rows), cells_table(rows, "view")]
     for (title, group), name in zip(setups, figures, strict=True):
         sections += [_setup(title, group), f"![{title}]({name})\n"]
     sections += [split_table(scored), refusals(rows), cost_table(scored, "view")]
@@ -58,9 +60,9 @@ def _figure(rows: "pd.DataFrame") -> str:
 def _head(rows: "pd.DataFrame") -> str:
     return (
         "# Does high resolution pay?\n\n"
-        f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {rows['most_presses'].max()} nominal presses in "
-        f"the pool, the same for every view; {rows['held_out'].max()} nominal presses and all defective ones are "
-        f"scored. Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
+        f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
+        f"are scored. Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}\n"
         f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_described, VIEWS))}\n"
         "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
         "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "

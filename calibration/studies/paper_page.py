@@ -1,0 +1,210 @@
+"""Ours and the paper's results next to each other: order of the methods, direction of effects, level of the parts."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.studies import cross_position_study, good_fraction_study, resolution_study
+from calibration.studies.effects import (
+    COMPARED,
+    Agreement,
+    Effect,
+    agreement,
+    counted,
+    direction,
+    effects,
+    medians,
+    published_direction,
+    written,
+)
+from calibration.studies.page import Page
+from calibration.studies.page_parts import by_setup, effects_table, only_scored, table
+from calibration.studies.published import published, source, stable_fraction
+from calibration.studies.stable import stable_from
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["page"]
+
+_MEASURE = "aupro_001"
+
+
+@dataclass(frozen=True)
+class _Study:
+    """A study with published medians. column: what it varies. names: its conditions, ours to the paper's (empty: the
+    same). shown: the conditions of ours at which orders and levels are compared. steps: the effects that are compared,
+    as pairs of our conditions."""
+
+    name: str
+    column: str
+    names: dict[str, str]
+    shown: tuple[str | float, ...]
+    steps: tuple[tuple[str | float, str | float, str], ...]
+
+    def paper_name(self, ours: str | float) -> str:
+        """What the paper's data call a condition of ours."""
+        return self.names.get(written(ours), written(ours))
+
+
+_STUDIES = (
+    _Study(
+        good_fraction_study.STUDY,
+        "fraction",
+        {},
+        (0.05, 0.2, 1.0),
+        ((0.05, 1.0, "All presses of the pool instead of a twentieth"),),
+    ),
+    _Study(
+        cross_position_study.STUDY,
+        "target_fraction",
+        {},
+        (0.0, 0.05),
+        (
+            (0.0, 0.05, "The first presses of a second position"),
+            (0.05, 0.15, "More presses of the second position"),
+        ),
+    ),
+    _Study(
+        resolution_study.STUDY,
+        "view",
+        {"hr_tiled": "hr"},
+        ("lr", "hr_tiled"),
+        (("lr", "hr_tiled", "High resolution in tiles instead of low resolution"),),
+    ),
+)
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """The page. rows: of all studies."""
+    sections = [
+        "# The paper's results and ours\n",
+        f"{source()}: it pressed real parts and had Wide-ResNet-50-2 with ImageNet weights. So orders and directions "
+        "can be compared, and levels say how hard the parts are. Nothing is tuned to agree. An order or a direction of "
+        "ours is *undecided* where the 95 % interval of the mean difference over seeds includes zero, or where there "
+        "are fewer than three seeds.\n",
+    ]
+    for title, group in by_setup(only_scored(rows)):
+        found = [part for part in _setup(group) if part]
+        if found:
+            sections += [f"## {title}\n", *found]
+    return Page("\n".join(sections))
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    yield _plateaus(rows[rows["study"] == good_fraction_study.STUDY])
+    for study in _STUDIES:
+        group = rows[rows["study"] == study.name]
+        if len(group):
+            yield _orders(group, study)
+            yield _levels(group, study)
+            yield from _effects(group, study)
+
+
+def _plateaus(rows: "pd.DataFrame") -> str:
+    """The plateau of each method next to the paper's."""
+    lines = []
+    for method, group in rows.groupby("method"):
+        ours = stable_from(group.astype(object).where(group.notna(), None).to_dict("records"))
+        paper = stable_fraction(str(method))
+        if ours is not None and paper is not None:
+            word = "equal" if ours == paper else "earlier here" if ours < paper else "later here"
+            lines.append([method, _percent(ours), _percent(paper), word])
+    if not lines:
+        return ""
+    return (
+        "### Plateau\n\nThe share of the nominal presses from which on accuracy stays the same.\n\n"
+        + table(["method", "here", "paper", ""], lines)
+    )
+
+
+def _orders(rows: "pd.DataFrame", study: _Study) -> str:
+    """The order of the methods at each part and condition, with the pairs that have the same order."""
+    paper, lines = published(study.name), []
+    every: list[Agreement] = []
+    rows = rows[rows[study.column].isin(study.shown)]
+    for (part, condition), group in rows.groupby(["part", study.column]):
+        name = study.paper_name(condition)
+        theirs = {
+            method: paper[method, part, _MEASURE][name]
+            for method in sorted(set(group["method"]))
+            if name in paper.get((method, part, _MEASURE), {})
+        }
+        if len(theirs) < 2:
+            continue
+        pairs = list(_pairs(group, theirs))
+        every += pairs
+        ours = {m: float(group[group["method"] == m][_MEASURE].median()) for m in theirs}
+        lines.append([part, f"`{written(condition)}`", _order(ours), _order(theirs), _counted(pairs)])
+    if not lines:
+        return ""
+    heading = ["part", study.column.replace("_", " "), "here", "paper", "pairs"]
+    return (
+        f"### {study.name}: order of the methods by {COMPARED[_MEASURE]}\n\nOf all pairs of methods: {_counted(every)}."
+        f"\n\n{table(heading, lines)}"
+    )
+
+
+def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement]:
+    """Whether each pair of methods has the paper's order."""
+    seeds = {m: dict(zip(g["seed"], g[_MEASURE], strict=True)) for m, g in rows.groupby("method")}
+    for first, second in combinations(theirs, 2):
+        ours, _ = direction(seeds[first], seeds[second])
+        yield agreement(ours, published_direction(theirs[first], theirs[second]))
+
+
+def _order(values: dict[str, float]) -> str:
+    ranked = sorted(values, key=lambda method: -values[method])
+    return ", ".join(f"{method} {values[method]:.3f}" for method in ranked)
+
+
+def _counted(found: Sequence[Agreement]) -> str:
+    return ", ".join(f"{found.count(name)} {name}" for name in ("agree", "differ", "undecided"))
+
+
+def _levels(rows: "pd.DataFrame", study: _Study) -> str:
+    """Whether the simulated parts are easier or harder than the paper's, over the methods of both."""
+    paper, ours, lines = published(study.name), medians(rows, study.column), []
+    for part in sorted(set(rows["part"])):
+        for condition in study.shown:
+            for measure in COMPARED:
+                pairs = [
+                    (own[written(condition)], paper[key][study.paper_name(condition)])
+                    for key, own in ours.items()
+                    if key[1:] == (part, measure)
+                    and written(condition) in own
+                    and study.paper_name(condition) in paper.get(key, {})
+                ]
+                if pairs:
+                    here, theirs = np.mean(pairs, axis=0)
+                    word = "easier" if here > theirs else "harder"
+                    shown = [f"{here:.3f}", f"{theirs:.3f}", f"{here - theirs:+.3f}"]
+                    lines.append([part, f"`{written(condition)}`", COMPARED[measure], *shown, word])
+    if not lines:
+        return ""
+    heading = ["part", study.column.replace("_", " "), "measure", "here", "paper", "difference", "ours is"]
+    return f"### {study.name}: level of the parts\n\nMeans over the methods of the medians.\n\n{table(heading, lines)}"
+
+
+def _effects(rows: "pd.DataFrame", study: _Study) -> Iterator[str]:
+    for before, after, title in study.steps:
+        names = study.paper_name(before), study.paper_name(after)
+        found = effects(rows, study.column, before, after, published(study.name), names)
+        known = [effect for effect in found if effect.paper is not None]
+        if known:
+            yield f"### {study.name}: {title[0].lower()}{title[1:]}\n\n{_differing(known, title)}"
+
+
+def _differing(found: Sequence[Effect], title: str) -> str:
+    """The counts, and those of the effects that have another direction here."""
+    differ = [effect for effect in found if effect.agreement == "differ"]
+    if differ:
+        return f"Of all directions: {counted(found)}. Those that differ:\n\n{effects_table(differ, title)}"
+    return f"Of all directions: {counted(found)}.\n"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:g} %"
