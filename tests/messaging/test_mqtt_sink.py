@@ -170,7 +170,7 @@ def test_a_broker_that_is_killed_and_returns_is_found_again(
         sent(sink, Message("result", b"%d" % n))
         broker.kill()
         with pytest.raises(SinkUnavailable):
-            sink.send(Message("result", b"unsent"))
+            sink.send(Message("result", b"unsent %d" % n))
         broker.start()
     sent(sink, Message("result", b"end"))
 
