@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL_SCALE", "coloured", "draw_contour", "relative_scores"]
+__all__ = ["FULL_SCALE", "coloured", "draw_contour", "relative_scores", "score_at"]
 
 FULL_SCALE: Final = 2.0
 """Score / threshold at the upper end of the colours, also for higher scores. The threshold is in the middle."""
@@ -25,16 +25,32 @@ U8 = NDArray[np.uint8]
 
 
 def relative_scores(score_map: NDArray[np.floating], threshold: float) -> NDArray[np.float32]:
-    """Scores in units of the threshold, float32 (h, w). Errors: ValueError for a wrong map or threshold."""
+    """Scores in units of the threshold, float32 (h, w), 1 at the threshold; `score_at` is its inverse.
+
+    Errors: ValueError for a wrong map or threshold.
+    """
     if score_map.ndim != 2:
         raise ValueError(f"a score map is (h, w), found {score_map.shape}")
-    if not (np.isfinite(threshold) and threshold > 0):
-        raise ValueError(f"a threshold to scale by is finite and positive, found {threshold}")
+    if not np.isfinite(threshold):
+        raise ValueError(f"a threshold to scale by is finite, found {threshold}")
     if not np.isfinite(score_map).all():
         raise ValueError(
             f"a score map is finite, found {int((~np.isfinite(score_map)).sum())} values that are not"
         )
-    return (score_map.astype(np.float64) / threshold).astype(np.float32)
+    scores = score_map.astype(np.float64)
+    relative = scores / threshold if threshold > 0 else 1 + (scores - threshold) / _unit(threshold)
+    return relative.astype(np.float32)
+
+
+def _unit(threshold: float) -> float:
+    """The difference of scores that is drawn as 1: the threshold, or its distance from 0 where it is below, as those of
+    likelihoods and logits are."""
+    return abs(threshold) or 1.0
+
+
+def score_at(relative: float, threshold: float) -> float:
+    """The score that `relative_scores` gives this value."""
+    return threshold + (relative - 1) * _unit(threshold)
 
 
 def coloured(relative: NDArray[np.float32]) -> U8:

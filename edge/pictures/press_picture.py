@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.pictures import png
-from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores, score_at
 
 __all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
 
@@ -93,7 +93,7 @@ def draw_press(
     largest_panel: the longest side of one panel in pixels.
 
     Both panels have the same scale in x and y, also when the profile compresses one axis. Errors: ValueError for
-    other shapes, a map that is not finite, a threshold that is not positive.
+    other shapes, a map that is not finite, a threshold that is not.
     """
     if rgb.dtype != np.uint8 or rgb.shape != (*score_map.shape, 3):
         raise ValueError(f"the picture must be uint8 {(*score_map.shape, 3)}, found {rgb.dtype} {rgb.shape}")
@@ -141,23 +141,27 @@ def _draw_header(sheet: U8, caption: PressCaption) -> None:
     width = cv2.getTextSize(word, cv2.FONT_HERSHEY_DUPLEX, 0.75, 1)[0][0] + 20
     cv2.rectangle(sheet, (0, 0), (width, _HEADER - 5), colour, cv2.FILLED)
     cv2.putText(sheet, word, (10, 25), cv2.FONT_HERSHEY_DUPLEX, 0.75, (255, 255, 255), 1, cv2.LINE_AA)
-    ratio = caption.score / caption.threshold
-    text = f"{ratio:.2f} x threshold   (score {caption.score:.4g}, threshold {caption.threshold:.4g})"
+    text = f"score {caption.score:.4g}, threshold {caption.threshold:.4g}"
+    if caption.threshold > 0:
+        text = f"{caption.score / caption.threshold:.2f} x threshold   ({text})"
     _write(sheet, text, width + 12, 24, 0.55)
 
 
 def _draw_legend(area: U8, threshold: float) -> None:
-    """The colour bar with the line of the threshold in its middle; numbers are score / threshold."""
+    """The colour bar with the line of the threshold in its middle; numbers are score / threshold, or scores where the
+    threshold is not above 0."""
     height = area.shape[0]
     top, bottom = 10, height - 10
     rise = np.linspace(FULL_SCALE, 0.0, bottom - top, dtype=np.float32)
     area[top:bottom, :_BAR] = coloured(np.repeat(rise[:, None], _BAR, axis=1))
-    for value, text in ((FULL_SCALE, f"{FULL_SCALE:g} or more"), (1.5, "1.5"), (0.5, "0.5"), (0.0, "0")):
+    for value in (FULL_SCALE, 1.5, 0.5, 0.0):
+        number = value if threshold > 0 else score_at(value, threshold)
+        text = f"{number:.4g}{' or more' if value == FULL_SCALE else ''}"
         _write(area, text, _BAR + 6, _at(value, top, bottom) + 4, 0.42)
     middle = _at(1.0, top, bottom)
     cv2.rectangle(area, (0, middle - 2), (_BAR - 1, middle + 1), (0, 0, 0), cv2.FILLED)
     cv2.rectangle(area, (0, middle - 1), (_BAR - 1, middle), (255, 255, 255), cv2.FILLED)
-    _write(area, "1 threshold", _BAR + 6, middle + 4, 0.42)
+    _write(area, "1 threshold" if threshold > 0 else "threshold", _BAR + 6, middle + 4, 0.42)
     _write(area, f"= {threshold:.4g}", _BAR + 6, middle + 20, 0.42)
 
 

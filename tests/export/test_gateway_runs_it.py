@@ -58,3 +58,23 @@ def test_presses_are_inspected_by_the_network(folder: Path, tmp_path: Path, prec
     with Gateway.open(config, SystemClock(), reports.append) as gateway:
         gateway.run(threading.Event())
     assert [report.result.verdict for report in reports] == ["pass", "fail", "pass"]
+
+
+def test_a_likelihood_has_a_threshold_below_zero(folder: Path, tmp_path: Path) -> None:
+    """1 minus the distance falls with damage; negated it inspects, and the pictures of the presses are drawn."""
+    likely = NETWORK.replace("anomaly_map = Abs (apart)", "far = Abs (apart)  anomaly_map = Sub (one, far)")
+    likely = likely.replace("ReduceMax", "ReduceMin")
+    likely = likely.replace("-1.0}>", "-1.0}, float one = {1.0}>")
+    (tmp_path / "likely.onnx").write_bytes(onnx.parser.parse_model(likely).SerializeToString())
+    ran(
+        *("wrap", tmp_path / "likely.onnx", folder / "nominal", "-o", tmp_path / "bundle", "--part", "PZ0"),
+        *("--licence", "own", "--negate"),
+    )
+    config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))
+    reports: list[PressReport] = []
+
+    with Gateway.open(config, SystemClock(), reports.append) as gateway:
+        gateway.run(threading.Event())
+
+    assert [report.result.verdict for report in reports] == ["pass", "fail", "pass"]
+    assert all(report.result.threshold is not None and report.result.threshold < 0 for report in reports)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores, score_at
 
 
 def lightness(rgb: np.ndarray) -> np.ndarray:
@@ -61,7 +61,20 @@ def test_the_contour_runs_around_what_exceeds_the_threshold_and_covers_none_of_i
     assert (rgb[8, 10:32] == 0).all()
 
 
-@pytest.mark.parametrize("threshold", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    ("threshold", "expected"), [(-2.0, [0.0, 0.5, 1.0, 2.0]), (0.0, [-3.0, -2.0, -1.0, 1.0])]
+)
+def test_a_threshold_that_is_not_positive_is_drawn_too(threshold: float, expected: list[float]) -> None:
+    """Negated likelihoods and logits: 1 is the threshold, 0 and 2 are as far from it as it is from 0."""
+    scores = np.array([[-4.0, -3.0, -2.0, 0.0]])
+
+    relative = relative_scores(scores, threshold)
+
+    assert relative.tolist() == [expected]
+    assert [score_at(value, threshold) for value in expected] == scores[0].tolist()
+
+
+@pytest.mark.parametrize("threshold", [float("nan"), float("inf")])
 def test_a_threshold_without_scale_is_refused(threshold: float) -> None:
     """Nothing is divided by zero."""
     with pytest.raises(ValueError, match="threshold"):

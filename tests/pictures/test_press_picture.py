@@ -78,6 +78,16 @@ def test_the_verdict_has_its_colour(verdict: str, channel: int) -> None:
     assert int(sheet[2, 2].argmax()) == channel
 
 
+def test_a_threshold_below_zero_has_its_picture() -> None:
+    """A negated likelihood: damage at -0.2 is above the threshold of -0.5, and is as bright as the other."""
+    caption = replace(CAPTION, score=-0.2, threshold=-0.5)
+    scores = np.where(with_defect(40, 56) > CAPTION.threshold, -0.2, -0.9)
+
+    sheet = draw_press(press(40, 56), scores, caption)
+
+    assert (sheet[HEADER:] == 255).all(axis=2).any()
+
+
 def test_the_file_says_what_it_shows() -> None:
     """Press id, verdict, score, threshold, mm per pixel, station, part and time are in the PNG's text chunks."""
     data = press_png(press(40, 56), with_defect(40, 56), CAPTION)
