@@ -45,10 +45,18 @@ def merge_bundle(bundle: Bundle, output: Path, *, as_bundle: bool = False) -> fl
 
 
 def merged_graph(bundle: Bundle) -> bytes:
-    """The serialised graph: uint8 `frames` (n, h, w, 3) to `score_map` and `score`. Imports onnx at use."""
+    """The serialised graph: uint8 `frames` (n, h, w, 3) to `score_map` and `score`. Imports onnx at use.
+
+    Errors: BundleMismatch for a bundle that no single graph can replace.
+    """
     import onnx
     from onnx import compose, numpy_helper
 
+    if bundle.registration is not None:
+        raise BundleMismatch(
+            f"bundle {bundle.where} brings each press to one pose before its graphs, which a graph alone does not do; "
+            "fit it again with --register never"
+        )
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
         raise BundleMismatch(f"bundle {bundle.where} is already a single graph; copy its detector.onnx")
     head = onnx.load_from_string(bundle.graphs.head)
@@ -106,7 +114,7 @@ def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[st
 
 
 def _scored_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
-    scored = scorer.score(frame.rgb)
+    scored = scorer.score_in_pose(frame.rgb)
     return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
@@ -116,7 +124,7 @@ def _largest_difference(bundle: Bundle, graph: bytes) -> float:
     pair, merged, worst = Scorer(bundle, is_skipping=False), Scorer(single), 0.0
     grey = np.full((*bundle.manifest.frame, 3), 128, np.uint8)
     for rgb in [grey, *(golden.rgb for golden in bundle.golden)]:
-        one, other = pair.score(rgb), merged.score(rgb)
+        one, other = pair.score_in_pose(rgb), merged.score_in_pose(rgb)
         scale = max(
             float(np.abs(one.score_map).max()), abs(one.anomaly_score), float(np.finfo(np.float32).tiny)
         )

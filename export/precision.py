@@ -278,7 +278,7 @@ def _with_network(bundle: Bundle, graph: bytes) -> Graphs:
 
 
 def _again(scorer: Scorer, frame: GoldenFrame) -> GoldenFrame:
-    scored = scorer.score(frame.rgb)
+    scored = scorer.score_in_pose(frame.rgb)
     return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
@@ -299,4 +299,5 @@ def _bundle_files(
         backbone=backbone.id if backbone else "",
         free_gel=bundle.free_gel,
         free_view=bundle.free_view,
+        registration=bundle.registration,
     )

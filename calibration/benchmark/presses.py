@@ -62,7 +62,8 @@ class Condition:
     """The differences from a plain gel on a sensor that training varies.
 
     effects: added to the scene's. learnt_at, scored_at: earlier presses on the gel. is_remembering: each press has the
-    residual imprint of one at another place. slide_mm_s: of scored presses, sideways, in any direction.
+    residual imprint of one at another place. slide_mm_s: of scored presses, sideways, in any direction. anywhere_mm:
+    the part is put down by hand up to this far off in any direction, and turned by any angle.
     """
 
     sensor: str = "unit_b"
@@ -71,6 +72,7 @@ class Condition:
     scored_at: int = 0
     is_remembering: bool = False
     slide_mm_s: float = 0.0
+    anywhere_mm: float = 0.0
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -83,6 +85,7 @@ CONDITIONS: Mapping[str, Condition] = {
     "residual imprint": Condition(effects=("residual_imprint",), is_remembering=True),
     # More than the 3 mm/s that a recorded press slides at the end of its stroke: 0.09 mm in an exposure.
     "sliding press": Condition(slide_mm_s=5.0),
+    "parts anywhere": Condition(anywhere_mm=3.0),
 }
 
 
@@ -93,7 +96,7 @@ def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) 
     return _Rendered(shape, scene, CONDITIONS[condition], SCENE_SEED, sizes or Sizes()).trial()
 
 
-def development_trial(number: int, sizes: Sizes | None = None) -> Trial:
+def development_trial(number: int, sizes: Sizes | None = None, condition: str = "plain") -> Trial:
     """The random part with that number: odd and even ones alternate between a hand and a fixture."""
     name = f"RP{number}"
     shape = random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number]))
@@ -111,7 +114,7 @@ def development_trial(number: int, sizes: Sizes | None = None) -> Trial:
             ),
         }
     )
-    return _Rendered(shape, scene, CONDITIONS["plain"], DEVELOPMENT_SEED, sizes or Sizes()).trial()
+    return _Rendered(shape, scene, CONDITIONS[condition], DEVELOPMENT_SEED, sizes or Sizes()).trial()
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,15 @@ class _Rendered:
         angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
         return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
 
+    def _put_down(self, plan: PressPlan) -> Pose:
+        """Where the part lies: at its place, or anywhere within a circle and at any angle."""
+        if not self.condition.anywhere_mm:
+            return Pose()
+        rng = self.streams("anywhere", *plan.key)
+        away = self.condition.anywhere_mm * math.sqrt(rng.uniform())
+        towards, turn = rng.uniform(0, 2 * math.pi, 2).tolist()
+        return Pose((away * math.cos(towards), away * math.sin(towards)), turn)
+
     def _earlier_imprint(self, plan: PressPlan) -> F32:
         """The imprint of a press at another place of the part; at the same place the next press would hide it."""
         rng = self.streams("elsewhere", *plan.key)
@@ -199,7 +211,7 @@ class _Rendered:
         """The press's imprint in mm, and where it differs from that of the sound piece."""
         scene = self.scene
         piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))
-        placed, depth = self.gel.place(Pose(), plan.key), scene.press_depth_mm
+        placed, depth = self.gel.place(self._put_down(plan), plan.key), scene.press_depth_mm
         if not plan.kind:
             imprint = self.gel.imprint(sample(piece, placed, LR), depth * placed.depth_factor)
             return imprint, np.zeros(imprint.shape, np.bool_)

@@ -16,6 +16,7 @@ from calibration.fitting.features import extract
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.registration import in_pose_of
 from calibration.map_limits.head_limit import limited_like
 from edge import registry
 from edge.core.detector import Nominal
@@ -133,10 +134,12 @@ class _Folds:
         parameters = detector.parameters(manifest.mode or "corrected", **settings)
         self.learner = Learner(detector, grid, parameters, manifest.provenance.seed or 0, threads)
         session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
-        features = extract(session, learnt.frames, grid, lambda fraction: None)
+        part = bundle.registration
+        frames = learnt.frames if part is None else in_pose_of(part, learnt.frames)
+        features = extract(session, frames, grid, lambda fraction: None)
         free = learnt.no_contact
         no_contact = None if free is None else extract(session, free, grid, lambda fraction: None)
-        self.nominal = Nominal(features, learnt.touched, no_contact)
+        self.nominal = Nominal(features, learnt.touched if part is None else None, no_contact)
 
     def judge(self, held: NDArray[np.int64]) -> Judge:
         """The judge of the presses held out. Errors: FitError."""
@@ -151,6 +154,7 @@ class _Folds:
             backbone=whole.manifest.backbone.id,
             free_gel=whole.free_gel,
             free_view=whole.free_view,
+            registration=whole.registration,
         )
         fold = Bundle.in_memory(
             manifest, files, f"{whole.where} without {len(held)} presses", loaded=self.trunks

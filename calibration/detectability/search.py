@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calibration.rendered_damage.damage import KINDS, Damage, Spot
 from calibration.rendered_damage.footprint import surroundings
 from calibration.rendered_damage.imprint import Station
+from edge.core.errors import PoseNotFound
 from edge.core.verdict import Kind as Result
 from edge.model.manifest import Manifest
 from edge.model.scorer import Scored, Scorer
@@ -63,8 +64,14 @@ class Judge:
         return self._result(self.scorer.score(rgb)) is Result.PASS
 
     def finds(self, press: Press, damage: Damage) -> bool:
-        """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable."""
-        scored = self.scorer.score(press.damaged(damage))
+        """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable.
+
+        A press whose part is not recognised any more is rejected, which finds no damage.
+        """
+        try:
+            scored = self.scorer.score(press.damaged(damage))
+        except PoseNotFound:
+            return False
         if self._result(scored) is not Result.FAIL:
             return False
         row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)

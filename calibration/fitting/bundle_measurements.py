@@ -52,16 +52,16 @@ PAINTED_LEVEL = 40
 def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame]:
     """The nominal frames of middle and highest score, and a painted one, so that a high score is checked as well.
 
-    frames: uint8 (n, h, w, 3). Errors: NotScorable.
+    frames: uint8 (n, h, w, 3), in the bank's pose. Errors: NotScorable.
     """
-    order = np.argsort([scorer.score(frame).anomaly_score for frame in frames], kind="stable")
+    order = np.argsort([scorer.score_in_pose(frame).anomaly_score for frame in frames], kind="stable")
     middle = frames[order[len(order) // 2]]
     chosen = {
         "middle nominal score": middle,
         "highest nominal score": frames[order[-1]],
         "middle nominal press with a painted square": _painted(middle),
     }
-    scored = {what: scorer.score(rgb) for what, rgb in chosen.items()}
+    scored = {what: scorer.score_in_pose(rgb) for what, rgb in chosen.items()}
     return [
         GoldenFrame(rgb, what, scored[what].anomaly_score, map_peaks(scored[what].score_map))
         for what, rgb in chosen.items()
@@ -79,12 +79,12 @@ def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def measured_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:
     """The change of the golden frames' scores between runs, one or two threads, and another batch size."""
     frames = np.stack([frame.rgb for frame in golden])
-    runs = [[scorer.score(frame) for frame in frames] for _ in range(2)]
+    runs = [[scorer.score_in_pose(frame) for frame in frames] for _ in range(2)]
     with contextlib.suppress(NotScorable):  # a graph of another author may take one frame at a time
         runs.append(scorer.score_batch(frames))
     for count in {1, 2} - {threads}:
         other = Scorer(scorer.bundle, count)
-        runs.append([other.score(frame) for frame in frames])
+        runs.append([other.score_in_pose(frame) for frame in frames])
     scores = np.array([[s.anomaly_score for s in run] for run in runs])
     maps = np.stack([np.stack([s.score_map for s in run]) for run in runs]).astype(np.float64)
     score, score_map = np.ptp(scores, axis=0).max(), np.ptp(maps, axis=0).max()
@@ -100,7 +100,7 @@ def cost_card(
     scorer: Scorer, frames: NDArray[np.uint8], threads: int, seconds: Mapping[str, float]
 ) -> CostCard:
     """Medians over nine frames. seconds: of the stages `features`, `fit` and `threshold`, where they took place."""
-    runs = [scorer.score(frames[k % len(frames)]) for k in range(9)]
+    runs = [scorer.score_in_pose(frames[k % len(frames)]) for k in range(9)]
     entries = scorer.bundle.manifest.bank.values()
     return CostCard(
         trunk_ms=float(np.median([run.trunk_ms for run in runs])),

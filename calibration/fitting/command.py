@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -22,8 +22,10 @@ from calibration.fitting.options import (
     Position,
     Profile,
     RegionText,
+    RegisterOption,
     Resize,
     Revision,
+    Scattered,
     Seed,
     Settings,
     Threads,
@@ -34,6 +36,7 @@ from calibration.fitting.trunks import DEFAULT_BACKBONE
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
     from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.pose_decision import Register
     from calibration.fitting.sources import Sources
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
@@ -73,10 +76,9 @@ def fit(
     seed: Seed = 0,
     folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
     threads: Threads = 2,
-    scattered: Annotated[
-        bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")
-    ] = False,
+    scattered: Scattered = False,
     limit: Limit = "chosen",
+    register: RegisterOption = "never",
     leave_out: LeaveOut = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
@@ -107,11 +109,21 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
         limit=_limit(limit),
+        register=_register(register),
         revision=revision or next_revision(output),
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")
     make(partial(fit_files, presses, config), output, overwrite)
+
+
+def _register(word: str) -> "Register":
+    """Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    if word not in ("auto", "never", "always"):
+        raise ConfigError(f"--register is auto, never or always, found '{word}'")
+    return cast("Register", word)
 
 
 def _limit(word: str) -> Literal["chosen", "plain"]:
@@ -257,7 +269,7 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 
 def summary(fitted: "Fitted", output: Path) -> None:
-    """The summary of the bundle, in five lines."""
+    """The summary of the bundle, in a few lines."""
     from edge.model.limit_facts import limit_sentence
     from edge.model.promise import promise
 
@@ -265,6 +277,8 @@ def summary(fitted: "Fitted", output: Path) -> None:
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    if why := manifest.facts.get("registration"):
+        typer.echo(f"registration: {why}")
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
     if sentence := limit_sentence(manifest.facts):
         typer.echo(f"limit: {sentence}")

@@ -34,6 +34,7 @@ from calibration.fitting.held_out import Learner
 from calibration.fitting.limit_choice import Choice
 from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.pose_decision import PoseChoice, Register, chosen_pose
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.trunks import Trunk
@@ -73,7 +74,8 @@ class FitConfig:
     to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
     with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
     compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
-    `paper` always has the plain one. revision: see `Facts`.
+    `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. revision:
+    see `Facts`.
     """
 
     part: str
@@ -93,6 +95,7 @@ class FitConfig:
     is_scattered: bool = False
     limit: Literal["chosen", "plain"] = "chosen"
     revision: int | None = None
+    register: Register = "never"
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -170,16 +173,12 @@ class _Fit:
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
         self.warnings += free_gel_warnings(presses)
-        self.warnings += scatter_warnings(presses, config.profile, self.detector, config.is_scattered)
         self.seconds: dict[str, float] = {}
         self.trunks = TrunkSessions(config.threads)
 
     def run(self) -> Fitted:
         features, no_contact = self._timed("features", self._features)
-        nominal = Nominal(features, self.presses.touched, no_contact)
-        self.learner = Learner(
-            self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
-        )
+        nominal = Nominal(features, self.posed.touched, no_contact)
         self.limits = self._timed("threshold", self._limit_step)
         bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
         self.warnings += room_warnings(room)
@@ -201,7 +200,7 @@ class _Fit:
             return None
         view = config.profile, config.region
         return LimitStep(
-            self.learner, self.presses, view, self._taken, self.folds, config.alpha, config.why_plain
+            self.learner, self.posed, view, self._taken, self.folds, config.alpha, config.why_plain
         )
 
     def _choice(self, bank: Bank, nominal: Nominal) -> Choice:
@@ -237,9 +236,25 @@ class _Fit:
             self.config.profile.pixels_per_mm,
         )
         check_head(self.detector, self.grid, self.parameters)
-        features = extract(self.session, self.presses.frames, self.grid, self._progress("features"))
+        self.learner = Learner(
+            self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
+        )
+        self.pose = self._pose()
+        self.posed = self.pose.posed(self.presses)
+        features = extract(self.session, self.posed.frames, self.grid, self._progress("features"))
         free = self.presses.no_contact
         return features, None if free is None else self._taken(free)
+
+    def _pose(self) -> PoseChoice:
+        """How presses are registered; where they are not, a method that compares places needs them at one place."""
+        config = self.config
+        view = config.profile, config.region
+        pose = chosen_pose(config.register, self.presses, self.learner, self._taken, view)
+        if pose.learnt is None:
+            self.warnings += scatter_warnings(
+                self.presses, config.profile, self.detector, config.is_scattered
+            )
+        return pose
 
     def _taken(self, frames: NDArray[np.uint8]) -> Features:
         return extract(self.session, frames, self.grid, lambda fraction: None)
@@ -253,11 +268,11 @@ class _Fit:
         self.report("golden", 0.0)
         provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
         scorer = Scorer(provisional.bundle(), self.config.threads, self.trunks)
-        golden = golden_frames(scorer, self.presses.frames)
+        golden = golden_frames(scorer, self.posed.frames)
         black = np.zeros_like(self.presses.frames[0])
-        black_score = scorer.score(black).anomaly_score
+        black_score = scorer.score_in_pose(black).anomaly_score
         tolerance = measured_tolerance(scorer, golden, self.config.threads)
-        cost = cost_card(scorer, self.presses.frames, self.config.threads, self.seconds)
+        cost = cost_card(scorer, self.posed.frames, self.config.threads, self.seconds)
         threshold = self._threshold(scores, tolerance)
         is_refused = refuses(self.colours, black)
         self.warnings += black_warnings(black_score, threshold, is_refused, self.apart)
@@ -290,11 +305,12 @@ class _Fit:
             with_trunk=with_trunk,
             free_gel=self._free_gel(),
             free_view=self.presses.free_view,
+            registration=None if self.pose.learnt is None else self.pose.learnt.part,
         )
 
     def _skipped(self) -> tuple[int, ...]:
         """The tiles that a press without contact there may skip: those that no nominal press touches."""
-        tiles, touched = self.grid.tiles, self.presses.touched
+        tiles, touched = self.grid.tiles, self.posed.touched
         if tiles is None or touched is None or self.presses.no_contact is None:
             return ()
         return untouched_tiles(tiles, touched)
@@ -316,6 +332,7 @@ class _Fit:
             facts={
                 "backbone": config.trunk.facts,
                 "limit": self.choice.facts(),
+                **self.pose.facts,
                 **{k: v for k, v in bank.facts.items() if k != "repairs"},
             },
             profile=ProfileEntry.of(config.profile),

@@ -19,8 +19,10 @@ __all__ = [
     "Position",
     "Profile",
     "RegionText",
+    "RegisterOption",
     "Resize",
     "Revision",
+    "Scattered",
     "Seed",
     "Settings",
     "Threads",
@@ -42,6 +44,12 @@ Position = Annotated[
 ]
 Profile = Annotated[str, typer.Option(help="Sensor profile; default: the recording's, else mini_lr.")]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
+RegisterOption = Annotated[
+    str,
+    typer.Option(
+        help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'."
+    ),
+]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
@@ -76,6 +84,7 @@ Settings = Annotated[
         help="A parameter of the detector; `gelgate docs parameters` lists them.",
     ),
 ]
+Scattered = Annotated[bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")]
 Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
 Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]

@@ -20,6 +20,7 @@ GelgateError
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
 ├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
+│   └── PoseNotFound       press · the press is rejected with its reason; press again
 └── FitError           operator · give other or more nominal presses
 """
 
@@ -38,6 +39,7 @@ __all__ = [
     "FrameCorrupt",
     "GelgateError",
     "NotScorable",
+    "PoseNotFound",
     "PressesMissed",
     "RecordingEnded",
     "RecordingError",
@@ -82,6 +84,10 @@ class FitError(GelgateError):
 
 class NotScorable(GelgateError):
     """This press has no score. It is reported as an error, never as a pass."""
+
+
+class PoseNotFound(NotScorable):
+    """The part of this press was not found under the gel, or lies too far outside the inspected region."""
 
 
 class PressesMissed(GelgateError):

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.errors import FrameCorrupt, NotScorable
+from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import (
     NominalContact,
     QualitySettings,
+    Reason,
+    Rejection,
     check_contact,
     check_freshness,
     check_light,
@@ -19,6 +21,7 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.overview.rules import OverviewView
 from edge.core.ports import Clock
+from edge.core.registration.registrar import Registered
 from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
@@ -32,7 +35,8 @@ class Inspection:
 
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
     get that far. latency_ms: stage to milliseconds. judged_ns: when the judged frame came, monotonic; None without one.
-    overview: the look before the press, None without such a camera.
+    overview: the look before the press, None without such a camera. registered: how the press was brought to the bank's
+    pose, None where it was scored as it lies.
     """
 
     verdict: Verdict | None
@@ -42,6 +46,7 @@ class Inspection:
     latency_ms: dict[str, float] = field(default_factory=dict)
     judged_ns: int | None = None
     overview: OverviewView | None = None
+    registered: Registered | None = None
 
     @property
     def word(self) -> str:
@@ -94,10 +99,17 @@ class Inspector:
         try:
             scored = self.scorer.score(rgb)
             verdict = self.bundle.manifest.decide(scored.anomaly_score)
+        except PoseNotFound as error:
+            rejection = Rejection(Reason.NO_POSE, str(error))
+            return Inspection(Verdict.rejected(rejection), rgb=rgb, latency_ms=latency)
         except NotScorable as error:
             return Inspection(None, error=str(error), rgb=rgb, latency_ms=latency)
+        if scored.registered is not None:
+            latency["registration"] = scored.registration_ms
         latency |= {"trunk": scored.trunk_ms, "head": scored.head_ms}
-        return Inspection(verdict, rgb=rgb, score_map=scored.score_map, latency_ms=latency)
+        return Inspection(
+            verdict, rgb=rgb, score_map=scored.score_map, latency_ms=latency, registered=scored.registered
+        )
 
 
 def _nominal_contact(found: ContactRange | None, size: tuple[int, int]) -> NominalContact | None:

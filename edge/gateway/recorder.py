@@ -3,12 +3,17 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from edge.core.defects import Defect, find_defects
 from edge.core.ports import Clock
+from edge.core.registration.registrar import Registered
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.inspector import Inspection, Inspector
 from edge.messaging.payloads import MOST_DEFECTS, DefectPlace, ResultPayload, iso_time, press_messages
+from edge.messaging.pose_payload import PosePlace
 from edge.pictures.press_picture import PressCaption, press_png
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
@@ -75,6 +80,7 @@ class Recorder:
             **_judgement(press, inspection),
             **self._defects(inspection),
             **_overview(inspection),
+            **self._pose(inspection),
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
             "overview_topic": f"overview/{press.press_id}" if still else None,
         }
@@ -141,7 +147,12 @@ class Recorder:
             part="/".join(word for word in (press.part, press.position) if word),
             time=iso_time(press.time_ns),
         )
-        return press_png(inspection.rgb, inspection.score_map, caption)
+        return press_png(_dimmed(inspection.rgb, inspection.registered), inspection.score_map, caption)
+
+    def _pose(self, inspection: Inspection) -> dict[str, Any]:
+        """The field `pose`; none where presses are scored as they lie."""
+        found = inspection.registered
+        return {} if found is None else {"pose": PosePlace.of(found, self._bundle.profile.mm_per_pixel)}
 
     def _defects(self, inspection: Inspection) -> dict[str, Any]:
         """The fields `defects` and `defect_area_mm2`; none for a pass and for a press without a score."""
@@ -153,6 +164,13 @@ class Recorder:
             "defects": [_defect_place(defect, x_mm, y_mm) for defect in found[:MOST_DEFECTS]],
             "defect_area_mm2": round(sum(defect.area_px for defect in found) * x_mm * y_mm, 4),
         }
+
+
+def _dimmed(rgb: NDArray[np.uint8], registered: Registered | None) -> NDArray[np.uint8]:
+    """The press with the places that were not judged at half their light."""
+    if registered is None:
+        return rgb
+    return np.where(registered.unseen_in_press[..., None], rgb // 2, rgb)
 
 
 def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:

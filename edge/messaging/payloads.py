@@ -19,6 +19,7 @@ from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.messaging.defect_place import DefectPlace, Pair
+from edge.messaging.pose_payload import PosePlace
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
@@ -227,6 +228,8 @@ class ResultPayload(Payload):
     part_present: bool | None = Field(
         default=None, description="whether the overview camera saw a part; null where it is not asked"
     )
+
+    pose: PosePlace | None = Field(default=None, description="where the part lay; null where none is sought")
 
     @model_validator(mode="after")
     def _verdict_or_error(self) -> Self:

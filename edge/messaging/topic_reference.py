@@ -166,10 +166,18 @@ def _alarms() -> Iterator[str]:
 def _payloads() -> Iterator[str]:
     for model in dict.fromkeys(one.payload for one in TOPICS if not isinstance(one.payload, str)):
         schema = model.model_json_schema()
-        yield f"\n## {model.__name__}\n\n{schema.get('description', '')}\n"
-        yield "| field | type | meaning |\n| --- | --- | --- |"
-        for name, field in schema["properties"].items():
-            yield f"| `{name}` | {_kind(field, schema.get('$defs', {}))} | {_meaning(field)} |"
+        inner = schema.get("$defs", {})
+        yield from _fields(f"## {model.__name__}", schema, inner)
+        for name, part in inner.items():
+            if "properties" in part:
+                yield from _fields(f"### {name}", part, inner)
+
+
+def _fields(title: str, schema: dict[str, Any], definitions: dict[str, Any]) -> Iterator[str]:
+    yield f"\n{title}\n\n{schema.get('description', '')}\n"
+    yield "| field | type | meaning |\n| --- | --- | --- |"
+    for name, field in schema["properties"].items():
+        yield f"| `{name}` | {_kind(field, definitions)} | {_meaning(field)} |"
 
 
 def _kind(field: dict[str, Any], definitions: dict[str, Any]) -> str:

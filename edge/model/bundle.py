@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -25,7 +24,9 @@ from edge.core.errors import BundleCorrupt, BundleMismatch, FitError
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.registration.registrar import PartInPose
 from edge.model.archive import MANIFEST, Archive, open_archive, write_archive
+from edge.model.bundle_pictures import png_bytes, read_picture
 from edge.model.manifest import (
     SCHEMA_VERSION,
     ArrayEntry,
@@ -36,6 +37,7 @@ from edge.model.manifest import (
     Manifest,
 )
 from edge.model.packing import Packed, pack, unpack
+from edge.model.registration_files import read_registration, registration_entry
 from edge.model.signature import UNSIGNED, SignatureFinding, Trust
 from edge.model.trunk_store import read_trunk
 from edge.model.verified_files import read_verified
@@ -82,7 +84,8 @@ class Bundle:
     `graphs.trunk` is None where the caller has this trunk open already. free_gel: the region without contact, uint8 (h,
     w, 3), where tiles may be skipped. free_view: the whole gel without contact, as contact detection sees it, uint8
     (120, 160, 3). digest: SHA-256 of the manifest, the bundle's identity in every published result. where: path, for
-    messages. signature: who made it, as far as that was checked.
+    messages. signature: who made it, as far as that was checked. registration: how a press is brought to the bank's
+    pose; None where it is scored as it lies.
     """
 
     manifest: Manifest
@@ -94,6 +97,7 @@ class Bundle:
     free_gel: NDArray[np.uint8] | None = None
     free_view: NDArray[np.uint8] | None = None
     signature: SignatureFinding = UNSIGNED
+    registration: PartInPose | None = None
 
     @classmethod
     def load(
@@ -149,10 +153,11 @@ class Bundle:
             golden=golden,
             digest=digest,
             where=archive.where,
-            free_gel=_read_picture(archive, manifest.free_gel, manifest.frame) if manifest.free_gel else None,
-            free_view=_read_picture(archive, manifest.free_view, VIEW_SIZE[::-1])
+            free_gel=read_picture(archive, manifest.free_gel, manifest.frame) if manifest.free_gel else None,
+            free_view=read_picture(archive, manifest.free_view, VIEW_SIZE[::-1])
             if manifest.free_view
             else None,
+            registration=read_registration(archive, manifest.registration, manifest.frame),
         )
 
     @property
@@ -187,6 +192,7 @@ def bundle_files(
     with_trunk: bool = True,
     free_gel: NDArray[np.uint8] | None = None,
     free_view: NDArray[np.uint8] | None = None,
+    registration: PartInPose | None = None,
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
 
@@ -211,7 +217,7 @@ def bundle_files(
         parts["bank"] = {name: _array_entry(name, bank, keep) for name in sorted(bank.arrays)}
     parts["golden"] = tuple(
         GoldenEntry(
-            image=keep(f"golden/{number}.png", _png(frame.rgb)),
+            image=keep(f"golden/{number}.png", png_bytes(frame.rgb)),
             what=frame.what,
             score=frame.score,
             map_peaks=frame.map_peaks,
@@ -219,9 +225,11 @@ def bundle_files(
         for number, frame in enumerate(golden)
     )
     if free_gel is not None:
-        parts["free_gel"] = keep(FREE_GEL, _png(free_gel))
+        parts["free_gel"] = keep(FREE_GEL, png_bytes(free_gel))
     if free_view is not None:
-        parts["free_view"] = keep(FREE_VIEW, _png(free_view))
+        parts["free_view"] = keep(FREE_VIEW, png_bytes(free_view))
+    if registration is not None:
+        parts["registration"] = registration_entry(registration, keep)
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
     files[MANIFEST] = manifest_bytes(manifest)
     return manifest, files
@@ -237,8 +245,8 @@ def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = Fa
 
 
 def manifest_bytes(manifest: Manifest) -> bytes:
-    """The manifest's file; its SHA-256 is the bundle's identity. Without a revision, older programs read it too."""
-    unset = {"revision"} if manifest.revision is None else None
+    """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
+    unset = {name for name in ("revision", "registration") if getattr(manifest, name) is None}
     return (
         json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
     ).encode()
@@ -268,10 +276,6 @@ def _npy(array: NDArray[Any]) -> bytes:
         stream, np.ascontiguousarray(array).reshape(array.shape), (1, 0), allow_pickle=False
     )
     return stream.getvalue()
-
-
-def _png(rgb: NDArray[np.uint8]) -> bytes:
-    return bytes(cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1])
 
 
 def parse_manifest(raw: bytes, where: str) -> Manifest:
@@ -346,28 +350,8 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
 
 
 def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -> GoldenFrame:
-    rgb = _read_picture(archive, entry.image, frame)
+    rgb = read_picture(archive, entry.image, frame)
     return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
-
-
-def _read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture of the region, uint8 (h, w, 3) RGB."""
-    data = np.frombuffer(read_verified(archive, entry), np.uint8)
-    h, w = _png_size(data.tobytes()[:24])
-    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if (h, w) == frame else None
-    if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
-        raise BundleCorrupt(
-            f"bundle {archive.where}: the picture {entry.file} is {h}x{w}, expected a PNG of {frame[0]}x{frame[1]} (h, "
-            "w) in colour; export the bundle again"
-        )
-    return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
-
-
-def _png_size(head: bytes) -> tuple[int, int]:
-    """(h, w) from the first 24 bytes of a PNG, (0, 0) of something else: a small file can hold a gigantic picture."""
-    if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
-        return 0, 0
-    return int.from_bytes(head[20:24], "big"), int.from_bytes(head[16:20], "big")
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from edge.model.manifest_files import (
     Name,
     Side,
 )
+from edge.model.manifest_registration import RegistrationEntry
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -352,6 +353,7 @@ class Manifest(Facts):
     golden: tuple[GoldenEntry, ...] = ()
     free_gel: FileEntry | None = None
     free_view: FileEntry | None = None
+    registration: RegistrationEntry | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
@@ -390,4 +392,5 @@ class Manifest(Facts):
         graphs = [graph for graph in (self.head, self.detector) if graph]
         arrays = [f for a in self.bank.values() for f in (a.data, a.scale) if f]
         gel = [picture for picture in (self.free_gel, self.free_view) if picture]
-        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel)
+        registered = self.registration.files if self.registration else ()
+        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel, *registered)

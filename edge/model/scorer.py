@@ -6,14 +6,15 @@ method. `edge.model.tile_runner` runs a tiled trunk and skips tiles that show on
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from edge.core.errors import BundleCorrupt, NotScorable
+from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
+from edge.core.registration.registrar import Registered, Registrar
 from edge.model.bundle import Bundle
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
 from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
@@ -39,12 +40,16 @@ class Scored:
     """One press, scored. score_map: float32 (h, w) of the region, raw; anomaly_score: raw; higher is more anomalous.
 
     trunk_ms and head_ms: time in the two graphs; a single graph counts as head. For a batch, each frame's share.
+    registered: how the press was brought to the bank's pose, and registration_ms the time of that; None where it is
+    scored as it lies.
     """
 
     score_map: NDArray[np.float32]
     anomaly_score: float
     trunk_ms: float
     head_ms: float
+    registered: Registered | None = None
+    registration_ms: float = 0.0
 
 
 class Scorer:
@@ -84,6 +89,7 @@ class Scorer:
         }
         self._tiled = self._opened_tiles(is_skipping)
         self._pipe = self._opened_pipe()
+        self._registrar = None if bundle.registration is None else Registrar(bundle.registration)
 
     @property
     def tiles_run(self) -> int:
@@ -91,14 +97,37 @@ class Scorer:
         return 0 if self._tiled is None else self._tiled.runner.runs
 
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
-        """Score one frame of the inspected region. rgb: uint8 (h, w, 3).
+        """Score one press of the inspected region, as it lies. rgb: uint8 (h, w, 3).
 
-        Errors: NotScorable when the answer is not finite, ValueError for another shape or dtype.
+        A bundle with registration brings it to the bank's pose first; the map is then of the press again, and places
+        that the bank does not know, or that have left the field, count neither for the score nor in the map. Errors:
+        PoseNotFound; NotScorable when the answer is not finite, ValueError for another shape or dtype.
         """
+        if self._registrar is None:
+            return self.score_in_pose(rgb)
+        start = time.perf_counter()
+        registered = self._registrar.register(rgb)
+        registration_ms = (time.perf_counter() - start) * 1e3
+        if registered.refusal is not None:
+            raise PoseNotFound(registered.refusal)
+        scored = self.score_in_pose(registered.rgb)
+        return replace(
+            scored,
+            score_map=registered.in_press(scored.score_map),
+            anomaly_score=registered.score(scored.score_map),
+            registered=registered,
+            registration_ms=registration_ms,
+        )
+
+    def score_in_pose(self, rgb: NDArray[np.uint8]) -> Scored:
+        """Score one frame that lies as the bank's presses do, without registration. Errors as `score_batch`."""
         return self.score_batch(rgb[None])[0]
 
     def score_batch(self, frames: NDArray[np.uint8]) -> list[Scored]:
-        """Score n frames in one run of the graphs. frames: uint8 (n, h, w, 3). Errors as `score`."""
+        """Score n frames that lie as the bank's presses do in one run of the graphs. frames: uint8 (n, h, w, 3).
+
+        Errors: NotScorable when an answer is not finite, ValueError for another shape or dtype.
+        """
         expected = (*self.frame, 3)
         if frames.dtype != np.uint8 or frames.ndim != 4 or frames.shape[1:] != expected or len(frames) == 0:
             raise ValueError(
@@ -134,7 +163,7 @@ class Scorer:
         """Score one golden frame again; returns the difference of its score. Errors as `check_golden`."""
         golden, tolerance = self.bundle.golden[number], self.bundle.manifest.tolerance
         try:
-            scored = self.score(golden.rgb)
+            scored = self.score_in_pose(golden.rgb)
         except NotScorable as error:
             raise BundleCorrupt(
                 f"bundle {self._where}: golden frame {number} has no score: {error}"

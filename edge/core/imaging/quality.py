@@ -36,6 +36,7 @@ class Reason(StrEnum):
     OTHER_SENSOR = "other_sensor"
     NO_CONTACT = "no_contact"
     OFF_POSITION = "off_position"
+    NO_POSE = "no_pose"
     NOT_SETTLED = "not_settled"
     NO_OVERVIEW = "no_overview"
     NO_PART = "no_part"

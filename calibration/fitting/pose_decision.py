@@ -1,0 +1,153 @@
+"""Whether presses are registered: only where they lie apart, and where it finds more of the damage shown in them.
+
+The proof is made on the part's own presses: a third is held out, small damage is rendered into those, and banks of the
+others judge them, registered and as they lie.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.edited_presses import SIZE_SHARES, edited_presses
+from calibration.fitting.held_out import Learner
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.registration import LearntPose, completed, learn_pose
+from edge.core.detector import Features, Nominal
+from edge.core.errors import FitError
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.registration.light import FreeLight
+from edge.core.registration.registrar import Registrar, shown
+from edge.model.tile_runner import most_typical
+
+__all__ = ["PoseChoice", "Register", "chosen_pose", "pose_spread_mm"]
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+Register = Literal["auto", "never", "always"]
+
+SPREAD_MM = 0.5
+"""Up to this median distance from their common pose presses are compared as they lie: a hand-held fixture has less."""
+
+LEAST_PRESSES = 6
+"""With fewer presses nothing can be held out to prove that registration pays."""
+
+_HELD_OUT = 3
+
+Take = Callable[[U8], Features]
+"""The features of frames, uint8 (n, h, w, 3)."""
+
+View = tuple[SensorProfile, Region]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseChoice:
+    """learnt: None where presses are scored as they lie. why: a sentence for the operator, empty for nothing to say."""
+
+    learnt: LearntPose | None
+    why: str = ""
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """For the manifest."""
+        return {"registration": self.why} if self.why else {}
+
+    def posed(self, presses: NominalPresses) -> NominalPresses:
+        """The presses as the bank learns them; registered ones lie at one place, and what they touch is not known."""
+        if self.learnt is None:
+            return presses
+        touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
+        return replace(presses, frames=self.learnt.frames, touches=touches, touched=None)
+
+
+def chosen_pose(
+    register: Register, presses: NominalPresses, learner: Learner, take: Take, view: View
+) -> PoseChoice:
+    """take: the features of frames. Errors: FitError where registration is asked for and cannot be had."""
+    if register == "never" or (register == "auto" and not learner.detector.compares_places):
+        return PoseChoice(None)
+    try:
+        learnt = _learnt(presses)
+    except FitError as error:
+        if register == "always":
+            raise
+        return PoseChoice(None, f"presses are compared as they lie: {error}")
+    spread = pose_spread_mm(learnt, view[0].pixels_per_mm)
+    apart = f"in the median presses lie {spread:.2f} mm from their common pose"
+    if register == "always":
+        return PoseChoice(learnt, f"presses are registered, as asked for; {apart}")
+    if spread <= SPREAD_MM:
+        return PoseChoice(None, f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated")
+    found = _proof(presses, learnt, learner, take, view)
+    if found is None:
+        return PoseChoice(None, f"presses are compared as they lie: {apart}, but no damage could be rendered")
+    registered, still = found
+    proof = f"of rendered damage {registered:.2f} is told from sound presses with it, {still:.2f} without"
+    if registered > still:
+        return PoseChoice(learnt, f"presses are registered: {apart}; {proof} (image AUROC, out of fold)")
+    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}")
+
+
+def _learnt(presses: NominalPresses) -> LearntPose:
+    if presses.no_contact is None:
+        raise FitError(
+            "registration needs a picture of the free gel; give one with --no-contact, or a recording that shows it"
+        )
+    if len(presses) < LEAST_PRESSES:
+        raise FitError(f"registration needs at least {LEAST_PRESSES} presses, found {len(presses)}")
+    return learn_pose(presses.frames, most_typical(presses.no_contact))
+
+
+def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
+    """The median over presses of how far the part's places lie from where they lie in the median press, in mm."""
+    places = np.argwhere(learnt.part.learnt & shown(_template_slopes(learnt)))[::97, ::-1].astype(np.float64)
+    size = learnt.part.learnt.shape[1], learnt.part.learnt.shape[0]
+    matrices = [one.pose.matrix(size) for one in learnt.registered]
+    moved = np.stack([places @ m[:, :2].T + m[:, 2] for m in matrices])
+    away = np.linalg.norm(moved - np.median(moved, axis=0), axis=2).mean(axis=1)
+    return float(np.median(away)) / pixels_per_mm
+
+
+def _template_slopes(learnt: LearntPose) -> F32:
+    return learnt.part.colours.slopes(FreeLight(learnt.part.free).added(learnt.part.template))
+
+
+def _proof(
+    presses: NominalPresses, learnt: LearntPose, learner: Learner, take: Take, view: View
+) -> tuple[float, float] | None:
+    """Image AUROC of rendered damage with and without registration, by banks of the presses that are not held out.
+
+    None where no damage can be rendered.
+    """
+    held = list(range(0, len(presses), _HELD_OUT))
+    kept = [k for k in range(len(presses)) if k not in held]
+    sound = presses.frames[held]
+    only = NominalPresses(sound, tuple(presses.names[k] for k in held), no_contact=presses.no_contact)
+    edited = edited_presses(only, *view, np.random.default_rng(learner.seed))
+    if edited is None:
+        return None
+    damaged = edited.frames[len(SIZE_SHARES) - 1 :: len(SIZE_SHARES)]
+    registrar = Registrar(learnt.part)
+
+    def registered(frames: U8) -> U8:
+        return np.stack([registrar.register(rgb).rgb for rgb in frames])
+
+    posed = completed([learnt.registered[k] for k in kept])
+    return (
+        _auroc(learner, take, posed, registered(sound), registered(damaged)),
+        _auroc(learner, take, presses.frames[kept], sound, damaged),
+    )
+
+
+def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) -> float:
+    """The share of pairs of a damaged and a sound press in which the damaged one scores higher."""
+    features = take(np.concatenate([nominal, sound, damaged]))
+    first, last = len(nominal), len(nominal) + len(sound)
+    bank = learner.bank(Nominal({tap: maps[:first] for tap, maps in features.items()}))
+    good = learner.scores(bank, features, range(first, last))
+    bad = learner.scores(bank, features, range(last, last + len(damaged)))
+    return float((bad[:, None] > good).mean() + 0.5 * (bad[:, None] == good).mean())

@@ -1,0 +1,1 @@
+"""Registration: a press brought to the pose in which the bank was learnt."""

@@ -1,0 +1,71 @@
+"""Where a part lies under the gel: a shift and a turn from the pose in which the bank was learnt."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Pose", "turned_slopes", "warped"]
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A point q of the bank lies at turn(q - centre) + centre + shift in the press.
+
+    x_px, y_px: right and down. turn_rad: clockwise in the picture, about the picture's centre.
+    """
+
+    x_px: float = 0.0
+    y_px: float = 0.0
+    turn_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) for value in (self.x_px, self.y_px, self.turn_rad)):
+            raise ValueError(f"a pose is finite, found {self}")
+
+    def matrix(self, size: tuple[int, int]) -> NDArray[np.float64]:
+        """The map from the bank's pixels to the press's, float64 (2, 3); pixel centres are integers. size: (w, h)."""
+        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
+        return np.array(
+            [
+                [cos, -sin, cx + self.x_px - cos * cx + sin * cy],
+                [sin, cos, cy + self.y_px - sin * cx - cos * cy],
+            ]
+        )
+
+    def scaled(self, factor: float) -> "Pose":
+        """The same pose in pixels of another size."""
+        return Pose(self.x_px * factor, self.y_px * factor, self.turn_rad)
+
+    def after(self, first: "Pose") -> "Pose":
+        """The pose that moves by `first`, then by this one."""
+        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        return Pose(
+            self.x_px + cos * first.x_px - sin * first.y_px,
+            self.y_px + sin * first.x_px + cos * first.y_px,
+            math.remainder(self.turn_rad + first.turn_rad, 2 * math.pi),
+        )
+
+    def inverse(self) -> "Pose":
+        """The pose that moves back."""
+        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        return Pose(-cos * self.x_px - sin * self.y_px, sin * self.x_px - cos * self.y_px, -self.turn_rad)
+
+
+def warped(picture: F32, pose: Pose, flags: int = cv2.INTER_LINEAR) -> F32:
+    """A picture of the press as the bank sees it, float32 (h, w) or (h, w, c); 0 where it left the field."""
+    size = picture.shape[1], picture.shape[0]
+    moved = cv2.warpAffine(picture, pose.matrix(size), size, flags=flags | cv2.WARP_INVERSE_MAP)
+    return np.asarray(moved, np.float32)
+
+
+def turned_slopes(slopes: F32, pose: Pose) -> F32:
+    """Slopes of the press as the bank sees them, float32 (h, w, 2): moved, and turned as the part is."""
+    cos, sin = math.cos(pose.turn_rad), math.sin(pose.turn_rad)
+    turn = np.array([[cos, sin], [-sin, cos]], np.float32)
+    return np.asarray(cv2.transform(warped(slopes, pose), turn), np.float32)

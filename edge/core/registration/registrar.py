@@ -1,0 +1,198 @@
+"""A press brought to the pose in which the bank was learnt, and its score map brought back."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.registration.colours import SlopeColours
+from edge.core.registration.fine import Alignment
+from edge.core.registration.light import FreeLight
+from edge.core.registration.pose import Pose, warped
+from edge.core.registration.pose_search import PoseSearch, shrunk
+
+__all__ = ["PartInPose", "PoseUncertainty", "Registered", "Registrar"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# Interpolation reads two pixels around a place, and a resized picture is less sharp at its rim.
+_RIM_PX = 2
+# A place is seen where nearly all of its weight comes from the field.
+_SEEN = 0.99
+# A part shows where its slopes are at least this share of its steepest, or within the closing of such places.
+_RELIEF_SHARE, _CLOSED_SHARE = 0.1, 0.05
+# Width of the seam between what is seen and what fills the rest.
+_FADE_SHARE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class PartInPose:
+    """What is needed to find a part.
+
+    free: the free gel, uint8 (h, w, 3). template: the mean nominal press in the bank's pose, uint8 (h, w, 3). learnt:
+    bool (h, w), places of the bank that enough nominal presses show. colours: of slopes. is_turning: False where the
+    part has no turn. least_match: below it a press shows no such part. least_seen: the share of the part that must lie
+    in the field.
+    """
+
+    free: U8
+    template: U8
+    learnt: Mask
+    colours: SlopeColours
+    is_turning: bool = True
+    least_match: float = 0.5
+    least_seen: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not self.free.shape == self.template.shape == (*self.learnt.shape, 3):
+            raise ValueError(
+                f"free gel, template and learnt places have one size, found {self.free.shape}, "
+                f"{self.template.shape} and {self.learnt.shape}"
+            )
+        if not (0 < self.least_match < 1 and 0 <= self.least_seen <= 1):
+            raise ValueError(
+                f"least_match lies in (0, 1) and least_seen in [0, 1], found {self.least_match}, {self.least_seen}"
+            )
+
+
+@dataclass(frozen=True)
+class PoseUncertainty:
+    """One standard deviation. turn_rad: None where the part has no turn."""
+
+    x_px: float
+    y_px: float
+    turn_rad: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """A press in the bank's pose.
+
+    rgb: uint8 (h, w, 3), the mean nominal press where nothing is seen. seen: bool (h, w), learnt places that lie in the
+    press's field. pose: where the part lay. match: correlation with the mean nominal press, at most 1. seen_share: of
+    the part, the share that lies in the field. refusal: why the pose cannot be trusted, None where it can.
+    """
+
+    rgb: U8
+    seen: Mask
+    pose: Pose
+    uncertainty: PoseUncertainty
+    match: float
+    seen_share: float
+    refusal: str | None = None
+
+    def score(self, score_map: F32) -> float:
+        """The highest score of a map in the bank's pose, of places that are seen."""
+        return float(score_map[self.seen].max(initial=-math.inf))
+
+    def in_press(self, score_map: F32) -> F32:
+        """The map, float32 (h, w), where the part lies in the press; unseen places have the lowest score of the map.
+
+        The highest score keeps its value: interpolation would lower it.
+        """
+        lowest = np.float32(score_map.min())
+        moved = warped(np.where(self.seen, score_map - lowest, 0).astype(np.float32), self.pose.inverse())
+        if self.seen.any():
+            peak = np.unravel_index(int(np.where(self.seen, score_map, -np.inf).argmax()), score_map.shape)
+            x, y = self.pose.matrix((score_map.shape[1], score_map.shape[0])) @ np.array(
+                [peak[1], peak[0], 1.0]
+            )
+            moved[self._inside(y, 0), self._inside(x, 1)] = score_map[peak] - lowest
+        return moved + lowest
+
+    def _inside(self, value: float, axis: int) -> int:
+        return int(min(max(round(value), 0), self.seen.shape[axis] - 1))
+
+    @cached_property
+    def unseen_in_press(self) -> Mask:
+        """Places of the press, bool (h, w), of which no bank was learnt."""
+        return np.asarray(warped(self.seen.astype(np.float32), self.pose.inverse()) < 0.5)
+
+
+class Registrar:
+    """Finds a part and brings it to the bank's pose."""
+
+    def __init__(self, part: PartInPose) -> None:
+        self.part = part
+        self.light = FreeLight(part.free)
+        self._template = self.light.added(part.template) * part.learnt[..., None]
+        slopes = part.colours.slopes(shrunk(self._template))
+        self._search = PoseSearch(slopes, part.is_turning)
+        self._factor = max(part.learnt.shape) / max(slopes.shape)
+        self._shown = shown(part.colours.slopes(self._template)) & part.learnt
+
+    def register(self, rgb: U8) -> Registered:
+        """The press in the bank's pose. rgb: uint8 (h, w, 3). Errors: ValueError for another size."""
+        if rgb.shape != self.part.free.shape or rgb.dtype != np.uint8:
+            raise ValueError(
+                f"a press to register is uint8 {self.part.free.shape}, found {rgb.dtype} {rgb.shape}"
+            )
+        added = self.light.added(rgb)
+        found = self._search.find(self.part.colours.slopes(shrunk(added)))
+        pose = found.pose.scaled(self._factor)
+        moved, in_field = in_pose(added, pose, self.part.colours)
+        seen_share = float(in_field[self._shown].mean()) if self._shown.any() else 0.0
+        weight, seen = blended(in_field & self.part.learnt)
+        return Registered(
+            self.light.picture(self._template + weight[..., None] * (moved - self._template)),
+            seen,
+            pose,
+            self._uncertainty(found),
+            found.match,
+            seen_share,
+            self._refusal(found.match, seen_share),
+        )
+
+    def _uncertainty(self, found: Alignment) -> PoseUncertainty:
+        x, y, turn = np.sqrt(np.maximum(np.diag(found.covariance), 0)).tolist()
+        return PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None)
+
+    def _refusal(self, match: float, seen_share: float) -> str | None:
+        if not match >= self.part.least_match:
+            return (
+                f"the part is not recognised: at its best place the press agrees with the nominal ones by "
+                f"{match:.2f}, at least {self.part.least_match:.2f} is expected; check which part is pressed and that "
+                "its relief lies on the gel"
+            )
+        if seen_share < self.part.least_seen:
+            return (
+                f"{1 - seen_share:.0%} of the part lie outside the inspected region, at most "
+                f"{1 - self.part.least_seen:.0%} are accepted; press it nearer to the middle"
+            )
+        return None
+
+
+def in_pose(added: F32, pose: Pose, colours: SlopeColours) -> tuple[F32, Mask]:
+    """What a press adds, (h, w, 3), and the places that its field shows, bool (h, w), as the bank sees both."""
+    moved = warped(added, pose, cv2.INTER_CUBIC)
+    turned = cv2.transform(moved, colours.turned(-pose.turn_rad))
+    field = np.zeros(added.shape[:2], np.float32)
+    field[_RIM_PX:-_RIM_PX, _RIM_PX:-_RIM_PX] = 1
+    return np.asarray(turned, np.float32), np.asarray(warped(field, pose) > _SEEN)
+
+
+def blended(shows: Mask) -> tuple[F32, Mask]:
+    """How much each place shows of a press, from 0 to 1, and the places that show nothing else near them.
+
+    A seam would score: so a press fades into what fills it, and places at the seam are not scored. shows: bool (h, w).
+    """
+    fade = max(1, round(_FADE_SHARE * max(shows.shape)))
+    framed = cv2.copyMakeBorder(
+        shows.astype(np.float32), fade, fade, fade, fade, cv2.BORDER_CONSTANT, value=0
+    )
+    away = cv2.distanceTransform((framed > 0).astype(np.uint8), cv2.DIST_L2, 3)[fade:-fade, fade:-fade]
+    return np.minimum(away / fade, 1).astype(np.float32), np.asarray(away >= fade)
+
+
+def shown(slopes: F32) -> Mask:
+    """Where a part has relief, bool (h, w), and what such places enclose narrowly. slopes: float32 (h, w, 2)."""
+    steep = cv2.blur(np.linalg.norm(slopes, axis=2).astype(np.float32), (5, 5))
+    relief = (steep > _RELIEF_SHARE * float(steep.max())).astype(np.uint8)
+    side = 2 * round(_CLOSED_SHARE * max(relief.shape)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return np.asarray(cv2.morphologyEx(relief, cv2.MORPH_CLOSE, kernel) > 0)

@@ -1,0 +1,199 @@
+"""A press is brought to the bank's pose: how exactly, with which uncertainty, and when it is refused."""
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+import turned_parts as parts
+from scipy import optimize
+
+from calibration.fitting.registration import LearntPose, learn_pose
+from edge.core.registration.pose import Pose
+from edge.core.registration.pose_search import PoseSearch
+from edge.core.registration.registrar import Registrar
+
+
+@cache
+def learnt(name: str) -> LearntPose:
+    """From 16 presses anywhere."""
+    return learn_pose(parts.anywhere(getattr(parts, name), 16)[1], parts.free_gel())
+
+
+@cache
+def registrar(name: str) -> Registrar:
+    return Registrar(learnt(name).part)
+
+
+def _apart(found: Pose, true: Pose, first: Pose) -> tuple[float, float]:
+    """Pixels and degrees between a pose and the true one; first: the bank's own pose."""
+    rest = true.after(first).inverse().after(found)
+    return math.hypot(rest.x_px, rest.y_px), abs(math.degrees(rest.turn_rad))
+
+
+def _bank_pose(name: str) -> Pose:
+    """Where the bank lies, from the first press, whose true pose is known."""
+    true = parts.poses(16)[0]
+    return true.inverse().after(learnt(name).registered[0].pose)
+
+
+def test_a_part_is_found_anywhere_at_any_turn() -> None:
+    """Within a fifth of a pixel and of a degree of where the formula put it: 0.013 mm on a Mini."""
+    true, presses = parts.anywhere(parts.BLOCK, 12, seed=50)
+    found = [registrar("BLOCK").register(rgb) for rgb in presses]
+    apart = np.array(
+        [_apart(one.pose, pose, _bank_pose("BLOCK")) for one, pose in zip(found, true, strict=True)]
+    )
+
+    assert (apart.max(axis=0) < (0.2, 0.2)).all(), apart.max(axis=0)
+    assert not any(one.refusal for one in found)
+
+
+def test_the_uncertainty_is_the_size_of_the_error() -> None:
+    """Errors of shift are between a third of the stated deviation and four times it, in the root mean square."""
+    true, presses = parts.anywhere(parts.BLOCK, 12, seed=70)
+    ratios = []
+    for rgb, pose in zip(presses, true, strict=True):
+        one = registrar("BLOCK").register(rgb)
+        shift, _ = _apart(one.pose, pose, _bank_pose("BLOCK"))
+        ratios.append(shift / math.hypot(one.uncertainty.x_px, one.uncertainty.y_px))
+
+    assert 1 / 3 < float(np.sqrt(np.mean(np.square(ratios)))) < 4
+
+
+def test_the_estimate_is_that_of_an_optimiser_in_float64() -> None:
+    """The formula's slopes fitted to a press by Nelder and Mead agree with the search in 0.05 px and 0.1 degrees."""
+    true = Pose(5.3, -3.7, 0.8)
+    press = parts.slopes(parts.BLOCK, true, 112)
+    search = PoseSearch(parts.slopes(parts.BLOCK, Pose(), 112).astype(np.float32))
+
+    def misfit(pose: np.ndarray) -> float:
+        return float(((parts.slopes(parts.BLOCK, Pose(*pose), 112) - press) ** 2).sum())
+
+    oracle = Pose(*optimize.minimize(misfit, [5.0, -4.0, 0.7], method="Nelder-Mead").x.tolist())
+    found = search.find(press.astype(np.float32)).pose
+
+    assert _apart(oracle, true, Pose())[0] < 1e-3
+    shift, turn = _apart(found, oracle, Pose())
+    assert shift < 0.05
+    assert turn < 0.1
+
+
+def test_another_light_moves_nothing() -> None:
+    """A press under four fifths of the light lies where it lay."""
+    pose = Pose(8.0, -5.0, 1.1)
+    bright, dim = (
+        registrar("BLOCK").register(parts.press(parts.BLOCK, pose, gain=gain)) for gain in (1.0, 0.8)
+    )
+
+    assert _apart(dim.pose, bright.pose, Pose())[0] < 0.3
+    assert dim.refusal is None
+
+
+def test_a_ball_has_no_turn() -> None:
+    """It is found by its place alone, and no turn is stated."""
+    true, presses = parts.anywhere(parts.BALL, 6, seed=20)
+    found = [registrar("BALL").register(rgb) for rgb in presses]
+    offsets = np.array(
+        [
+            (one.pose.x_px - pose.x_px, one.pose.y_px - pose.y_px)
+            for one, pose in zip(found, true, strict=True)
+        ]
+    )
+
+    assert not learnt("BALL").part.is_turning
+    assert {one.uncertainty.turn_rad for one in found} == {None}
+    assert np.ptp(offsets, axis=0).max() < 0.5
+
+
+def test_a_symmetric_part_looks_the_same_in_each_of_its_poses() -> None:
+    """Which quarter turn is found does not matter: the press in the bank's pose is the mean press."""
+    _, presses = parts.anywhere(parts.CROSS, 8, seed=30)
+    template = learnt("CROSS").part.template.astype(np.float32)
+    for one in (registrar("CROSS").register(rgb) for rgb in presses):
+        assert one.refusal is None
+        assert np.abs(cv2.blur(one.rgb.astype(np.float32), (3, 3)) - cv2.blur(template, (3, 3))).max() < 12
+
+
+def test_a_part_at_the_rim_is_found_and_the_rest_is_unseen() -> None:
+    """Its place is right although a part of it left the field, and the result states how much."""
+    true = Pose(34.0, -4.0, 0.4)
+    found = registrar("BLOCK").register(parts.press(parts.BLOCK, true))
+
+    assert _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 0.5
+    assert found.seen_share < 0.95
+    assert found.unseen_in_press.any()
+
+
+def test_unseen_places_never_score() -> None:
+    """The highest score of an unseen place counts neither for the press nor in its map."""
+    found = registrar("BLOCK").register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4)))
+    scores = np.ones(found.seen.shape, np.float32)
+    scores[~found.seen] = 100.0
+
+    assert found.score(scores) == 1.0
+    assert found.in_press(scores).max() == 1.0
+
+
+def test_the_map_comes_back_to_where_the_damage_lies() -> None:
+    """A bright place of the bank's map lies at the same place of the part in the press, with the same score."""
+    found = registrar("BLOCK").register(parts.press(parts.BLOCK, Pose(10.0, 6.0, 2.0)))
+    scores = np.zeros(found.seen.shape, np.float32)
+    scores[60, 70] = 5.0
+    back = found.in_press(scores)
+    row, column = np.unravel_index(int(back.argmax()), back.shape)
+    x, y = found.pose.matrix((parts.SIDE, parts.SIDE)) @ [70, 60, 1]
+
+    assert back.max() == 5.0
+    assert np.hypot(row - y, column - x) < 1.5
+
+
+@pytest.mark.parametrize("what", ["free gel", "other part", "flat part"])
+def test_what_is_not_the_part_is_refused(what: str) -> None:
+    """The free gel, another part, and a part without relief have no pose, and a sentence says so."""
+    shown = {
+        "free gel": parts.free_gel(),
+        "other part": parts.press(parts.OTHER, Pose(3.0, 2.0, 0.3)),
+        "flat part": parts.press(((0.0, 0.0, 60.0, 0.5),)),
+    }[what]
+    refusal = registrar("BLOCK").register(shown).refusal
+
+    assert refusal is not None
+    assert "not recognised" in refusal
+
+
+def test_a_second_part_does_not_lead_away() -> None:
+    """Where another small part lies next to the learnt one, the learnt one is found, or the press is refused."""
+    true = Pose(-6.0, 4.0, 0.9)
+    beside = tuple((x / 3 + 38, y / 3 - 38, radius / 2, height / 2) for x, y, radius, height in parts.OTHER)
+    both = parts.slopes(parts.BLOCK, true) + parts.slopes(beside, Pose())
+    added = registrar("BLOCK").light.added(parts.press(parts.BLOCK, true))
+    rgb = registrar("BLOCK").light.picture((added * 0 + both @ parts.SENSOR.T).astype(np.float32))
+    found = registrar("BLOCK").register(rgb)
+
+    assert found.refusal or _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 1.0
+
+
+def test_marker_dots_lead_nowhere() -> None:
+    """The dots of a marker gel are on the free gel too: they stay where they are, and the part is found."""
+    dots = np.ones((parts.SIDE, parts.SIDE, 1), np.float32)
+    for row in range(10, parts.SIDE, 18):
+        for column in range(10, parts.SIDE, 18):
+            cv2.circle(dots, (column, row), 2, 0.4, -1)
+
+    def dotted(rgb: np.ndarray) -> np.ndarray:
+        return np.rint(rgb * dots).astype(np.uint8)
+
+    true, presses = parts.anywhere(parts.BLOCK, 12)
+    part = learn_pose(np.stack([dotted(rgb) for rgb in presses]), dotted(parts.free_gel()))
+    first = true[0].inverse().after(part.registered[0].pose)
+    apart = [_apart(one.pose, pose, first)[0] for one, pose in zip(part.registered, true, strict=True)]
+
+    assert max(apart) < 1.0
+
+
+def test_a_press_of_another_size_is_refused() -> None:
+    """Found and expected are named."""
+    with pytest.raises(ValueError, match=r"\(128, 128, 3\), found uint8 \(64, 64, 3\)"):
+        registrar("BLOCK").register(np.zeros((64, 64, 3), np.uint8))

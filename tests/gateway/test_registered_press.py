@@ -1,0 +1,82 @@
+"""A press anywhere through the gateway: its verdict, what its result states of the pose, and its rejection."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import turned_parts as parts
+from numpy.typing import NDArray
+from registered_bundle import registered
+
+from edge.clock import SystemClock
+from edge.core.contact.mask import Touch
+from edge.core.imaging.frames import CameraFrame
+from edge.core.registration.pose import Pose
+from edge.core.sink_context import Place
+from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.recorder import Recorder
+from edge.model.scorer import Scorer
+from edge.store.press_store import Store
+
+
+@pytest.fixture(scope="module")
+def inspector() -> Inspector:
+    return Inspector(Scorer(registered().bundle(), 1), SystemClock())
+
+
+def _inspected(inspector: Inspector, rgb: NDArray[np.uint8]) -> Inspection:
+    payload = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
+    return inspector.inspect(CameraFrame(payload.tobytes(), 0, 0, True), Touch(0.1))
+
+
+def _published(tmp_path: Path, inspector: Inspector, inspection: Inspection) -> dict[str, Any]:
+    """The fields of the result as a subscriber reads them."""
+    store = Store(tmp_path / "presses.db")
+    try:
+        recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
+        return dict(json.loads(recorder.record(recorder.prepare(inspection)).result.encode()))
+    finally:
+        store.close()
+
+
+def test_a_press_anywhere_passes_and_its_result_states_where_it_lay(
+    tmp_path: Path, inspector: Inspector
+) -> None:
+    """Shift and turn between two presses are those that the formula gave, in mm and degrees."""
+    here, there = Pose(-4.0, 6.0, 0.5), Pose(8.0, 1.0, 1.25)
+    found = [_inspected(inspector, parts.press(parts.BLOCK, pose, seed=9)) for pose in (here, there)]
+    poses = [_published(tmp_path, inspector, one)["pose"] for one in found]
+
+    assert [one.word for one in found] == ["pass", "pass"]
+    assert poses[1]["turn_deg"] - poses[0]["turn_deg"] == pytest.approx(np.degrees(0.75), abs=0.5)
+    assert poses[0]["match"] > 0.9
+    assert 0 < poses[0]["x_sd_mm"] < 0.1
+
+
+def test_the_share_of_the_part_that_left_the_field_is_published(tmp_path: Path, inspector: Inspector) -> None:
+    """A part at the rim states what was not judged; one in the middle states nothing unseen."""
+    presses = (parts.press(parts.BLOCK, Pose(x)) for x in (0.0, 30.0))
+    results = [_published(tmp_path, inspector, _inspected(inspector, rgb)) for rgb in presses]
+    middle, rim = (result["pose"]["unseen_share"] for result in results)
+
+    assert middle < 0.05 < rim
+
+
+def test_a_press_whose_pose_is_not_found_is_rejected(tmp_path: Path, inspector: Inspector) -> None:
+    """Another part is no pass and no fail: the reason and a sentence are published."""
+    inspection = _inspected(inspector, parts.press(parts.OTHER, Pose(3.0, -2.0, 0.4)))
+    result = _published(tmp_path, inspector, inspection)
+
+    assert inspection.word == "rejected"
+    assert result["reason"].startswith("no_pose: the part is not recognised")
+    assert result["pose"] is None
+
+
+def test_the_time_of_registration_is_published(inspector: Inspector) -> None:
+    """It is a stage of its own next to trunk and head."""
+    found = _inspected(inspector, parts.press(parts.BLOCK, Pose()))
+
+    assert list(found.latency_ms) == ["decode", "registration", "trunk", "head"]

@@ -1,0 +1,52 @@
+"""A bundle of the tiny detector that registers its presses, learnt from parts that a formula puts anywhere."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import tiny
+import turned_parts as parts
+from numpy.typing import NDArray
+
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.pose_decision import Register
+from calibration.fitting.trunks import Trunk
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+
+__all__ = ["PROFILE", "PlaceDetector", "fitted", "nominal", "registered"]
+
+PROFILE = SensorProfile("turned", (parts.SIDE, parts.SIDE), (0.0, 0.0), (parts.SIDE, parts.SIDE), 1, 15.77)
+
+
+class PlaceDetector(tiny.TinyDetector):
+    """The tiny detector, which does compare place with place."""
+
+    compares_places = True
+
+
+def nominal(frames: NDArray[np.uint8], **changes: object) -> NominalPresses:
+    whole = NominalPresses(
+        frames, tuple(f"press {k}" for k in range(len(frames))), no_contact=parts.free_gel()[None]
+    )
+    return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
+
+
+def fitted(presses: NominalPresses, register: Register, detector: tiny.TinyDetector | None = None) -> Fitted:
+    config = FitConfig(
+        part="block",
+        position="top",
+        profile=PROFILE,
+        region=Region(0, 0, parts.SIDE, parts.SIDE),
+        detector=detector or PlaceDetector(),
+        trunk=Trunk("tiny", tiny.tiny_trunk()),
+        register=register,
+    )
+    return fit_files(presses, config, created="2026-01-01")
+
+
+@cache
+def registered() -> Fitted:
+    """Learnt from 20 presses of a part that a hand put down."""
+    return fitted(nominal(parts.anywhere(parts.BLOCK, 20)[1]), "auto")
