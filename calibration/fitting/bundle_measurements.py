@@ -46,6 +46,9 @@ square root agree to about 1e-5; ten times that and a margin. Measured on x86 al
 CONTACT_MARGIN = 0.05
 """How far beyond the nominal presses one may lie, as a fraction of the picture, or half their spread if more."""
 
+LEAST_AREA_SHARE = 0.5
+"""Of the smallest nominal contact: the lowest area that is inspected. A choice, so that the range is not open below."""
+
 PAINTED_LEVEL = 40
 
 
@@ -121,7 +124,11 @@ find a fifth of the damage that inreach finds."""
 
 
 def contact_range(presses: NominalPresses) -> ContactRange | None:
-    """The spans of centroid and area with a margin, None where no touch is known."""
+    """The spans of centroid and area with a margin, None where no touch is known.
+
+    A smaller contact than half of the smallest nominal one is of another object, or of a part that is partly pressed:
+    the area is never open below.
+    """
     if not presses.touches:
         return None
 
@@ -131,10 +138,12 @@ def contact_range(presses: NominalPresses) -> ContactRange | None:
         return max(0.0, low - margin), min(1.0, high + margin)
 
     touches = presses.touches
+    smallest = min(t.area for t in touches)
+    low, high = around([t.area for t in touches])
     return ContactRange(
         x=around([t.x for t in touches]),
         y=around([t.y for t in touches]),
-        area=around([t.area for t in touches]),
+        area=(max(low, LEAST_AREA_SHARE * smallest), high),
     )
 
 

@@ -8,7 +8,7 @@ import onnx.parser
 import pytest
 import tiny
 
-from calibration.fitting.bundle_measurements import scatter_warnings
+from calibration.fitting.bundle_measurements import contact_range, scatter_warnings
 from calibration.fitting.fit import FitConfig, fit_bundle, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk, open_trunk
@@ -330,6 +330,14 @@ def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None
     (tmp_path / "trunks").mkdir()
     (tmp_path / "trunks" / f"{Trunk('', tiny.tiny_trunk()).sha256}.onnx").write_bytes(tiny.tiny_trunk())
     assert Scorer(Bundle.load(path)).check_golden() == 0.0
+
+
+def test_the_contact_area_is_not_open_below() -> None:
+    """Nominal contacts of 4 to 30 %: one of 1.9 % is refused, although the span is wide."""
+    touches = tuple(Touch(area) for area in (0.04, 0.3, 0.2))
+    found = contact_range(presses(3, touches=touches))
+    assert found is not None
+    assert found.area == pytest.approx((0.02, 0.43))
 
 
 def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
