@@ -6,7 +6,9 @@ It runs under an interpreter that has anomalib (`make test-importers` makes one)
 
 PICTURES has the folders `good` and `bad`. Per model: `OUT/<name>.ckpt`, `.pt`, `<name>_onnx/model.onnx` with its
 `model.onnx.data`, OpenVINO's `.xml` and `.bin`, and `<name>.npz` with the raw maps (n, h, w) and scores (n,) of every
-picture of `good`, then `bad`, before normalisation.
+picture of `good`, then `bad`, before normalisation, and whether the model was fitted to it. EfficientAD, STFPM,
+SuperSimpleNet and Dinomaly are trained from random weights, for one epoch or `epochs`; WEIGHTS is of the others'
+backbone.
 """
 
 import json
@@ -30,10 +32,11 @@ except RuntimeError:
     for _operator in ("nms", "qnms"):
         _library.define(f"{_operator}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
 
+import timm
 from anomalib.data import Folder
 from anomalib.deploy import ExportType
 from anomalib.engine import Engine
-from anomalib.models import Dfkde, Dfm, Padim, Patchcore
+from anomalib.models import Dfkde, Dfm, Dinomaly, EfficientAd, Padim, Patchcore, Stfpm, Supersimplenet
 
 _mean = torch.mean
 
@@ -45,18 +48,64 @@ def mean(values, *args, device=None, **options):
 
 torch.mean = mean
 MODELS = {"padim": Padim, "patchcore": Patchcore, "dfm": Dfm, "dfkde": Dfkde}
+# They have no argument against the download of weights: here nothing is downloaded.
+NETWORKS = {
+    "efficient_ad": EfficientAd, "stfpm": Stfpm, "supersimplenet": Supersimplenet, "dinomaly": Dinomaly
+}  # fmt: skip
+EfficientAd.prepare_pretrained_model = lambda self: None
+_create_model = timm.create_model
+timm.create_model = lambda *args, **options: _create_model(*args, **{**options, "pretrained": False})
+
+
+def files(folder: Path) -> list[tuple[str, Path]]:
+    """The pictures, `good` before `bad`, with these names."""
+    return [(part, file) for part in ("good", "bad") for file in sorted((folder / part).glob("*.png"))]
 
 
 def pictures(folder: Path) -> torch.Tensor:
     """Float32 (n, 3, h, w) in 0..1, `good` before `bad`, as anomalib reads them."""
-    files = [file for part in ("good", "bad") for file in sorted((folder / part).glob("*.png"))]
-    planes = [np.asarray(Image.open(file).convert("RGB")).transpose(2, 0, 1) for file in files]
+    planes = [np.asarray(Image.open(file).convert("RGB")).transpose(2, 0, 1) for _, file in files(folder)]
     return torch.from_numpy(np.stack(planes)).float() / 255
 
 
 def trained(folder: Path, weights: Path, out: Path, kind: str, options: dict, size: tuple[int, int]):
-    """A fitted model with these backbone weights, and the seconds that its fit took."""
+    """A fitted model, with these backbone weights where it is no network, the names of the pictures that it was fitted
+    to, and the seconds that this took."""
     torch.manual_seed(0)
+    epochs = options.pop("epochs", 1)
+    model = (
+        network(folder, kind, options, size) if kind in NETWORKS else detector(weights, kind, options, size)
+    )
+    has_bad = any((folder / "bad").glob("*.png"))
+    data = Folder(
+        name="presses",
+        root=folder,
+        normal_dir="good",
+        abnormal_dir="bad",
+        train_batch_size=1 if kind == "efficient_ad" else 8,
+        eval_batch_size=8,
+        num_workers=0,
+        val_split_mode="same_as_test",
+        test_split_mode="from_dir" if has_bad else "synthetic",
+        normal_split_ratio=0.2,
+        seed=0,
+    )
+    engine = Engine(
+        max_epochs=epochs,
+        devices=1,
+        accelerator="cpu",
+        default_root_dir=out / "run",
+        logger=False,
+        enable_progress_bar=False,
+    )
+    start = time.perf_counter()
+    engine.fit(model=model, datamodule=data)
+    seconds = time.perf_counter() - start
+    return engine, model, {Path(name).name for name in data.train_data.samples.image_path}, seconds
+
+
+def detector(weights: Path, kind: str, options: dict, size: tuple[int, int]):
+    """A model that is not fitted yet, with these backbone weights."""
     crop = options.pop("center_crop_size", None)
     pre = {} if crop is None else {"center_crop_size": tuple(crop)}
     cls = MODELS[kind]
@@ -67,41 +116,33 @@ def trained(folder: Path, weights: Path, out: Path, kind: str, options: dict, si
     missing, _ = model.model.feature_extractor.feature_extractor.load_state_dict(state, strict=False)
     if [name for name in missing if "num_batches_tracked" not in name]:
         raise SystemExit(f"the weights lack {missing[:4]}")
-    has_bad = any((folder / "bad").glob("*.png"))
-    data = Folder(
-        name="presses",
-        root=folder,
-        normal_dir="good",
-        abnormal_dir="bad",
-        train_batch_size=8,
-        eval_batch_size=8,
-        num_workers=0,
-        val_split_mode="same_as_test",
-        test_split_mode="from_dir" if has_bad else "synthetic",
-        normal_split_ratio=0.2,
-        seed=0,
-    )
-    engine = Engine(
-        max_epochs=1,
-        devices=1,
-        accelerator="cpu",
-        default_root_dir=out / "run",
-        logger=False,
-        enable_progress_bar=False,
-    )
-    start = time.perf_counter()
-    engine.fit(model=model, datamodule=data)
-    return engine, model, time.perf_counter() - start
+    return model
+
+
+def network(folder: Path, kind: str, options: dict, size: tuple[int, int]):
+    """An untrained network. EfficientAD's other pictures, ImageNet's in its paper, are the presses themselves."""
+    crop = options.pop("crop_size", None)
+    pre = {} if crop is None else {"crop_size": crop}
+    cls = NETWORKS[kind]
+    more = {"imagenet_dir": folder} if kind == "efficient_ad" else {}
+    return cls(pre_processor=cls.configure_pre_processor(size, **pre), visualizer=False, **more, **options)
 
 
 def computed(model, planes: torch.Tensor):
-    """Scores (n,), maps (n, h, w) or None, and seconds (n,), picture by picture."""
+    """Scores (n,), maps (n, h, w) or None, and processor seconds (n, 2), picture by picture: of all, of the backbone.
+
+    One thread: its processor time hardly depends on what else the machine does.
+    """
     maps, scores, times = [], [], []
+    torch.set_num_threads(1)
     with torch.no_grad():
         for one in planes:
-            start = time.perf_counter()
+            start = time.process_time()
             found = model(one[None].clone())
-            times.append(time.perf_counter() - start)
+            middle = time.process_time()
+            if hasattr(model, "feature_extractor"):
+                model.feature_extractor(one[None].clone())
+            times.append((middle - start, time.process_time() - middle))
             scores.append(found.pred_score.reshape(-1).numpy())
             maps.append(None if found.anomaly_map is None else found.anomaly_map[:, 0].numpy())
     return np.concatenate(scores), None if maps[0] is None else np.concatenate(maps), np.array(times)
@@ -114,7 +155,7 @@ def main(folder: Path, weights: Path, out: Path, wanted: dict, size: tuple[int, 
     for name, options in wanted.items():
         kind = options.pop("kind", name)
         formats = options.pop("formats", ["torch", "onnx", "openvino"])
-        engine, model, seconds = trained(folder, weights, out, kind, options, size)
+        engine, model, names, seconds = trained(folder, weights, out, kind, options, size)
         engine.trainer.save_checkpoint(out / f"{name}.ckpt")
         model.eval()
         scores, maps, times = computed(model.model, model.pre_processor.transform(frames))
@@ -125,8 +166,9 @@ def main(folder: Path, weights: Path, out: Path, wanted: dict, size: tuple[int, 
             out / f"{name}.npz",
             score=scores,
             exported_score=exported,
-            seconds=times,
+            processor_seconds=times,
             fit_seconds=seconds,
+            trained=[part == "good" and file.name in names for part, file in files(folder)],
             image_threshold=float(post.image_threshold),
             image_min=float(post.image_min),
             image_max=float(post.image_max),
