@@ -1,7 +1,8 @@
 """Counters for Prometheus, from the messages that the station publishes about itself.
 
 Ref: https://prometheus.io/docs/practices/naming/. Served on the loopback address alone: there is no login. Values are
-those of the last report, every 10 s; `gelgate_report_time_seconds` is its time, so that a station that hangs is seen.
+those of the last report, every `station.stats_s`; `gelgate_report_time_seconds` is its time, so that a station that
+hangs is seen.
 """
 
 import json

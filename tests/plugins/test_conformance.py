@@ -98,7 +98,11 @@ def test_a_built_in_sink_conforms(
 
 def test_every_built_in_device_overview_camera_and_sink_has_a_bench() -> None:
     """A new plugin cannot be forgotten here. The real sensor is read by the driver that usb_mock drives, or by V4L2; a
-    Sparkplug node makes metrics of messages, where the checks expect the same bytes: it has tests of its own."""
+    Sparkplug node and the page make something else of messages, where the checks expect the same bytes."""
     assert {*registry.names("overviews")} == {*overview_benches.OVERVIEWS}
     assert {*registry.names("devices")} == {*benches.DEVICES, "gelsight_mini"}
-    assert {*registry.names("sinks")} == {*(name.partition(" ")[0] for name in benches.SINKS), "sparkplug"}
+    assert {*registry.names("sinks")} == {
+        *(name.partition(" ")[0] for name in benches.SINKS),
+        "sparkplug",
+        "page",
+    }
