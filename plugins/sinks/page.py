@@ -56,7 +56,7 @@ class PageOptions(BaseModel):
 
     def identity(self) -> str:
         """There is one page at a port."""
-        return f"page {self.port}"
+        return str(self.port)
 
 
 class Shown:

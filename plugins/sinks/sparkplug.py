@@ -43,10 +43,6 @@ class SparkplugOptions(BrokerOptions):
     group: TopicLevel | None = Field(default=None, description="group id; the station's site by default")
     node: TopicLevel | None = Field(default=None, description="edge node id; `<line>-<station>` by default")
 
-    def identity(self) -> str:
-        """Apart from an `mqtt` sink at the same broker."""
-        return f"sparkplug {super().identity()}"
-
 
 class SparkplugSink:
     """One edge node without devices. Any thread may send; the host's requests arrive on the connection's own thread."""

@@ -1,6 +1,10 @@
-"""One station at one broker twice: as itself and as a Sparkplug node."""
+"""One station with several receivers: at a broker as itself and as a Sparkplug node, and on a page without a broker."""
 
+import json
+import socket
 import threading
+import time
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -69,3 +73,32 @@ def test_each_result_is_at_both(tmp_path: Path, recording: Path, bundle: Path) -
     assert sum(topic.endswith("/gel/v1/result") for topic, _ in heard.messages) == 3
     with Outbox(loaded.store.path) as outbox:
         assert outbox.status().rows == 0
+
+
+def test_the_page_goes_on_without_a_broker(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Three verdicts and their pictures, while the results wait for the broker; the page says that it is away."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    page = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
+    config = station_config(tmp_path, recording, bundle, sinks=MQTT % 1 + page)
+    loaded = load_config(config)
+
+    with Gateway.open(loaded, SystemClock()) as gateway:
+        gateway.run(threading.Event(), presses=3)
+        deadline = time.monotonic() + 30
+        while not all(one["has_picture"] for one in got(port, "presses")) or len(got(port, "presses")) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        presses, station = got(port, "presses"), got(port, "station")
+
+    assert [one["verdict"] for one in presses] == ["pass", "fail", "pass"]
+    assert station["gel"]["presses"] == 3
+    assert station["info"]["part"] == "PZ0"
+    with Outbox(loaded.store.path) as outbox:
+        assert sum(row.message.topic == "result" for row in outbox.pending("mqtt:127.0.0.1:1", 99)) == 3
+
+
+def got(port: int, name: str) -> Any:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/{name}.json", timeout=20) as answer:
+        return json.loads(answer.read())

@@ -272,8 +272,10 @@ def test_a_press_without_a_score_is_an_error_on_the_page(tab: Any, sink: PageSin
 def test_it_is_readable_on_a_phone(tab: Any, sink: PageSink) -> None:
     """One column, and nothing wider than the screen."""
     tab.set_viewport_size({"width": 390, "height": 844})
-    for message in press(
-        1, verdict=Kind.REJECTED, score=None, score_ratio=None, reason="off_position: press again"
+    outcome = {"verdict": Kind.REJECTED, "score": None, "score_ratio": None}
+    for message in (
+        *press(1, part="a_very_long_name_of_a_part_without_a_blank", picture=PICTURE),
+        *press(2, **outcome, reason="off_position: press again", picture=PICTURE),
     ):
         sink.send(message)
 

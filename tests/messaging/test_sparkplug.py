@@ -30,7 +30,6 @@ from edge.messaging.payloads import (
 )
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
-from plugins.sinks.mqtt_options import MqttOptions
 from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
 from plugins.sinks.sparkplug_metrics import _FIELDS, initial_metrics, metrics_of
 from plugins.sinks.sparkplug_payload import DataType, Metric, decode, encode
@@ -259,8 +258,3 @@ def test_without_a_broker_messages_wait_and_pictures_do_not() -> None:
     with pytest.raises(SinkRejected, match="has no metrics"):
         sink.send(Message("result", b"["))
     sink.close()
-
-
-def test_a_result_is_delivered_to_both_sinks_of_one_broker() -> None:
-    """The outbox keeps what each has by its identity."""
-    assert SparkplugOptions().identity() != MqttOptions().identity()
