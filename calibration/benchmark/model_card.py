@@ -7,7 +7,7 @@ from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +111,7 @@ def _environment(recipe: Mapping[str, Any]) -> Environment:
         "interval": _interval,
         "listed": _listed,
         "mean": _mean,
-        "means": _means,
+        "mean_of": _mean_of,
         "number": _number,
     }
     return found
@@ -158,11 +158,10 @@ def _mean(methods: Mapping[str, Mapping[str, float]], measure: str) -> str:
     return f"{sum(values[measure] for values in methods.values()) / len(methods):.3f}"
 
 
-def _means(rows: Iterable[Mapping[str, Any]], backbone: str) -> dict[str, float]:
-    """Of one backbone, the mean of each measure over the detectors; measures that one of them lacks are left out."""
-    own = [row["measures"] for row in rows if row["backbone"] == backbone]
-    shared = [name for name in own[0] if all(one.get(name, {}).get("value") is not None for one in own)]
-    return {name: sum(one[name]["value"] for one in own) / len(own) for name in shared}
+def _mean_of(rows: Sequence[Mapping[str, Any]], measure: str, trial: str = "") -> str:
+    """The mean of a measure over rows, of one trial or of all."""
+    values = [row["trials"][trial][measure] if trial else row["measures"][measure]["value"] for row in rows]
+    return f"{sum(values) / len(values):.3f}"
 
 
 def _number(value: float | str) -> str:
