@@ -15,6 +15,7 @@ __all__ = [
     "cells_table",
     "compared_table",
     "cost_table",
+    "directions_table",
     "effects_table",
     "figure_name",
     "only_scored",
@@ -97,7 +98,12 @@ def _both(ours: float | None, paper: float | None) -> str:
 
 
 def effects_table(found: Sequence[Effect], title: str) -> str:
-    """Directions of an effect, ours and the paper's."""
+    """Directions of an effect, ours and the paper's, with their counts."""
+    return f"{title}: {counted(found)}.\n\n{directions_table(found)}"
+
+
+def directions_table(found: Sequence[Effect]) -> str:
+    """The same without title and counts."""
     lines = [
         [
             e.method,
@@ -111,7 +117,7 @@ def effects_table(found: Sequence[Effect], title: str) -> str:
         for e in found
     ]
     heading = ["method", "part", "measure", "mean difference", "here", "paper", "direction"]
-    return f"{title}: {counted(found)}.\n\n{table(heading, lines)}"
+    return table(heading, lines)
 
 
 def split_table(rows: "pd.DataFrame", measure: str = "aupro_001") -> str:

@@ -21,7 +21,7 @@ from calibration.studies.effects import (
     written,
 )
 from calibration.studies.page import Page
-from calibration.studies.page_parts import by_setup, effects_table, only_scored, table
+from calibration.studies.page_parts import by_setup, directions_table, only_scored, table
 from calibration.studies.published import published, source, stable_fraction
 from calibration.studies.stable import stable_from
 
@@ -56,7 +56,7 @@ _STUDIES = (
         "fraction",
         {},
         (0.05, 0.2, 1.0),
-        ((0.05, 1.0, "All presses of the pool instead of a twentieth"),),
+        ((0.05, 1.0, "all presses of the pool instead of a twentieth"),),
     ),
     _Study(
         cross_position_study.STUDY,
@@ -64,8 +64,8 @@ _STUDIES = (
         {},
         (0.0, 0.05),
         (
-            (0.0, 0.05, "The first presses of a second position"),
-            (0.05, 0.15, "More presses of the second position"),
+            (0.0, 0.05, "the first presses of a second position"),
+            (0.05, 0.15, "more presses of the second position"),
         ),
     ),
     _Study(
@@ -73,7 +73,7 @@ _STUDIES = (
         "view",
         {"hr_tiled": "hr"},
         ("lr", "hr_tiled"),
-        (("lr", "hr_tiled", "High resolution in tiles instead of low resolution"),),
+        (("lr", "hr_tiled", "high resolution in tiles instead of low resolution"),),
     ),
 )
 
@@ -195,14 +195,14 @@ def _effects(rows: "pd.DataFrame", study: _Study) -> Iterator[str]:
         found = effects(rows, study.column, before, after, published(study.name), names)
         known = [effect for effect in found if effect.paper is not None]
         if known:
-            yield f"### {study.name}: {title[0].lower()}{title[1:]}\n\n{_differing(known, title)}"
+            yield f"### {study.name}: {title}\n\n{_differing(known)}"
 
 
-def _differing(found: Sequence[Effect], title: str) -> str:
+def _differing(found: Sequence[Effect]) -> str:
     """The counts, and those of the effects that have another direction here."""
     differ = [effect for effect in found if effect.agreement == "differ"]
     if differ:
-        return f"Of all directions: {counted(found)}. Those that differ:\n\n{effects_table(differ, title)}"
+        return f"Of all directions: {counted(found)}. Those that differ:\n\n{directions_table(differ)}"
     return f"Of all directions: {counted(found)}.\n"
 
 
