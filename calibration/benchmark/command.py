@@ -10,16 +10,18 @@ if TYPE_CHECKING:
 
 __all__ = ["evaluate_backbone"]
 
+_SHIPPED = ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"]
+_TRUNKS_HELP = (
+    "an installed backbone or a trunk .onnx file under the name of its rows, the one that ships first; "
+    f"default: {' '.join(_SHIPPED)}"
+)
+
 
 def evaluate_backbone(
     out: Annotated[Path, typer.Argument(help="output folder of the evaluation file")],
     trunks: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[NAME=TRUNK]...",
-            help="an installed backbone or a trunk .onnx file under the name of its rows, the one that ships first; "
-            "default: trained=tactile_resnet18 trained_int8=tactile_resnet18_int8",
-        ),
+        typer.Argument(metavar="[NAME=TRUNK]...", help=_TRUNKS_HELP),
     ] = None,
     random: Annotated[bool, typer.Option(help="compare with random weights, under the name random")] = True,
     tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
@@ -58,9 +60,9 @@ def evaluate_backbone(
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _chosen_sets(tactile, screws, only or [], trials)
-    graphs = _graphs(trunks or ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"], random)
+    graphs = _graphs(trunks or _SHIPPED, random)
     _say_missing(sets)
-    is_terminal = sys.stderr.isatty()
+    is_quiet = json or sys.stderr.isatty()
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
         found = evaluate(
             graphs,
@@ -69,12 +71,11 @@ def evaluate_backbone(
             replicates=replicates,
             limits=limits,
             workers=workers,
-            say=(lambda _: None) if is_terminal or json else lambda line: typer.echo(line, err=True),
+            say=_say_nothing if is_quiet else _say,
             advance=advance,
         )
     found["trunks"] = _facts(graphs)
-    text = dumps(found, indent=1) + "\n"
-    _write(out, text, page)
+    _write(out, text := dumps(found, indent=1) + "\n", page)
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
@@ -101,6 +102,14 @@ def _chosen_sets(
         else replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
         for name, chosen in sets.items()
     }
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def _say_nothing(line: str) -> None:
+    """A progress bar, or JSON alone."""
 
 
 def _say_missing(sets: dict[str, "EvaluationSet"]) -> None:
