@@ -29,7 +29,7 @@ class Heard:
             self.reasons.append(content["reason"])
         elif message.topic == "info":
             self.info = json.loads(message.payload)
-        elif message.payload:
+        elif message.payload and message.topic.startswith("alarm/"):
             self.alarms.add(message.topic)
         else:
             self.alarms.discard(message.topic)
