@@ -258,10 +258,11 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
 
 def test_a_press_without_a_score_is_an_error_on_the_page(tab: Any, sink: PageSink) -> None:
     """Never a pass, with the reason, and the picture of the press before is taken away."""
-    for message in (
-        *press(1, picture=PICTURE),
-        *press(2, verdict=None, score=None, score_ratio=None, error="saturated", picture=None),
-    ):
+    for message in press(1, picture=PICTURE):
+        sink.send(message)
+    tab.wait_for_selector("#picture", state="visible")
+
+    for message in press(2, verdict=None, score=None, score_ratio=None, error="saturated", picture=None):
         sink.send(message)
 
     tab.wait_for_selector("#verdict.error")
