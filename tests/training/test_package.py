@@ -104,6 +104,39 @@ def test_the_card_has_the_facts_and_the_evaluation() -> None:
     assert "Training trials" not in text
 
 
+def test_the_card_has_the_trunk_for_real_touch() -> None:
+    """The means over the detectors, over the trials and of each; without its facts the card has no such section."""
+    rows = [
+        {
+            "backbone": "own",
+            "detector": name,
+            "measures": {"aupro_fpr01": {"value": a}, "image_auroc": {"value": b}},
+            "trials": {"ball": {"aupro_fpr01": c}, "finger": {"aupro_fpr01": 2 * a - c}},
+        }
+        for name, a, b, c in (("padim", 0.2, 0.9, 0.1), ("spade", 0.4, 0.7, 0.6))
+    ]
+    balls = {"title": "Touch", "text": "Balls.", "trials": ["ball", "finger"], "rows": rows}
+    touch = {
+        "facts": {
+            "bytes": 7,
+            "sha256": "ef" * 32,
+            "channels": {"tactile_resnet18": 64, "efficientnet_lite0": 24},
+            "blocks": 1,
+            "tactile_scale": 4.5,
+        },
+        "evaluation": {"trunks": {"own": {}}, "sets": {"touch": balls}},
+        "trials": {
+            "text": "Tried.",
+            "trials": ["ball"],
+            "rows": [{"note": "wide", "measures": {"padim": {}}}],
+        },
+    }
+    text = card(FACTS, None, touch=touch)
+    assert "| own | 0.300 | 0.800 | 0.350 | 0.250 |" in text
+    assert "| wide | padim | - |" in text
+    assert "The trunk for real touch" not in card(FACTS, None)
+
+
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
     """An evaluation of other files is ignored."""
     other = {**evaluation({"aupro_fpr01": {"value": 0.7}}), "trunks": {"trained": {"sha256": "ef" * 32}}}
