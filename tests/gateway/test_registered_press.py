@@ -1,6 +1,7 @@
 """A press anywhere through the gateway: its verdict, what its result states of the pose, and its rejection."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,3 +81,21 @@ def test_the_time_of_registration_is_published(inspector: Inspector) -> None:
     found = _inspected(inspector, parts.press(parts.BLOCK, Pose()))
 
     assert list(found.latency_ms) == ["decode", "registration", "trunk", "head"]
+
+
+def test_places_that_were_not_judged_are_dark_in_the_picture(tmp_path: Path, inspector: Inspector) -> None:
+    """The same press without its registration is drawn brighter."""
+    inspection = _inspected(inspector, parts.press(parts.BLOCK, Pose(30.0)))
+    store = Store(tmp_path / "presses.db")
+    try:
+        recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
+        pictures = [
+            recorder.prepare(one).heatmap_png for one in (inspection, replace(inspection, registered=None))
+        ]
+    finally:
+        store.close()
+    dark, bright = (cv2.imdecode(np.frombuffer(png or b"", np.uint8), cv2.IMREAD_COLOR) for png in pictures)
+
+    assert dark is not None
+    assert bright is not None
+    assert float(dark.mean()) < float(bright.mean()) - 1

@@ -47,6 +47,7 @@ BLOCK: Bumps = (
 )
 OTHER: Bumps = ((-15, 20, 5, 8), (0, -22, 4, 6), (5, 15, 12, -9), (25, -5, 6, 7))
 CROSS: Bumps = tuple((26 * math.cos(k * math.pi / 2), 26 * math.sin(k * math.pi / 2), 7, 8) for k in range(4))
+TEETH: Bumps = (*((10.0 * k - 40, 0.0, 3.0, 5.0) for k in range(9)), (40.0, 7.0, 3.0, 4.0))
 BALL: Bumps = ((0, 0, 14, 12),)
 
 

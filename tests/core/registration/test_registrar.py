@@ -197,3 +197,22 @@ def test_a_press_of_another_size_is_refused() -> None:
     """Found and expected are named."""
     with pytest.raises(ValueError, match=r"\(128, 128, 3\), found uint8 \(64, 64, 3\)"):
         registrar("BLOCK").register(np.zeros((64, 64, 3), np.uint8))
+
+
+def test_a_regular_part_is_not_placed_a_pitch_off() -> None:
+    """Nine equal teeth of which one end is marked: every press is found at its own pitch."""
+    true, presses = parts.anywhere(parts.TEETH, 10, seed=5, shift_px=14.0)
+    part = learn_pose(presses, parts.free_gel())
+    first = true[0].inverse().after(part.registered[0].pose)
+    apart = [_apart(one.pose, pose, first)[0] for one, pose in zip(part.registered, true, strict=True)]
+
+    assert max(apart) < 1.0
+
+
+def test_the_bank_lies_in_the_middle_of_the_presses() -> None:
+    """Where most presses lie to the right, the bank does too, so that most of what they show is learnt."""
+    right = [Pose(20.0, y, 0.2) for y in (-3.0, 0.0, 2.0, 4.0)]
+    presses = np.stack([parts.press(parts.BLOCK, pose) for pose in (Pose(), Pose(1.0, 1.0), *right)])
+    found = learn_pose(presses, parts.free_gel()).registered
+
+    assert abs(float(np.median([one.pose.inverse().x_px for one in found]))) < 5
