@@ -1,0 +1,25 @@
+"""What a press adds to the free gel's light."""
+
+import numpy as np
+import turned_parts as parts
+
+from edge.core.registration.light import FreeLight
+from edge.core.registration.pose import Pose
+
+
+def test_a_part_shows_the_same_in_the_corner_as_in_the_middle() -> None:
+    """The light falls by half towards the corner; what the part adds is divided by it."""
+    light = FreeLight(parts.free_gel())
+    middle, corner = (
+        float(np.abs(light.added(parts.press(parts.BALL, Pose(x, x), noise=0))).max()) for x in (0.0, 38.0)
+    )
+
+    assert 0.85 < corner / middle < 1.15
+
+
+def test_what_is_added_gives_the_press_again() -> None:
+    """To the level of a picture."""
+    light, press = FreeLight(parts.free_gel()), parts.press(parts.BLOCK, Pose(3.0, 4.0, 1.0))
+    again = light.picture(light.added(press)).astype(np.float64)
+
+    assert float(np.abs(again - press).mean()) < 0.6
