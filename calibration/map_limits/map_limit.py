@@ -30,8 +30,9 @@ __all__ = ["GUARD", "MapLimit", "Spread", "Window", "learn_spread", "window"]
 Float = NDArray[np.float64]
 Maps = NDArray[np.floating]
 
-GUARD = 1.5
-"""Of the plain limit: no nominal press comes near it, and wide damage of parts scores above it."""
+GUARD = 1.1
+"""Of the plain limit. Of 611 held-out sound presses, of simulated parts and real balls, 6 lie above the plain limit and
+none above this; of the damaged ones above the plain limit six in seven do."""
 
 PLACE_MM = 0.38
 """Median and spread are averaged over a window of this standard deviation: one and a half times the map's own blur."""

@@ -120,7 +120,7 @@ def test_a_press_is_no_part_of_its_own_range() -> None:
 def test_a_black_frame_goes_on_failing() -> None:
     """A limit by which a black frame passes is not chosen, where nothing else refuses the frame."""
     found = evidence(even(1.0))
-    dark = scored(np.full((1, SIDE, SIDE), 1.2 * found.plain.value))
+    dark = scored(np.full((1, SIDE, SIDE), 1.05 * found.plain.value))
     kind = choose_limit(replace(found, black=dark)).kind
     assert kind.window_mm is None
     assert (
