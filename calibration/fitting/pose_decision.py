@@ -86,7 +86,9 @@ def chosen_pose(
     if found is None:
         return PoseChoice(None, f"presses are compared as they lie: {apart}, but no damage could be rendered")
     registered, still = found
-    proof = f"of rendered damage {registered:.2f} is told from sound presses with it, {still:.2f} without"
+    proof = (
+        f"of rendered damage {registered:.2f} is separated from sound presses with it, {still:.2f} without"
+    )
     if registered > still:
         return PoseChoice(learnt, f"presses are registered: {apart}; {proof} (image AUROC, out of fold)")
     return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}")

@@ -1,12 +1,22 @@
 """The place of a gateway in the plant, and the context that a sink needs."""
 
+import hashlib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from edge.core.ports import Message
 
-__all__ = ["TOPIC_VERSION", "OnCommand", "OnRefused", "Place", "Station", "topic_level", "topic_root"]
+__all__ = [
+    "TOPIC_VERSION",
+    "OnCommand",
+    "OnRefused",
+    "Place",
+    "Station",
+    "client_id",
+    "topic_level",
+    "topic_root",
+]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
 TOPIC_VERSION = "v1"
@@ -42,6 +52,18 @@ def topic_root(prefix: str, site: str, line: str, station: str) -> str:
         except ValueError as error:
             raise ValueError(f"the topic level '{level}' is {text!r}: {error}") from None
     return "/".join([*levels.values(), "gel", TOPIC_VERSION])
+
+
+def client_id(prefix: str, site: str, line: str, station: str) -> str:
+    """The station's name at a broker, different for every topic root.
+
+    `gelgate-<site>-<line>-<station>`; where another prefix or a hyphen in a level would make two of them equal, it ends
+    with a hash of the root.
+    """
+    name = f"gelgate-{site}-{line}-{station}"
+    if prefix == "gelgate" and name.count("-") == 3:
+        return name
+    return f"{name}-{hashlib.sha256(topic_root(prefix, site, line, station).encode()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)

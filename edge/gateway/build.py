@@ -15,7 +15,7 @@ from edge.config import Config, sink_names
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device, Message, Sink
-from edge.core.sink_context import Place, Station, topic_root
+from edge.core.sink_context import Place, Station, client_id, topic_root
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
@@ -223,7 +223,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
     lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway ended without a message")
     return Station(
         root=topic_root(table.prefix, table.site, table.line, table.station),
-        client_id=f"gelgate-{table.site}-{table.line}-{table.station}",
+        client_id=client_id(table.prefix, table.site, table.line, table.station),
         will=state_message(lost),
         offline=availability_message(is_online=False),
         birth=retained_state.all,

@@ -20,7 +20,7 @@ __all__ = ["SlopeColours"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Below this share of the stronger slope's colours the weaker slope cannot be told from noise; a Mini has a half.
+# Below this share of the stronger slope's colours the weaker slope cannot be separated from noise; a Mini has a half.
 _LEAST_RATIO = 0.02
 
 
