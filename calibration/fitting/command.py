@@ -78,7 +78,7 @@ def fit(
     threads: Threads = 2,
     scattered: Scattered = False,
     limit: Limit = "chosen",
-    register: RegisterOption = "never",
+    register: RegisterOption = "auto",
     leave_out: LeaveOut = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,

@@ -72,6 +72,7 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
         (("--set", "gain"), "write --set name=value"),
         (("--set", "gian=1"), "no such parameter"),
         (("--alpha", "2"), "false-alarm rate"),
+        (("--register", "often"), "--register is auto, never or always, found 'often'"),
     ],
 )
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
