@@ -19,6 +19,8 @@ QUIET: Final = {
     "DEPTHAI_ZOO_INTERNET_CHECK": "0",
     # Milliseconds that it looks for a device that vanished between search and opening; 10 s by default.
     "DEPTHAI_SEARCH_TIMEOUT": "1000",
+    # Its handlers end the process at a file that may not grow, which Python reports as an error, and print to it.
+    "DEPTHAI_INSTALL_SIGNAL_HANDLER": "0",
     # Its warnings go to the standard output, where results of verbs go.
     "DEPTHAI_LEVEL": "error",
 }

@@ -67,7 +67,37 @@ def test_everything_that_calls_out_is_off_before_the_import(tmp_path: Path) -> N
         "DEPTHAI_TELEMETRY",
         "DEPTHAI_CRASHDUMP",
         "DEPTHAI_ZOO_INTERNET_CHECK",
+        "DEPTHAI_INSTALL_SIGNAL_HANDLER",
     }
+
+
+# A disk limit that is reached after the import, in a process that it may end.
+LIMITED = """
+import resource
+from pathlib import Path
+from plugins.overviews.quiet_depthai import quiet_depthai
+quiet_depthai()
+resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))
+try:
+    Path("grown").write_bytes(bytes(11))
+except OSError as error:
+    print(error.strerror)
+"""
+
+
+@needs_depthai
+def test_a_file_that_may_not_grow_does_not_end_the_process(tmp_path: Path) -> None:
+    """With depthai's own signal handlers the gateway would be killed; Python reports an error, which it survives."""
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED],
+        cwd=tmp_path,
+        env={**os.environ, "DEPTHAI_INSTALL_SIGNAL_HANDLER": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert done.stdout.strip().endswith("File too large")
 
 
 def test_loading_the_plugin_does_not_import_depthai(tmp_path: Path) -> None:

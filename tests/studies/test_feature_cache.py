@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from full_disk import with_room_for
+from full_disk import room_for
 from tiny import tiny_trunk
 
 from calibration.dataset import LabelledPress
@@ -105,8 +105,11 @@ def test_an_incomplete_entry_is_extracted_again(
 def test_a_full_disk_leaves_no_entry(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
     """One sentence; when there is room, the same call works."""
     pictures = PressPictures(presses, VIEW)
-    with pytest.raises(StoreError, match=r"the features cannot be written .* choose another folder"):
-        with_room_for(200, lambda: cache.features(TRUNK, TAPS, pictures))
+    with (
+        room_for(200),
+        pytest.raises(StoreError, match=r"the features cannot be written .* choose another folder"),
+    ):
+        cache.features(TRUNK, TAPS, pictures)
 
     assert entries(cache) == set()
     assert len(cache.features(TRUNK, TAPS, pictures).features["layer1"]) == 3

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from full_disk import with_room_for
+from full_disk import room_for
 
 from calibration.studies.rows import ROW_FORMAT, Rows, frame, read_rows
 from edge.core.errors import ConfigError, StoreError
@@ -56,8 +56,8 @@ def test_a_full_disk_keeps_the_rows_so_far_and_says_so(path: Path) -> None:
     rows = Rows(path)
     rows.append({"key": "a"})
     rows.append({"key": "b"})
-    with pytest.raises(StoreError) as refused:
-        with_room_for(path.stat().st_size + 10, lambda: rows.append({"key": "c", "text": "x" * 100}))
+    with room_for(path.stat().st_size + 10), pytest.raises(StoreError) as refused:
+        rows.append({"key": "c", "text": "x" * 100})
 
     assert str(refused.value) == (
         f"the disk is full: the 2 rows so far are kept in '{path}'; free some space and give the same command "
