@@ -153,9 +153,8 @@ class Snapshots:
                 for frame in frames:
                     writer.add(frame.payload, frame.timestamp_ns)
             unfinished.rename(folder)
-        except BaseException:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            raise
+        finally:
+            shutil.rmtree(unfinished, ignore_errors=True)  # it has its name by now, or never will
 
     def _run(self) -> None:
         while not self._is_closing:
