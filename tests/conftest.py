@@ -3,9 +3,11 @@
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from chromium import chromium
 
 from calibration.threads import one_blas_thread
 
@@ -37,3 +39,10 @@ def real_tactile() -> Path:
     if not folder.is_dir():
         pytest.skip(f"SKIPPED, NOT TESTED: real tactile frames are not at {folder}")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Headless Chromium."""
+    with chromium() as opened:
+        yield opened

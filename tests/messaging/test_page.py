@@ -2,13 +2,13 @@
 
 import http.client
 import json
-import shutil
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import BROWSER_MS
 
 from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel import GelState
@@ -184,23 +184,6 @@ def test_the_page_is_small_and_loads_nothing_from_elsewhere(sink: PageSink) -> N
 
     assert 3000 < sum(map(len, parts)) < LARGEST_PAGE_BYTES
     assert b"http" not in b"".join(parts).replace(b"http-equiv", b"")
-
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-BROWSER_MS = 120_000  # on a busy machine a browser takes long to start
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="SKIPPED, NOT TESTED: the package playwright is not installed"
-    )
-    if CHROMIUM is None:
-        pytest.skip("SKIPPED, NOT TESTED: there is no Chromium; apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"], timeout=BROWSER_MS)
-        yield opened
-        opened.close()
 
 
 @pytest.fixture

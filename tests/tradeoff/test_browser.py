@@ -1,34 +1,14 @@
 """The page in a real browser: headless Chromium."""
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import BROWSER_MS
 from tradeoff_rows import rows_of_a_run
 
 from calibration.tradeoff.page import page
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
-BROWSER_S = 120
-"""A browser on a busy machine takes long to start."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="SKIPPED, NOT TESTED: the package playwright is not installed"
-    )
-    if CHROMIUM is None:
-        pytest.skip("SKIPPED, NOT TESTED: there is no Chromium; apt-get install chromium")
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox"], timeout=1000 * BROWSER_S
-        )
-        yield opened
-        opened.close()
 
 
 @pytest.fixture
@@ -37,7 +17,7 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
     file = tmp_path / "tradeoff.html"
     file.write_text(page(rows_of_a_run()))
     tab = browser.new_page(viewport={"width": 1320, "height": 1000})
-    tab.set_default_timeout(1000 * BROWSER_S)
+    tab.set_default_timeout(BROWSER_MS)
     said: list[str] = []
     tab.on("console", lambda message: said.append(message.text))
     tab.on("pageerror", lambda error: said.append(str(error)))

@@ -1,0 +1,29 @@
+"""The system's Chromium, driven without a window; playwright brings none of its own."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import pytest
+
+__all__ = ["BROWSER_MS", "chromium"]
+
+# On a busy machine a browser takes long to start.
+BROWSER_MS: Final = 120_000
+
+_PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A playwright browser; the test is skipped, and says so, where there is none."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="SKIPPED, NOT TESTED: the package playwright is not installed"
+    )
+    if _PROGRAM is None:
+        pytest.skip("SKIPPED, NOT TESTED: there is no Chromium; apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=_PROGRAM, args=["--no-sandbox"], timeout=BROWSER_MS)
+        yield opened
+        opened.close()
