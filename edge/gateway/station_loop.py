@@ -282,12 +282,18 @@ class StationLoop:
         StoreError."""
         session = self._session
         is_pressed = session is not None and session.has_contact and not is_beginning
-        if not self.selection.step(is_pressed=is_pressed):
-            return
-        if session is not None:
+        before = self.selection.bundles
+        has_changed = self.selection.step(is_pressed=is_pressed)
+        if has_changed and session is not None:
             session.use(self.selection.inspector)
+        if has_changed or self.selection.bundles is not before:
+            self._say_info()
+
+    def _say_info(self) -> None:
+        """Before the first frame the sensor is not known, and nothing is said."""
         if (identity := self._parts.acquisition.status.identity) is not None:
-            self._parts.status.info(self.selection.inspector.bundle, identity)
+            parts = list(map(str, self.selection.bundles.bundles))
+            self._parts.status.info(self.selection.inspector.bundle, identity, parts)
 
     def _look_at(self, frame: CameraFrame) -> None:
         session = self._session or self._start_session()
@@ -306,7 +312,7 @@ class StationLoop:
         parts.status.clear_fault("store")
         inspector = self.selection.inspector
         recorder = Recorder(parts.store, inspector, identity.serial, parts.place, parts.clock)
-        parts.status.info(inspector.bundle, identity)
+        self._say_info()
         self._session = InspectionSession(
             gel,
             inspector,

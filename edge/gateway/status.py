@@ -153,8 +153,8 @@ class StationStatus:
         text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
         self.alarm("gel", text, "warning" if gel.state is GelState.DUE else "error")
 
-    def info(self, bundle: Bundle, identity: DeviceIdentity) -> None:
-        """The installed software and the connected sensor."""
+    def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
+        """The installed software and the connected sensor. parts: that can be selected."""
         manifest = bundle.manifest
         payload = InfoPayload(
             time_ns=self._clock.time_ns(),
@@ -164,6 +164,7 @@ class StationStatus:
             sensor_profile=manifest.profile.name,
             part=manifest.part,
             position=manifest.position,
+            parts=tuple(parts),
             method=manifest.method,
             backbone=manifest.backbone.id if manifest.backbone else None,
             bundle_id=bundle.digest,

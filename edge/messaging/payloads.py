@@ -91,6 +91,9 @@ class InfoPayload(Payload):
     sensor_profile: str | None = None
     part: str | None = None
     position: str | None = None
+    parts: tuple[str, ...] = Field(
+        default=(), description="what `cmd/select_part` can select, each a `name`: part/position"
+    )
     method: str | None = Field(default=None, description="detector of the bundle in use")
     backbone: str | None = None
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")

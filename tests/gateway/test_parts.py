@@ -76,6 +76,7 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> 
         info = retained(station, "info")
     assert info is not None
     assert (info["part"], info["bundle_id"]) == ("PZ1", results[-1].bundle_id)
+    assert info["parts"] == ["PZ0/pos1", "PZ1/pos1"]
     assert results[0].bundle_id != results[-1].bundle_id
 
 
@@ -210,6 +211,19 @@ def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder:
         reloaded(station)
         assert selection.inspector.bundle.manifest.revision == 5
         assert retained(station, "alarm/bundle") is None
+
+
+def test_info_names_the_parts_that_a_reload_brings(config: Path, folder: Path, bundle: Path) -> None:
+    """Also where the bundle in use stays as it is: a dashboard that selects has the list."""
+    with SteppedStation(config) as station:
+        station.play(3)
+        variant(bundle, folder / "c", part="PZ2")
+        reloaded(station)
+
+        info = retained(station, "info")
+    assert info is not None
+    assert info["part"] == "PZ0"
+    assert info["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
 
 
 def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, bundle: Path) -> None:
