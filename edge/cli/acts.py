@@ -44,7 +44,7 @@ def acts(
 
 def _line(act: "Act") -> str:
     from edge.core.printable import printable
-    from edge.messaging.payloads import iso_time
+    from edge.messaging.payload_base import iso_time
 
     words = [
         iso_time(act.time_ns)[:19],

@@ -58,7 +58,7 @@ def replace(
     import json
     import time
 
-    from edge.messaging.payloads import GelPayload, gel_message
+    from edge.messaging.gel_payload import GelPayload, gel_message
     from edge.store.acts import Act
 
     now_ns = time.time_ns()
@@ -149,6 +149,6 @@ def _plain(record: "GelRecord") -> dict[str, object]:
 
 
 def _date(time_ns: int) -> str:
-    from edge.messaging.payloads import iso_time
+    from edge.messaging.payload_base import iso_time
 
     return iso_time(time_ns)[:16].replace("T", " ")

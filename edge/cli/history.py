@@ -128,7 +128,7 @@ def _print_lines(rows: "Iterable[HistoryRow]") -> None:
 
 def _line(row: "HistoryRow") -> str:
     from edge.core.printable import printable
-    from edge.messaging.payloads import iso_time
+    from edge.messaging.payload_base import iso_time
 
     score = "" if row.score is None or row.threshold is None else f"  {row.score:.4f} / {row.threshold:.4f}"
     return printable(

@@ -36,10 +36,10 @@ from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
-from edge.messaging.payloads import StatePayload, availability_message, state_message
 from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
+from edge.messaging.status_payloads import StatePayload, availability_message, state_message
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.extras import needs
-from edge.messaging.payloads import ALARMS
+from edge.messaging.alarm_payload import ALARMS
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric

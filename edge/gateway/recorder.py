@@ -12,8 +12,10 @@ from edge.core.registration.registrar import Registered
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.inspector import Inspection, Inspector
-from edge.messaging.payloads import MOST_DEFECTS, DefectPlace, ResultPayload, iso_time, press_messages
+from edge.messaging.defect_place import DefectPlace
+from edge.messaging.payload_base import iso_time
 from edge.messaging.pose_payload import PosePlace
+from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_messages
 from edge.pictures.press_picture import PressCaption, press_png
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store

@@ -26,7 +26,7 @@ from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.station_parts import Parts
 from edge.gateway.summary import Summary
-from edge.messaging.payloads import ALARMS
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.sink_worker import SinkCounters
 from edge.store.acts import Act
 

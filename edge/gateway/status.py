@@ -12,16 +12,13 @@ from edge.core.gel import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
 from edge.gateway.summary import Summary
-from edge.messaging.payloads import (
-    AlarmPayload,
-    GelPayload,
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.status_payloads import (
     InfoPayload,
     StatePayload,
     StatsPayload,
-    alarm_cleared,
-    alarm_message,
     availability_message,
-    gel_message,
     info_message,
     state_message,
     stats_message,

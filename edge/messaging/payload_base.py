@@ -1,15 +1,23 @@
-"""What every payload has: its version, and its time in three forms.
+"""What every published JSON payload has: its version, its time, and whether it was sent late.
 
+Each payload is one pydantic model; the modules are by subject: `result_payload`, `gel_payload`, `alarm_payload`,
+`status_payloads`, `command_payloads`. They also make the messages, with topic, delivery and retention.
 `time` is for people (ISO 8601, UTC), `time_ns` for programs with 64-bit integers and `time_ms` for the others
 (JavaScript rounds integers above 2^53).
+Units are in the names. Within version 1 fields may be added; a subscriber ignores those it does not know.
+docs/mqtt.md is printed from these models.
 """
 
 import datetime
+import json
+from dataclasses import replace
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-__all__ = ["Payload", "iso_time"]
+from edge.core.ports import Message
+
+__all__ = ["Payload", "as_replayed", "iso_time"]
 
 
 def iso_time(time_ns: int) -> str:
@@ -57,3 +65,14 @@ class Payload(BaseModel):
     def encode(self) -> bytes:
         """The payload as UTF-8 JSON."""
         return self.model_dump_json().encode()
+
+
+def as_replayed(message: Message) -> Message:
+    """The same message marked as sent late, where its payload has the mark; pictures stay as they are."""
+    if message.content_type != "application/json" or not message.payload:
+        return message
+    content = json.loads(message.payload)
+    if not isinstance(content, dict) or "is_replayed" not in content:
+        return message
+    content["is_replayed"] = True
+    return replace(message, payload=json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode())

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Sequence
 
 from edge.core.ports import Message
-from edge.messaging.payloads import ALARMS, alarm_cleared
+from edge.messaging.alarm_payload import ALARMS, alarm_cleared
 
 __all__ = ["RetainedState"]
 

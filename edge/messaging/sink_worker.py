@@ -10,7 +10,7 @@ from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Clock, Message, Sink
 from edge.logs import about_press
-from edge.messaging.payloads import as_replayed
+from edge.messaging.payload_base import as_replayed
 from edge.messaging.retained_state import RetainedState
 from edge.store.outbox import Outbox, OutboxRow
 

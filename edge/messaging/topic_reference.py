@@ -7,8 +7,8 @@ from typing import Any, Final, Protocol
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
-from edge.messaging.payloads import ALARMS
 from edge.messaging.request_signature import signature_of, signed_text
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE

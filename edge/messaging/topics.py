@@ -4,15 +4,11 @@ from typing import Final, NamedTuple
 
 from pydantic import BaseModel
 
+from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
-from edge.messaging.payloads import (
-    AlarmPayload,
-    GelPayload,
-    InfoPayload,
-    ResultPayload,
-    StatePayload,
-    StatsPayload,
-)
+from edge.messaging.gel_payload import GelPayload
+from edge.messaging.result_payload import ResultPayload
+from edge.messaging.status_payloads import InfoPayload, StatePayload, StatsPayload
 
 __all__ = ["TOPICS", "Topic"]
 

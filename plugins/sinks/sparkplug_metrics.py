@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from edge.core.ports import Message
-from edge.messaging.payloads import ALARMS
+from edge.messaging.alarm_payload import ALARMS
 from plugins.sinks.sparkplug_payload import DataType, Metric
 
 __all__ = ["initial_metrics", "metrics_of"]

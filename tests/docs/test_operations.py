@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from edge.messaging.payloads import ALARMS
+from edge.messaging.alarm_payload import ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
 from edge.store.press_store import KEPT_PRESSES

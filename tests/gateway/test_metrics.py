@@ -10,17 +10,9 @@ from stepped_station import SteppedStation
 
 from edge.core.errors import ConfigError
 from edge.gateway.metrics import METRICS, Metrics, served
-from edge.messaging.payloads import (
-    ALARMS,
-    AlarmPayload,
-    Payload,
-    StatePayload,
-    StatsPayload,
-    alarm_cleared,
-    alarm_message,
-    state_message,
-    stats_message,
-)
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.payload_base import Payload
+from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
 
 T0 = 1_780_000_000 * 10**9
 

@@ -14,7 +14,7 @@ from edge.gateway.overload import FrameCounts, OverloadRule
 from edge.gateway.recorder import PressReport
 from edge.gateway.status import StationStatus
 from edge.gateway.summary import Summary
-from edge.messaging.payloads import ResultPayload
+from edge.messaging.result_payload import ResultPayload
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
 

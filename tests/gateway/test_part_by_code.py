@@ -8,7 +8,7 @@ from stepped_station import SteppedStation
 
 from edge.core.part_position import PartPosition
 from edge.core.verdict import Kind
-from edge.messaging.payloads import ResultPayload
+from edge.messaging.result_payload import ResultPayload
 
 PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
 

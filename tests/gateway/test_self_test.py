@@ -11,7 +11,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.gateway.command_table import COMMANDS, Command
-from edge.messaging.payloads import ALARMS
+from edge.messaging.alarm_payload import ALARMS
 from edge.store.outbox import OutboxStatus
 
 PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'

@@ -13,7 +13,7 @@ from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
-from edge.messaging.payloads import availability_message
+from edge.messaging.status_payloads import availability_message
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
 

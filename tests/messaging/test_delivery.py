@@ -13,10 +13,11 @@ from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.payloads import ResultPayload, StatePayload, press_messages, state_message
 from edge.messaging.publisher import Publisher
+from edge.messaging.result_payload import ResultPayload, press_messages
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.sink_worker import IDLE_S, SinkWorker
+from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid

@@ -16,18 +16,10 @@ from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.command_table import COMMANDS
 from edge.gateway.commands import Change, Commands
-from edge.messaging.payloads import (
-    ALARMS,
-    AlarmPayload,
-    ResultPayload,
-    StatePayload,
-    alarm_cleared,
-    alarm_message,
-    as_replayed,
-    heatmap_message,
-    iso_time,
-    press_messages,
-)
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.payload_base import as_replayed, iso_time
+from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
+from edge.messaging.status_payloads import StatePayload
 from edge.messaging.topic_reference import reference
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord

@@ -15,19 +15,10 @@ from edge.core.gel import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
-from edge.messaging.payloads import (
-    AlarmPayload,
-    GelPayload,
-    ResultPayload,
-    StatePayload,
-    StatsPayload,
-    alarm_cleared,
-    alarm_message,
-    gel_message,
-    heatmap_message,
-    state_message,
-    stats_message,
-)
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
 from edge.store.ulid import new_ulid
 from plugins.sinks.page import MOST_PICTURES, MOST_PRESSES, PageOptions, PageSink, plugin
 

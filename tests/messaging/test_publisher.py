@@ -11,10 +11,10 @@ from scripted_sink import HandClock, ScriptedSink, record
 import edge.messaging.publisher
 from edge.core.errors import StoreError
 from edge.core.ports import Message
-from edge.messaging.payloads import StatePayload, state_message
 from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
+from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
 

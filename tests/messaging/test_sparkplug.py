@@ -12,19 +12,16 @@ from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Outgoing
-from edge.messaging.payloads import (
-    AlarmPayload,
+from edge.messaging.payload_base import as_replayed
+from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.messaging.status_payloads import (
     InfoPayload,
-    ResultPayload,
     StatePayload,
     StatsPayload,
-    alarm_cleared,
-    alarm_message,
-    as_replayed,
     info_message,
-    press_messages,
     state_message,
     stats_message,
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from edge.core.verdict import Kind
-from edge.messaging.payloads import ResultPayload, press_messages
+from edge.messaging.result_payload import ResultPayload, press_messages
 from edge.store.press_store import MakeMessages, PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 

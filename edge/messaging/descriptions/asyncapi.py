@@ -11,10 +11,10 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from edge.core.ports import Message
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.descriptions.payload_schemas import REFERENCE, published_schemas, request_schema
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
-from edge.messaging.payloads import ALARMS
 from edge.messaging.topics import TOPICS, Topic
 
 __all__ = ["asyncapi_message", "document"]

@@ -1,0 +1,148 @@
+"""The result of a press, with its pictures: payload and messages."""
+
+from collections.abc import Sequence
+from typing import Annotated, Final, Self
+
+from pydantic import ConfigDict, Field, StringConstraints, model_validator
+
+from edge.core.imaging.quality import Reason
+from edge.core.ports import Message
+from edge.core.verdict import Kind
+from edge.messaging.defect_place import DefectPlace, Pair
+from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.payload_base import Payload
+from edge.messaging.pose_payload import PosePlace
+from edge.store.gel_ledger import GelRecord
+
+__all__ = ["MOST_DEFECTS", "ResultPayload", "heatmap_message", "overview_message", "press_messages"]
+
+# Parts of one score map that a result describes; the rest is counted in the area alone.
+MOST_DEFECTS: Final = 8
+
+PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
+
+_REASONS = " · ".join(f"`{reason}`" for reason in Reason)
+
+
+class ResultPayload(Payload):
+    """One press, one result. `press_id` is the key: the same result may arrive twice; only `is_replayed` may differ.
+
+    Exactly one of `verdict` and `error` is set: a press that could not be scored has no verdict, and is never a pass.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "oneOf": [
+                {"properties": {"verdict": {"type": "null"}, "error": {"type": "string"}}},
+                {"properties": {"verdict": {"type": "string"}, "error": {"type": "null"}}},
+            ]
+        }
+    )
+
+    press_id: PressId
+    is_replayed: bool = Field(
+        default=False, description="sent late, from the outbox; `time` is that of the press"
+    )
+    sequence: int | None = Field(
+        default=None,
+        ge=1,
+        description="rises by one with every press of this station's database; restarts and changes of gel do not "
+        "reset it: a missing number is a missed result",
+    )
+    site: str | None = Field(default=None, description="where it was pressed, as in the topic")
+    line: str | None = None
+    station: str | None = None
+    part: str
+    position: str | None = None
+    verdict: Kind | None = None
+    reason: str | None = Field(
+        default=None, description=f"why it is rejected: {_REASONS}; a colon; a sentence"
+    )
+    error: str | None = Field(default=None, description="why there is no verdict")
+    score: float | None = Field(default=None, description="raw anomaly score, higher is more anomalous")
+    threshold: float | None = Field(default=None, description="scores above it fail")
+    tolerance: float | None = Field(
+        default=None, ge=0, description="scores this near the threshold are unsure"
+    )
+    score_ratio: float | None = Field(
+        default=None, description="score / threshold: above 1 fails, with every detector"
+    )
+    defects: list[DefectPlace] | None = Field(
+        default=None,
+        description="where the score map is above the threshold, highest score first, "
+        f"at most {MOST_DEFECTS}; null for a pass and for a press without a score",
+    )
+    defect_area_mm2: float | None = Field(
+        default=None,
+        ge=0,
+        description="all of the map above the threshold, also the parts that `defects` omits",
+    )
+    mm_per_pixel: Pair | None = Field(default=None, description="x, y of the picture")
+    method: str | None = None
+    bundle_id: str | None = None
+    sensor_serial: str
+    gel_id: str
+    gel_presses: int = Field(ge=0, description="presses of this gel, including this one")
+    gel_limit_presses: int = Field(ge=1)
+    latency_ms: dict[str, float] = Field(
+        default_factory=dict, description="stage to milliseconds; `total` is frame to verdict"
+    )
+    heatmap_topic: str | None = Field(
+        default=None, description="where this press's picture is sent, below the root"
+    )
+    overview_topic: str | None = Field(
+        default=None, description="where the overview camera's still is sent, below the root"
+    )
+    part_codes: list[str] | None = Field(
+        default=None, description="codes read on the part before the press; null without an overview camera"
+    )
+    part_present: bool | None = Field(
+        default=None, description="whether the overview camera saw a part; null where it is not asked"
+    )
+
+    pose: PosePlace | None = Field(default=None, description="where the part lay; null where none is sought")
+
+    @model_validator(mode="after")
+    def _verdict_or_error(self) -> Self:
+        if (self.verdict is None) == (self.error is None):
+            raise ValueError("a result has a verdict or an error, exactly one of them")
+        if self.verdict in (Kind.PASS, Kind.FAIL, Kind.UNSURE) and (
+            self.score is None or self.threshold is None
+        ):
+            raise ValueError(f"the verdict '{self.verdict}' needs a score and a threshold")
+        return self
+
+
+def heatmap_message(press_id: str, png: bytes) -> Message:
+    """The picture of one press. The press id is in the topic, which both protocol levels can carry."""
+    return Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
+
+
+def overview_message(press_id: str, jpeg: bytes) -> Message:
+    """The still of the part before one press."""
+    return Message(f"overview/{press_id}", jpeg, qos=1, content_type="image/jpeg")
+
+
+def press_messages(
+    result: ResultPayload,
+    gel: GelRecord,
+    heatmap_png: bytes | None = None,
+    overview_jpeg: bytes | None = None,
+) -> Sequence[Message]:
+    """All messages of one press, in order: result, its pictures, then the retained picture, the retained result on its
+    two topics, and `gel`.
+
+    The retained picture is always that of the retained result: a press without one empties the topic.
+    """
+    encoded = result.encode()
+    heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
+    overview = [] if overview_jpeg is None else [overview_message(result.press_id, overview_jpeg)]
+    return [
+        Message("result", encoded, qos=1),
+        *heatmap,
+        *overview,
+        Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
+        Message("last", encoded, qos=1, retain=True),
+        Message("last/press", encoded, qos=1, retain=True),
+        gel_message(GelPayload.of(gel, result.time_ns)),
+    ]

@@ -1,0 +1,104 @@
+"""The status of a station: state, installed software, counters; payloads and messages."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from edge.core.ports import Message
+from edge.messaging.payload_base import Payload
+
+__all__ = [
+    "InfoPayload",
+    "StatePayload",
+    "StatsPayload",
+    "availability_message",
+    "info_message",
+    "state_message",
+    "stats_message",
+]
+
+
+class StatePayload(Payload):
+    """Whether the station inspects. The broker itself publishes `lost` (the last will) when the gateway vanishes."""
+
+    state: Literal["starting", "ready", "halted", "stopped", "lost"] = Field(
+        description="starting: not yet inspecting; ready: inspecting; halted: running but unable to inspect, see "
+        "`reason`; stopped: ended on purpose; lost: ended without a message (`time` is then that of its start)"
+    )
+    reason: str | None = Field(default=None, description="one sentence, for people")
+
+
+class InfoPayload(Payload):
+    """The installed software, bundle and sensor."""
+
+    gelgate_version: str
+    sensor_product: str | None = None
+    sensor_serial: str | None = None
+    sensor_profile: str | None = None
+    part: str | None = None
+    position: str | None = None
+    parts: tuple[str, ...] = Field(
+        default=(), description="what `cmd/select_part` can select, each a `name`: part/position"
+    )
+    method: str | None = Field(default=None, description="detector of the bundle in use")
+    backbone: str | None = None
+    bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
+    revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
+    threshold: float | None = None
+    false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="the warnings of `fit`, such as an outlier among the presses"
+    )
+
+
+class StatsPayload(Payload):
+    """Counters since the start of the process, for dashboards."""
+
+    uptime_s: float = Field(ge=0)
+    frames: int = Field(ge=0, description="delivered by the sensor")
+    frames_corrupt: int = Field(ge=0, description="broken: not delivered, or delivered and not decodable")
+    frames_stale: int = Field(default=0, ge=0, description="came twice: the camera repeats itself")
+    frames_dropped: int = Field(
+        default=0, ge=0, description="delivered, and dropped: this machine was too slow"
+    )
+    frames_late: int = Field(default=0, ge=0, description="processed too late to be judged")
+    delivered_fps: float = Field(ge=0)
+    presses: int = Field(ge=0)
+    presses_interrupted: int = Field(
+        default=0,
+        ge=0,
+        description="frames were dropped while the gel was pressed: their presses may be missed",
+    )
+    verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
+    reconnects: int = Field(default=0, ge=0, description="of the sensor")
+    latency_ms_p50: float | None = Field(default=None, description="frame to verdict, of scored presses only")
+    latency_ms_max: float | None = Field(default=None, description="likewise")
+    outbox_rows: int = Field(default=0, ge=0)
+    outbox_bytes: int = Field(default=0, ge=0)
+    outbox_refused: int = Field(default=0, ge=0, description="rows that a receiver refuses; they are kept")
+    dropped: dict[str, int] = Field(default_factory=dict, description="heatmap, pass, fail: dropped so far")
+    disk_free_bytes: int | None = Field(default=None, ge=0, description="room on the disk of the database")
+    gel_presses: int | None = Field(default=None, ge=0, description="of the mounted gel")
+    gel_limit_presses: int | None = Field(default=None, ge=1, description="presses allowed on it")
+    alarms: tuple[str, ...] = Field(default=(), description="the raised alarms, as in `alarm/<alarm>`")
+    receivers: dict[str, str] = Field(
+        default_factory=dict, description="receiver to `up` or why it is not; with the MQTT level in use"
+    )
+
+
+def state_message(payload: StatePayload) -> Message:
+    return Message("state", payload.encode(), qos=1, retain=True)
+
+
+def availability_message(*, is_online: bool) -> Message:
+    """`online` or `offline` as plain text, for dashboards that read no JSON."""
+    payload = b"online" if is_online else b"offline"
+    return Message("availability", payload, qos=1, retain=True, content_type="text/plain")
+
+
+def info_message(payload: InfoPayload) -> Message:
+    return Message("info", payload.encode(), qos=1, retain=True)
+
+
+def stats_message(payload: StatsPayload) -> Message:
+    return Message("stats", payload.encode(), qos=0)
