@@ -201,7 +201,7 @@ class MetricsTable(Table):
 
 
 class CommandTable(Table):
-    """Which requests over MQTT are served, and from whom; all others are refused. mqtt.md has the verbs."""
+    """Which requests are served, and from whom; all others are refused. mqtt.md has the verbs."""
 
     unsigned: tuple[str, ...] = Field(
         default=("trigger",),
@@ -213,6 +213,10 @@ class CommandTable(Table):
     )
     secret_file: Path | None = Field(
         default=None, description="file that holds only the secret, at least 16 bytes, rights 0640"
+    )
+    page: tuple[str, ...] = Field(
+        default=("select_part", "acknowledge_alarm", "replace_gel"),
+        description="verbs for a person at the sink `page` who has its token; without a token none is served there",
     )
     requests_per_minute: int = Field(
         default=60, ge=1, le=6000, description="more are refused, of all verbs together"

@@ -11,6 +11,7 @@ __all__ = [
     "TOPIC_VERSION",
     "OnCommand",
     "OnRefused",
+    "PageRequests",
     "Place",
     "Station",
     "client_id",
@@ -30,6 +31,18 @@ OnCommand = Callable[[str, bytes], bytes]
 
 OnRefused = Callable[[str, bytes, str], bytes]
 """(verb, request payload, why the sink refuses it unread) -> response payload. Quick, from any thread; never raises."""
+
+
+@dataclass(frozen=True)
+class PageRequests:
+    """Requests of a person at a page, whom the page itself admits, such as by a token.
+
+    verbs: that may be served. do: does and answers one that is admitted. refuse: records and answers one that is not.
+    """
+
+    verbs: frozenset[str]
+    do: OnCommand
+    refuse: OnRefused
 
 
 def _no_messages() -> Sequence[Message]:
@@ -86,7 +99,7 @@ class Station:
     will: left with the broker, which publishes it when this gateway disappears. offline: likewise, where a receiver can
     hold a second one. birth: the first messages of every
     connection, requested each time. on_command: answers requests, None where commands are not served. on_refused:
-    makes the answer to a request that the sink refuses, None for no answer.
+    makes the answer to a request that the sink refuses, None for no answer. page: for sinks that people use.
     """
 
     root: str
@@ -96,6 +109,7 @@ class Station:
     birth: Callable[[], Sequence[Message]] = _no_messages
     on_command: OnCommand | None = None
     on_refused: OnRefused | None = None
+    page: PageRequests | None = None
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

@@ -15,7 +15,7 @@ from edge.config import Config, sink_names
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device, Message, Sink
-from edge.core.sink_context import Place, Station, client_id, topic_root
+from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
@@ -197,7 +197,7 @@ def _overview(config: Config, clock: Clock, status: StationStatus, closing: Exit
 
 def _snapshots(config: Config, clock: Clock, closing: ExitStack) -> Snapshots:
     """Next to the database; off where it is not served."""
-    is_served = "snapshot" in (*config.commands.signed, *config.commands.unsigned)
+    is_served = "snapshot" in (*config.commands.signed, *config.commands.unsigned, *config.commands.page)
     snapshots = Snapshots(config.store.path.with_suffix(".snapshots") if is_served else None, clock)
     closing.callback(snapshots.close)
     return snapshots
@@ -229,6 +229,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         birth=retained_state.all,
         on_command=commands,
         on_refused=commands.refused,
+        page=PageRequests(commands.page_verbs, commands.from_page, commands.refused_at_page),
     )
 
 

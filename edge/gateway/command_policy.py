@@ -2,10 +2,10 @@
 
 import threading
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
-from edge.config import CommandTable, Config
+from edge.config import Config
+from edge.config.secret_file import read_secret
 from edge.core.errors import ConfigError
 from edge.core.ports import Clock
 from edge.core.sink_context import topic_root
@@ -25,12 +25,23 @@ SHORTEST_SECRET: Final = 16
 @dataclass(frozen=True)
 class CommandPolicy:
     """root: of the station's topics. unsigned: verbs for everybody whom the broker lets publish; signed: verbs that
-    need a signature with `secret`; all others are off."""
+    need a signature with `secret`; page: verbs for a person at the page, whom the page has admitted. All others are
+    off."""
 
     root: str
     unsigned: frozenset[str]
     signed: frozenset[str] = frozenset()
     secret: bytes | None = None
+    page: frozenset[str] = frozenset()
+
+    def page_refusal(self, verb: str) -> str | None:
+        """Why a request from the page is not done, as one sentence; None if it may be."""
+        if verb in self.page:
+            return None
+        return (
+            f"the command '{verb}' is off at the page of this station; name it in [commands] of its configuration, "
+            "under page"
+        )
 
     def refusal(self, verb: str, request: CommandRequest, now_ns: int) -> str | None:
         """Why this request is not done, as one sentence; None if it may be. now_ns: wall clock."""
@@ -81,33 +92,15 @@ class Rate:
 def policy_of(config: Config, verbs: frozenset[str]) -> CommandPolicy:
     """The configured policy. verbs: those that exist. Errors: ConfigError."""
     table, station = config.commands, config.station
-    for verb in (*table.unsigned, *table.signed):
+    for verb in (*table.unsigned, *table.signed, *table.page):
         if verb not in verbs:
             raise ConfigError(f"commands: no command is named '{verb}'; {suggestion(verb, sorted(verbs))}")
     return CommandPolicy(
         topic_root(station.prefix, station.site, station.line, station.station),
         frozenset(table.unsigned),
         frozenset(table.signed),
-        _secret(table),
+        None
+        if table.secret_file is None
+        else read_secret(table.secret_file, "commands.secret_file", SHORTEST_SECRET),
+        frozenset(table.page),
     )
-
-
-def _secret(table: CommandTable) -> bytes | None:
-    if table.secret_file is None:
-        return None
-    path: Path = table.secret_file
-    try:
-        secret = path.read_bytes().strip()
-        rights = path.stat().st_mode
-    except OSError as error:
-        raise ConfigError(
-            f"commands.secret_file: {path} cannot be read ({error.strerror}); make one with "
-            f"`head -c 32 /dev/urandom | base64`"
-        ) from error
-    if rights & 0o007:
-        raise ConfigError(f"commands.secret_file: {path} is open to every user; set its rights to 0640")
-    if len(secret) < SHORTEST_SECRET:
-        raise ConfigError(
-            f"commands.secret_file: {path} holds {len(secret)} bytes, at least {SHORTEST_SECRET} are needed"
-        )
-    return secret

@@ -1,4 +1,4 @@
-"""Requests that arrive over MQTT: read, allowed or refused, recorded, done once, and answered.
+"""Requests that arrive over MQTT or from a page: read, allowed or refused, recorded, done once, and answered.
 
 Every fault becomes a response; no request can stop the gateway. `command_table` has the verbs, `command_policy` says
 who may ask for what. A request is recorded before it is done, and completed with its outcome: a repetition gets that
@@ -26,6 +26,9 @@ log = logging.getLogger(__name__)
 # The same transaction id within this time is the same request: MQTT delivers at least once.
 REPEATED_WITHIN_S: Final = 60.0
 
+# Who asked, in the table of acts: a person at a page, where he gave no name.
+PAGE: Final = "page"
+
 
 @dataclass(frozen=True)
 class Change:
@@ -41,8 +44,21 @@ Handler = Callable[[Mapping[str, Any]], Change]
 """Arguments of the request -> what was done. Errors: GelgateError, TypeError, ValueError."""
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """who: for the table of acts. why: it is refused, None if it may be done. signature: that was checked."""
+
+    who: str
+    why: str | None
+    signature: str | None = None
+
+
+_Admit = Callable[[str, CommandRequest, int], _Asked]
+"""(verb, request, wall clock in nanoseconds) -> who asks, and whether he may."""
+
+
 class Commands:
-    """Verbs and their handlers; a `Station.on_command`. Handlers are called from the sink's thread, one at a time.
+    """Verbs and their handlers; a `Station.on_command`. Handlers are called from the sinks' threads.
 
     store: keeps the acts. per_minute: requests that are served; more are refused, and not recorded.
     """
@@ -63,14 +79,37 @@ class Commands:
         self._rate = Rate(per_minute, clock)
 
     def __call__(self, verb: str, payload: bytes) -> bytes:
-        """The response to one request."""
+        """The response to one request over MQTT."""
+        return self._response(verb, payload, self._over_mqtt)
+
+    @property
+    def page_verbs(self) -> frozenset[str]:
+        """Those that a page may serve."""
+        return self._policy.page & self._handlers.keys()
+
+    def from_page(self, verb: str, payload: bytes) -> bytes:
+        """The response to one request of a person whom a page has admitted."""
+        return self._response(verb, payload, self._at_page)
+
+    def refused_at_page(self, verb: str, payload: bytes, why: str) -> bytes:
+        """The response to a request that a page refuses, such as without its token. It is recorded."""
+        log.warning("command %.64r was refused at the page: %s", verb, why)
+        transaction = _transaction(payload)
+        act = Act(self._clock.time_ns(), PAGE, verb[:64], transaction, outcome="refused", sentence=why)
+        try:
+            self._store.begin_act(act, REPEATED_WITHIN_S)
+        except StoreError as error:
+            log.error("a refused request is not recorded: %s", error)
+        return self._answer(verb, transaction, error=why)
+
+    def _response(self, verb: str, payload: bytes, admit: _Admit) -> bytes:
         transaction = None
         try:
             if not self._rate.take():
                 raise ValueError(f"more than {self._per_minute} requests a minute; ask again later")
             request = _request(payload)
             transaction = request.transaction
-            return self._allowed(verb, request)
+            return self._allowed(verb, request, admit)
         except (GelgateError, TypeError, ValueError) as error:
             log.warning("command %.64r was refused: %s", verb, error)
             return self._answer(verb, transaction, error=str(error))
@@ -82,25 +121,24 @@ class Commands:
 
     def refused(self, verb: str, payload: bytes, why: str) -> bytes:
         """The response to a request that a sink refuses unread; a `Station.on_refused`."""
-        try:
-            transaction = _request(payload).transaction
-        except ValueError:
-            transaction = None
-        return self._answer(verb, transaction, error=why)
+        return self._answer(verb, _transaction(payload), error=why)
 
-    def _allowed(self, verb: str, request: CommandRequest) -> bytes:
+    def _over_mqtt(self, verb: str, request: CommandRequest, now_ns: int) -> _Asked:
+        why = self._policy.refusal(verb, request, now_ns)
+        signed = why is None and verb in self._policy.signed
+        who = f"{request.by or 'unnamed'}, over MQTT, {'signed' if signed else 'unsigned'}"
+        return _Asked(who, why, request.signature if signed else None)
+
+    def _at_page(self, verb: str, request: CommandRequest, now_ns: int) -> _Asked:
+        who = PAGE if request.by is None else f"{request.by}, at the {PAGE}"
+        return _Asked(who, self._policy.page_refusal(verb))
+
+    def _allowed(self, verb: str, request: CommandRequest, admit: _Admit) -> bytes:
         """Record the request, do it unless it was done before, and record its outcome. Errors: those of a handler."""
         now_ns = self._clock.time_ns()
-        why = self._unknown(verb) or self._policy.refusal(verb, request, now_ns)
-        signed = why is None and verb in self._policy.signed
-        act = Act(
-            now_ns,
-            f"{request.by or 'unnamed'}, over MQTT, {'signed' if signed else 'unsigned'}",
-            verb[:64],
-            request.transaction,
-            request.arguments,
-            request.signature if signed else None,
-        )
+        asked = admit(verb, request, now_ns)
+        why = self._unknown(verb) or asked.why
+        act = Act(now_ns, asked.who, verb[:64], request.transaction, request.arguments, asked.signature)
         if why is not None:
             self._store.begin_act(replace(act, outcome="refused", sentence=why), REPEATED_WITHIN_S)
             raise ValueError(why)
@@ -159,6 +197,14 @@ class Commands:
             data=dict(data or {}),
             is_repeated=is_repeated,
         ).encode()
+
+
+def _transaction(payload: bytes) -> str | None:
+    """Of a request that is not done, as far as it can be read."""
+    try:
+        return _request(payload).transaction
+    except ValueError:
+        return None
 
 
 def _request(payload: bytes) -> CommandRequest:

@@ -197,8 +197,10 @@ def _database(config: Config) -> str:
 
 def _commands(config: Config) -> str:
     policy = policy_of(config, frozenset(command.verb for command in COMMANDS))
+    has_page = any(sink.plugin == "page" for sink in config.sinks)
     words = [f"{verb} (unsigned)" for verb in sorted(policy.unsigned)]
     words += [f"{verb} (signed)" for verb in sorted(policy.signed)]
+    words += [f"{verb} (page)" for verb in sorted(policy.page)] if has_page else []
     return ", ".join(words) or "none"
 
 

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
@@ -26,6 +27,13 @@ def test_every_alarm_has_its_row_and_no_other() -> None:
     """In the order of the program: what has happened, and what to do."""
     assert [row[0] for row in rows("Alarms")] == [f"`{alarm}`" for alarm in ALARMS]
     assert [row for row in rows("Alarms") if len(row) != 3 or min(map(len, row[1:])) < 12] == []
+
+
+def test_what_to_do_is_what_the_page_at_the_station_says() -> None:
+    """The last cell of each row, links as their words."""
+    said = {row[0].strip("`"): re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", row[2]) for row in rows("Alarms")}
+
+    assert said == dict(ADVICE)
 
 
 def test_the_page_has_what_a_shift_needs() -> None:

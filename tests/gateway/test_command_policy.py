@@ -30,7 +30,11 @@ class Bench:
         self.done: list[str] = []
         self.store, self.clock = store, clock
         self.policy = CommandPolicy(
-            ROOT, frozenset({"trigger"}), frozenset({"relearn", "replace_gel"}), SECRET
+            ROOT,
+            frozenset({"trigger"}),
+            frozenset({"relearn", "replace_gel"}),
+            SECRET,
+            page=frozenset({"replace_gel"}),
         )
         self.commands = self.make()
 
@@ -50,6 +54,11 @@ class Bench:
     def ask(self, verb: str, transaction: str = "1", **more: Any) -> dict[str, Any]:
         payload = json.dumps({"transaction": transaction, **more}).encode()
         return dict(json.loads(self.commands(verb, payload)))
+
+    def at_page(self, verb: str, transaction: str = "1", **more: Any) -> dict[str, Any]:
+        """Ask as a person whom a page has admitted."""
+        payload = json.dumps({"transaction": transaction, **more}).encode()
+        return dict(json.loads(self.commands.from_page(verb, payload)))
 
     def signed(self, verb: str, transaction: str = "1", **changes: Any) -> dict[str, Any]:
         """Ask with a right signature; changes are made after it was signed."""
@@ -186,6 +195,50 @@ def test_an_act_that_a_power_cut_interrupted_is_not_done_again_unseen(bench: Ben
     assert [act.outcome for act in bench.store.acts()] == [None]
 
 
+@pytest.mark.parametrize(("by", "who"), [(None, "page"), ("kim", "kim, at the page")])
+def test_a_request_from_the_page_is_done_without_a_signature(bench: Bench, by: str | None, who: str) -> None:
+    """The page has admitted the person; the same handlers and the same table of acts."""
+    answer = bench.at_page("replace_gel", by=by, arguments={"gel_id": "b7"})
+
+    assert (answer["status"], answer["data"], bench.done) == ("ok", {"number": 1}, ["replace_gel"])
+    (act,) = bench.store.acts()
+    assert (act.who, act.outcome, act.arguments) == (who, "done", {"gel_id": "b7"})
+    assert (act.before, act.after) == ({"presses": 900}, {"presses": 0})
+
+
+def test_the_page_serves_its_own_verbs_alone(bench: Bench) -> None:
+    """One that everybody may ask for over MQTT is not for the page by that; the refusal is written down."""
+    answer = bench.at_page("trigger")
+
+    assert "is off at the page of this station; name it in [commands]" in answer["error"]
+    assert bench.done == []
+    assert [(act.who, act.verb, act.outcome) for act in bench.store.acts()] == [
+        ("page", "trigger", "refused")
+    ]
+    assert bench.commands.page_verbs == {"replace_gel"}
+
+
+@pytest.mark.parametrize("payload", [b'{"transaction":"7"}', b"\xff{"])
+def test_what_a_page_refuses_is_answered_and_written_down(bench: Bench, payload: bytes) -> None:
+    """Also where it cannot be read; nothing of it but its id is kept."""
+    answer = json.loads(bench.commands.refused_at_page("replace_gel", payload, "the token is wrong"))
+
+    assert (answer["status"], answer["error"]) == ("error", "the token is wrong")
+    assert bench.done == []
+    (act,) = bench.store.acts()
+    assert (act.who, act.outcome, act.sentence) == ("page", "refused", "the token is wrong")
+    assert (act.request, act.arguments) == (answer["transaction"], {})
+
+
+def test_a_refusal_at_the_page_that_cannot_be_written_is_answered_nevertheless(bench: Bench) -> None:
+    """The log has it."""
+    bench.store.close()
+
+    answer = json.loads(bench.commands.refused_at_page("replace_gel", b"{}", "the token is wrong"))
+
+    assert answer["error"] == "the token is wrong"
+
+
 def test_a_flood_is_refused_and_fills_no_table(bench: Bench) -> None:
     """Sixty a minute are served; of the rest each is answered, none is done and none is written down."""
     answers = [bench.ask("trigger", str(n)) for n in range(200)]
@@ -241,6 +294,7 @@ def test_a_gel_id_with_control_characters_is_refused(bench: Bench) -> None:
         ('signed = ["relearn"]\nsecret_file = "short"', "holds 3 bytes, at least 16 are needed"),
         ('signed = ["relearn"]\nsecret_file = "open"', "is open to every user"),
         ("requests_per_minute = 0", "requests_per_minute"),
+        ('page = ["select_par"]', "no command is named 'select_par'; did you mean 'select_part'?"),
     ],
 )
 def test_a_policy_that_cannot_be_is_refused_at_the_start(

@@ -11,6 +11,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.gateway.command_table import COMMANDS, Command
+from edge.messaging.alarm_advice import STAYING
 from edge.messaging.alarm_payload import ALARMS
 from edge.store.outbox import OutboxStatus
 
@@ -151,4 +152,12 @@ def test_the_manual_names_the_alarms_that_stay() -> None:
     """The verb's text has each of them; they are alarms of the program."""
     named = {alarm for alarm in ALARMS if f"`{alarm}`" in VERBS["acknowledge_alarm"].help}
 
-    assert named == {"pulse", "outbox_full", "counts"}
+    assert named == STAYING
+
+
+def test_each_alarm_that_stays_can_be_acknowledged_and_no_other(config: Path) -> None:
+    """The page offers it for these alone."""
+    with SteppedStation(config) as station:
+        for alarm in ALARMS:
+            with pytest.raises(ValueError, match="is not raised" if alarm in STAYING else "ends by itself"):
+                asked(station, "acknowledge_alarm", alarm=alarm)
