@@ -110,12 +110,18 @@ def _presses(connection: sqlite3.Connection) -> Iterator[Finding]:
         yield Finding("presses", f"{orphans} are of gels that are not in the ledger")
 
 
+# Those of parts, of master pieces and of gauge studies.
+_EVERY_PRESS: Final = " UNION ALL ".join(
+    f"SELECT serial, gel_id FROM {table}" for table in ("presses", "reference_presses", "study_presses")
+)
+
+
 def _gels(connection: sqlite3.Connection) -> Iterator[Finding]:
     """A gel has been pressed at least as often as the history says, and as often unless there is a reason."""
     (oldest,) = connection.execute("SELECT coalesce(min(number), 1) FROM presses").fetchone()
     rows = connection.execute(
-        "SELECT gel_id, serial, presses, (SELECT count(*) FROM presses WHERE presses.serial = gels.serial AND "
-        "presses.gel_id = gels.gel_id) FROM gels ORDER BY serial, gels.rowid"
+        f"SELECT gel_id, serial, presses, (SELECT count(*) FROM ({_EVERY_PRESS}) AS p WHERE p.serial = gels.serial "
+        "AND p.gel_id = gels.gel_id) FROM gels ORDER BY serial, gels.rowid"
     )
     for gel_id, serial, counted, recorded in rows:
         where = f"gel {gel_id} of sensor {serial} counts {counted} presses, the history has {recorded}"

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Protocol, Self, TypeVar
 
 from edge.core.errors import StoreError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
@@ -26,7 +26,9 @@ from edge.store.recovery import recover
 from edge.store.running_time import RunningTime
 from edge.store.ulid import is_ulid
 
-__all__ = ["GelRecord", "MakeMessages", "PressRecord", "Recorded", "Store"]
+__all__ = ["GelRecord", "MakeMessages", "PressRecord", "PressTable", "Recorded", "Store"]
+
+T = TypeVar("T")
 
 VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
@@ -44,6 +46,19 @@ class Recorded:
 
     gel: GelRecord
     sequence: int
+
+
+class PressTable(Protocol):
+    """Where presses of one kind are kept. Each has at least the columns `number`, `press_id`, `serial`, `time_ns`,
+    `verdict` and `score`."""
+
+    @property
+    def name(self) -> str: ...
+
+    def insert(
+        self, connection: sqlite3.Connection, press: "PressRecord", gel_id: str, running_ns: int
+    ) -> int:
+        """Add it inside the caller's transaction, and return its number, which is never used twice."""
 
 
 MakeMessages = Callable[[Recorded], Sequence[Message]]
@@ -107,34 +122,45 @@ class Store:
     def path(self) -> Path:
         return self._database.path
 
-    def record_press(self, press: PressRecord, make_messages: MakeMessages) -> Recorded:
+    def record_press(
+        self, press: PressRecord, make_messages: MakeMessages, into: PressTable | None = None
+    ) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
+
+        into: its table; by default the history of parts.
 
         Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
         repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
         `make_messages`, and then nothing is recorded.
         """
         self._compare(press.serial, press.time_ns)
+        table = into or _History()
         with self._database.writing(f"recording press {press.press_id}") as connection:
-            known = connection.execute(
-                "SELECT number, serial, time_ns, verdict, score FROM presses WHERE press_id = ?",
-                (press.press_id,),
-            ).fetchone()
+            known = _known(connection, table.name, press)
             if known is not None:
-                if known[1:] != (press.serial, press.time_ns, press.verdict, press.score):
-                    raise StoreError(f"press id {press.press_id} was already given to another press")
-                return Recorded(self._mounted(connection, press.serial), known[0])
+                return Recorded(self._mounted(connection, press.serial), known)
             self._mount_first(connection, press.serial, press.time_ns)
             if press.wear_index is not None:
                 ledger.set_wear(connection, press.serial, press.wear_index)
             ledger.count_press(connection, press.serial, press.time_ns)
             gel = self._mounted(connection, press.serial)
             running_ns = self._running.store(connection)
-            recorded = Recorded(gel, _insert(connection, press, gel.gel_id, running_ns))
+            recorded = Recorded(gel, table.insert(connection, press, gel.gel_id, running_ns))
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
             outbox.enforce(connection, self._bounds, running_ns)
-        self._keep_count(recorded.gel, recorded.sequence)
+            sequence = _newest_number(connection)
+        self._keep_count(recorded.gel, sequence)
         return recorded
+
+    def read(self, doing: str, query: Callable[[sqlite3.Connection], T]) -> T:
+        """The result of a query of one of the other tables."""
+        with self._database.reading(doing) as connection:
+            return query(connection)
+
+    def write(self, doing: str, change: Callable[[sqlite3.Connection], T]) -> T:
+        """The result of a change of one of the other tables, in a transaction of its own."""
+        with self._database.writing(doing) as connection:
+            return change(connection)
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; an unknown sensor gets its first gel."""
@@ -312,6 +338,27 @@ def _newest_number(connection: sqlite3.Connection) -> int:
     """The number of the newest press that this database ever had."""
     row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'presses'").fetchone()
     return 0 if row is None else int(row[0])
+
+
+class _History:
+    """The history of parts."""
+
+    name = "presses"
+
+    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+        return _insert(connection, press, gel_id, running_ns)
+
+
+def _known(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
+    """The number of the press, where it is recorded already. Errors: StoreError when the id is another press's."""
+    row = connection.execute(
+        f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?", (press.press_id,)
+    ).fetchone()
+    if row is None:
+        return None
+    if row[1:] != (press.serial, press.time_ns, press.verdict, press.score):
+        raise StoreError(f"press id {press.press_id} was already given to another press")
+    return int(row[0])
 
 
 def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:

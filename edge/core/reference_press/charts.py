@@ -1,0 +1,200 @@
+"""The charts of one master piece at one position of a part: limits, signals, and what the newest press says.
+
+The first `learn` presses of a chart that gave the expected verdict make its limits; later ones are compared with them,
+and never move them. Score belongs to a bundle and a gel, strength and noise to a gel, the place to neither: after a
+change of gel the place is still compared, with the limits from before.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from edge.core.reference_press.control_chart import Limits, Signal, signals
+from edge.core.reference_press.measures import MEASURES, Imprint, Measure
+
+__all__ = ["Chart", "Judgement", "Outcome", "ReferencePress", "charts", "judge"]
+
+# Verdicts with a score.
+_SCORED: Final = ("pass", "fail", "unsure")
+
+
+class Outcome(StrEnum):
+    """What a reference press says of the station. The words are part of the published payload.
+
+    learning: the limits are not known yet, and nothing else is wrong. warning: a run rule. not_measured: it was
+    rejected or could not be scored, and says nothing.
+    """
+
+    LEARNING = "learning"
+    IN_LIMITS = "in_limits"
+    WARNING = "warning"
+    OUT_OF_LIMITS = "out_of_limits"
+    NOT_MEASURED = "not_measured"
+
+
+@dataclass(frozen=True)
+class ReferencePress:
+    """One press of a master piece. expected: the verdict that it must give. verdict: pass, fail, unsure, rejected or
+    error. reason: why it was rejected or is an error. is_start: the charts begin again with it."""
+
+    press_id: str
+    time_ns: int
+    gel_id: str
+    bundle_id: str
+    expected: str
+    verdict: str
+    score: float | None = None
+    threshold: float | None = None
+    imprint: Imprint = field(default_factory=Imprint)
+    reason: str | None = None
+    is_start: bool = False
+
+    @property
+    def is_as_expected(self) -> bool:
+        return self.verdict == self.expected
+
+    def value(self, measure: Measure) -> float | None:
+        """None where it was not measured."""
+        if self.verdict not in _SCORED:
+            return None
+        value = self.score if measure.name == "score" else getattr(self.imprint, measure.name)
+        return None if value is None else float(value)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One measure over the presses of its scope, oldest first. presses: those that have the measure. limits: None while
+    they are learnt, from `learnt` of `learn` presses. signals: of the last press."""
+
+    measure: Measure
+    presses: tuple[ReferencePress, ...]
+    values: tuple[float, ...]
+    learnt: int
+    learn: int
+    limits: Limits | None
+    signals: tuple[Signal, ...]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the newest press says. sentences: each thing that was found, with what to do; for people."""
+
+    outcome: Outcome
+    sentences: tuple[str, ...]
+    charts: tuple[Chart, ...]
+
+
+def charts(presses: Sequence[ReferencePress], learn: int) -> tuple[Chart, ...]:
+    """Every chart that has a value. presses: of one master piece at one position and sensor, oldest first. learn: the
+    number of presses that the limits are made from, at least 2."""
+    made = (_chart(measure, presses, learn) for measure in MEASURES)
+    return tuple(chart for chart in made if chart.presses)
+
+
+def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
+    """The newest, last press against the others. Errors: ValueError for none."""
+    if not presses:
+        raise ValueError("a judgement needs a press")
+    newest, found = presses[-1], charts(presses, learn)
+    if newest.verdict not in _SCORED:
+        return Judgement(
+            Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), found
+        )
+    concerned = [chart for chart in found if chart.presses[-1] is newest]
+    beyond = [*_wrong_verdict(newest), *_said(concerned, beyond=True)]
+    runs = _said(concerned, beyond=False)
+    change = _changes(presses)
+    if beyond:
+        return Judgement(Outcome.OUT_OF_LIMITS, (*beyond, *runs, *change), found)
+    if runs:
+        return Judgement(Outcome.WARNING, (*runs, *change), found)
+    waiting = [chart for chart in concerned if chart.limits is None]
+    if waiting:
+        learning = f"limits are learnt: {min(c.learnt for c in waiting)} of {learn} presses"
+        return Judgement(Outcome.LEARNING, (learning, *change), found)
+    return Judgement(Outcome.IN_LIMITS, change, found)
+
+
+def _chart(measure: Measure, presses: Sequence[ReferencePress], learn: int) -> Chart:
+    measured = [
+        (one, value) for one in _in_scope(measure, presses) if (value := one.value(measure)) is not None
+    ]
+    base = [(one, value) for one, value in measured if one.is_as_expected][:learn]
+    limits = None
+    if len(base) == learn:
+        centre = sum(value for _, value in base) / learn
+        limits = Limits.of(
+            [value for _, value in base], max(measure.floor, measure.relative_floor * abs(centre))
+        )
+    values = tuple(value for _, value in measured)
+    # The presses that made the limits are not compared with them.
+    is_later = limits is not None and base[-1][0] is not measured[-1][0]
+    return Chart(
+        measure,
+        tuple(one for one, _ in measured),
+        values,
+        len(base),
+        learn,
+        limits,
+        signals(values, limits) if limits is not None and is_later else (),
+    )
+
+
+def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[ReferencePress]:
+    """Those since the charts began, of the newest gel and bundle as far as the measure depends on them."""
+    begun = max((number for number, one in enumerate(presses) if one.is_start), default=0)
+    kept = list(presses[begun:])
+    if not kept or measure.scope == "place":
+        return kept
+    newest = kept[-1]
+    kept = [one for one in kept if one.gel_id == newest.gel_id]
+    return kept if measure.scope == "gel" else [one for one in kept if one.bundle_id == newest.bundle_id]
+
+
+def _wrong_verdict(newest: ReferencePress) -> Iterable[str]:
+    if not newest.is_as_expected:
+        yield (
+            f"its verdict is {newest.verdict}, this master piece must give {newest.expected}; check the piece, the gel "
+            "and the selected part"
+        )
+
+
+_RUNS: Final = {
+    Signal.TWO_OF_THREE: "two of the last three are beyond two standard deviations on one side",
+    Signal.RUN_OF_EIGHT: "the last eight are on one side of the centre: it has shifted",
+}
+
+
+def _said(found: Iterable[Chart], *, beyond: bool) -> list[str]:
+    """Sentences of the charts with a value beyond a limit, or of those with a run alone."""
+    return [
+        f"{_found(chart, beyond=beyond)}; {chart.measure.what_to_do}"
+        for chart in found
+        if chart.signals and (Signal.BEYOND_LIMIT in chart.signals) == beyond
+    ]
+
+
+def _found(chart: Chart, *, beyond: bool) -> str:
+    measure, limits = chart.measure, chart.limits
+    unit = f" {measure.unit}" if measure.unit else ""
+    if beyond and limits is not None:
+        return (
+            f"{measure.title} is {chart.values[-1]:.4g}{unit}, the limits are {limits.low:.4g} to "
+            f"{limits.high:.4g}{unit}"
+        )
+    return f"{measure.title}: {' and '.join(_RUNS[signal] for signal in chart.signals)}"
+
+
+def _changes(presses: Sequence[ReferencePress]) -> tuple[str, ...]:
+    """What begins again with this press."""
+    if len(presses) < 2 or presses[-1].is_start:
+        return ()
+    before, newest = presses[-2], presses[-1]
+    if before.gel_id != newest.gel_id:
+        return (
+            f"the first one on gel {newest.gel_id}: its charts begin again, the limits of the place remain",
+        )
+    if before.bundle_id != newest.bundle_id:
+        return ("the first one with this bundle: the chart of the score begins again",)
+    return ()

@@ -1,0 +1,147 @@
+"""The table of reference presses: what each gave, and one that the command line asks for.
+
+Functions that take a connection run inside the caller's transaction.
+"""
+
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from edge.core.errors import StoreError
+from edge.core.reference_press.charts import ReferencePress
+from edge.core.reference_press.measures import Imprint
+from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.press_store import PressRecord
+
+__all__ = [
+    "PieceKey",
+    "ReferenceRequest",
+    "ReferenceTable",
+    "ask",
+    "newest_number",
+    "of_piece",
+    "read_pieces",
+    "take_request",
+    "withdraw",
+]
+
+# Rows kept: with one at each of three shifts these are 90 years.
+KEPT_REFERENCES: Final = 100_000
+
+_COLUMNS: Final = (
+    "press_id, time_ns, gel_id, bundle_id, expected, verdict, score, threshold, strength_levels, x_mm, y_mm, turn_deg, "
+    "noise_levels, reason, is_start"
+)
+
+
+class PieceKey(NamedTuple):
+    """One master piece at one position of a part, on one sensor: its presses are compared with each other."""
+
+    serial: str
+    part: str
+    position: str
+    piece: str
+
+    def __str__(self) -> str:
+        return f"{self.piece} at {self.part}/{self.position}, sensor {self.serial}"
+
+
+@dataclass(frozen=True)
+class ReferenceRequest:
+    """What the command line asks the gateway for. request: an id. piece: None where there is one. is_start: its charts
+    begin again."""
+
+    request: str
+    who: str
+    piece: str | None
+    is_start: bool
+    time_ns: int
+
+
+class ReferenceTable:
+    """A press of this master piece, as `PressTable`. presses: of the piece, with this one, once it is inserted."""
+
+    name = "reference_presses"
+
+    def __init__(self, key: PieceKey, press: ReferencePress) -> None:
+        self.presses: list[ReferencePress] = []
+        self._key = key
+        self._press = press
+
+    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+        one, imprint = self._press, self._press.imprint
+        values = (
+            *(press.press_id, press.time_ns, gel_id, one.bundle_id, one.expected, one.verdict, one.score),
+            *(one.threshold, imprint.strength_levels, imprint.x_mm, imprint.y_mm, imprint.turn_deg),
+            *(imprint.noise_levels, one.reason, int(one.is_start), running_ns, *self._key),
+        )
+        number = connection.execute(
+            f"INSERT INTO reference_presses ({_COLUMNS}, running_ns, serial, part, position, piece) "
+            f"VALUES ({', '.join('?' * len(values))})",
+            values,
+        ).lastrowid
+        connection.execute(
+            "DELETE FROM reference_presses WHERE number <= (SELECT max(number) FROM reference_presses) - ?",
+            (KEPT_REFERENCES,),
+        )
+        self.presses = of_piece(connection, self._key)
+        return int(number or 0)
+
+
+def of_piece(connection: sqlite3.Connection, key: PieceKey) -> list[ReferencePress]:
+    """Every press of this piece, oldest first."""
+    rows = connection.execute(
+        f"SELECT {_COLUMNS} FROM reference_presses WHERE serial = ? AND part = ? AND position = ? AND piece = ? "
+        "ORDER BY number",
+        key,
+    )
+    return [_press(row) for row in rows]
+
+
+def newest_number(connection: sqlite3.Connection) -> int:
+    """That of the newest reference press of this database, 0 without one."""
+    return int(connection.execute("SELECT coalesce(max(number), 0) FROM reference_presses").fetchone()[0])
+
+
+def ask(connection: sqlite3.Connection, wish: ReferenceRequest) -> None:
+    """The gateway takes it within seconds; it replaces one that waits."""
+    connection.execute(
+        "INSERT OR REPLACE INTO reference_request (one, request, who, piece, is_start, time_ns) "
+        "VALUES (1, ?, ?, ?, ?, ?)",
+        (wish.request, wish.who, wish.piece, int(wish.is_start), wish.time_ns),
+    )
+
+
+def take_request(connection: sqlite3.Connection) -> ReferenceRequest | None:
+    """What waits, and then it waits no more."""
+    row = connection.execute(
+        "DELETE FROM reference_request RETURNING request, who, piece, is_start, time_ns"
+    ).fetchone()
+    return None if row is None else ReferenceRequest(row[0], row[1], row[2], bool(row[3]), row[4])
+
+
+def withdraw(connection: sqlite3.Connection, request: str) -> bool:
+    """Ask for it no more; returns whether it was still waiting."""
+    gone = connection.execute("DELETE FROM reference_request WHERE request = ?", (request,))
+    return gone.rowcount > 0
+
+
+def read_pieces(path: Path) -> dict[PieceKey, list[ReferencePress]]:
+    """Every master piece with its presses, oldest first; also while a gateway runs. Errors: StoreError."""
+    with opened_read_only(path, "reading the reference presses") as connection:
+        if (version := schema_version(connection)) != SCHEMA_VERSION:
+            raise StoreError(
+                f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
+                "`gelgate db migrate` brings it there"
+            )
+        keys = connection.execute(
+            "SELECT DISTINCT serial, part, position, piece FROM reference_presses ORDER BY 1, 2, 3, 4"
+        ).fetchall()
+        return {PieceKey(*key): of_piece(connection, PieceKey(*key)) for key in keys}
+
+
+def _press(row: tuple[object, ...]) -> ReferencePress:
+    *origin, score, threshold, strength, x, y, turn, noise, reason, is_start = row
+    imprint = Imprint(strength, x, y, turn, noise)  # type: ignore[arg-type]  # STRICT tables keep the types
+    return ReferencePress(*origin, score, threshold, imprint, reason, bool(is_start))  # type: ignore[arg-type]

@@ -1,0 +1,133 @@
+"""The tables of gauge studies: the plan of each, and its presses. They count on the gel, as all do.
+
+Functions that take a connection run inside the caller's transaction.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from edge.core.errors import StoreError
+from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.press_store import PressRecord
+
+__all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "plan_of", "read_study", "studies", "void"]
+
+_COLUMNS: Final = (
+    "press_id, time_ns, serial, gel_id, part, position, bundle_id, step, piece, operator, repeat, verdict, reason, "
+    "score, threshold, is_void"
+)
+
+
+@dataclass(frozen=True)
+class StudyPress:
+    """One press of a study. step: its place in the plan. verdict: pass, fail, unsure, rejected or error. reason: why it
+    is one of the last two. is_void: it was pressed again, and does not count."""
+
+    press_id: str
+    time_ns: int
+    serial: str
+    gel_id: str
+    part: str
+    position: str
+    bundle_id: str
+    step: int
+    piece: str
+    operator: str
+    repeat: int
+    verdict: str
+    reason: str | None = None
+    score: float | None = None
+    threshold: float | None = None
+    is_void: bool = False
+
+
+class StudyTable:
+    """A press of this step of this study, as `PressTable`."""
+
+    name = "study_presses"
+
+    def __init__(
+        self,
+        study_id: str,
+        step: int,
+        piece: str,
+        operator: str,
+        repeat: int,
+        bundle_id: str,
+        reason: str | None,
+    ) -> None:
+        self._label = (study_id, step, piece, operator, repeat, bundle_id, reason)
+
+    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+        values = (
+            *(press.press_id, press.time_ns, running_ns, press.serial, gel_id, press.part),
+            *(press.position or "", press.verdict, press.score, press.threshold, *self._label),
+        )
+        number = connection.execute(
+            "INSERT INTO study_presses (press_id, time_ns, running_ns, serial, gel_id, part, position, verdict, score, "
+            "threshold, study_id, step, piece, operator, repeat, bundle_id, reason) "
+            f"VALUES ({', '.join('?' * len(values))})",
+            values,
+        ).lastrowid
+        return int(number or 0)
+
+
+def begin_study(connection: sqlite3.Connection, study_id: str, plan: str, time_ns: int) -> str:
+    """Keep the plan of a new study; returns the plan that is kept, which for a known study is its first one."""
+    connection.execute("INSERT OR IGNORE INTO studies VALUES (?, ?, ?)", (study_id, plan, time_ns))
+    kept = plan_of(connection, study_id)
+    return plan if kept is None else kept
+
+
+def plan_of(connection: sqlite3.Connection, study_id: str) -> str | None:
+    """None for a study that is not in this database."""
+    row = connection.execute("SELECT plan FROM studies WHERE study_id = ?", (study_id,)).fetchone()
+    return None if row is None else str(row[0])
+
+
+def of_study(connection: sqlite3.Connection, study_id: str) -> list[StudyPress]:
+    """Every press, void ones too, in the order in which they were made."""
+    rows = connection.execute(
+        f"SELECT {_COLUMNS} FROM study_presses WHERE study_id = ? ORDER BY number", (study_id,)
+    )
+    return [StudyPress(*row[:-1], is_void=bool(row[-1])) for row in rows]
+
+
+def void(connection: sqlite3.Connection, press_id: str) -> bool:
+    """This press does not count; returns whether there is one that counted."""
+    changed = connection.execute(
+        "UPDATE study_presses SET is_void = 1 WHERE press_id = ? AND is_void = 0", (press_id,)
+    )
+    return changed.rowcount > 0
+
+
+def studies(path: Path) -> list[tuple[str, int, int]]:
+    """Each study with when it began and the number of its presses that count, oldest first. Errors: StoreError."""
+    with _opened(path) as connection:
+        rows = connection.execute(
+            "SELECT study_id, started_ns, (SELECT count(*) FROM study_presses AS p WHERE p.study_id = s.study_id AND "
+            "NOT is_void) FROM studies AS s ORDER BY started_ns"
+        )
+        return [(str(one), int(ns), int(number)) for one, ns, number in rows]
+
+
+def read_study(path: Path, study_id: str) -> tuple[str, list[StudyPress]] | None:
+    """The plan and the presses; None for a study that is not there. Errors: StoreError."""
+    with _opened(path) as connection:
+        plan = plan_of(connection, study_id)
+        return None if plan is None else (plan, of_study(connection, study_id))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[sqlite3.Connection]:
+    with opened_read_only(path, "reading the studies") as connection:
+        if (version := schema_version(connection)) != SCHEMA_VERSION:
+            raise StoreError(
+                f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
+                "`gelgate db migrate` brings it there"
+            )
+        yield connection

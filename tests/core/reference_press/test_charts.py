@@ -1,0 +1,168 @@
+"""What the newest reference press says: limits learnt, in and out of limits, new gel, new bundle, wrong verdict."""
+
+import datetime
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from edge.core.reference_press.charts import Outcome, ReferencePress, charts, judge
+from edge.core.reference_press.due import why_due
+from edge.core.reference_press.measures import Imprint
+
+LEARN = 5
+WOBBLE = (0.0, 1.0, -1.0, 0.5, -0.5)
+
+
+def press(n: int, **changes: object) -> ReferencePress:
+    """The n-th press: small differences that repeat after five."""
+    off = WOBBLE[n % 5]
+    imprint = Imprint(2.0 + 0.02 * off, 9.0 + 0.1 * off, 7.0 + 0.1 * off, None, 1.0 + 0.05 * off)
+    made = ReferencePress(f"P{n}", n, "g1", "b1", "pass", "pass", 0.4 + 0.01 * off, 1.0, imprint)
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def learnt(count: int = LEARN) -> list[ReferencePress]:
+    return [press(n) for n in range(count)]
+
+
+def outcome(presses: Sequence[ReferencePress]) -> Outcome:
+    return judge(presses, LEARN).outcome
+
+
+def test_limits_are_learnt_from_the_first_presses() -> None:
+    """Each says how many there are; from the next one on there are limits."""
+    said = [judge(learnt(n), LEARN) for n in range(1, LEARN + 1)]
+
+    assert [one.outcome for one in said[:-1]] == [Outcome.LEARNING] * 4
+    assert said[1].sentences == ("limits are learnt: 2 of 5 presses",)
+    assert outcome(learnt(6)) is Outcome.IN_LIMITS
+    assert {chart.measure.name for chart in charts(learnt(6), LEARN)} == {
+        *("score", "strength_levels", "x_mm", "y_mm", "noise_levels")
+    }
+
+
+def test_the_first_presses_are_not_compared_with_their_own_limits() -> None:
+    """An odd one among them is a wide limit, not an alarm after the fact."""
+    odd = [*learnt(4), press(4, score=0.9)]
+
+    assert outcome(odd) is Outcome.IN_LIMITS
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"score": 0.9}, r"score is 0.9, the limits are .*; clean gel and master piece"),
+        ({"imprint": Imprint(4.0, 9.0, 7.0, None, 1.0)}, r"strength is 4 levels, .*; check the force"),
+        ({"imprint": Imprint(2.0, 12.0, 7.0, None, 1.0)}, r"place x is 12 mm, .*; check fixture"),
+        ({"imprint": Imprint(2.0, 9.0, 7.0, None, 3.0)}, r"noise is 3 levels, .*; check light"),
+        ({"verdict": "fail", "score": 0.4}, r"its verdict is fail, this master piece must give pass"),
+    ],
+)
+def test_each_measure_out_of_limits_says_what_to_do(changes: dict[str, object], word: str) -> None:
+    """The value, the limits, and where to look."""
+    found = judge([*learnt(6), press(6, **changes)], LEARN)
+
+    assert found.outcome is Outcome.OUT_OF_LIMITS
+    assert any(re.search(word, sentence) for sentence in found.sentences)
+
+
+def test_eight_on_one_side_are_a_warning() -> None:
+    """The scores have shifted by one standard deviation: no single one is out."""
+    shifted = [press(n, score=0.41 + 0.001 * (n % 2)) for n in range(6, 14)]
+    found = judge([*learnt(6), *shifted], LEARN)
+
+    assert found.outcome is Outcome.WARNING
+    assert found.sentences == (
+        "score: the last eight are on one side of the centre: it has shifted; clean gel and master piece, look at its "
+        "picture",
+    )
+    assert outcome([*learnt(6), *shifted[:-1]]) is Outcome.IN_LIMITS
+
+
+def test_a_press_without_a_score_says_nothing_of_the_station() -> None:
+    """It is not learnt either, and says why."""
+    slid = press(2, verdict="rejected", score=None, reason="not_settled: it slid")
+    found = judge([*learnt(2), slid], LEARN)
+
+    assert found.outcome is Outcome.NOT_MEASURED
+    assert found.sentences == ("not_settled: it slid; press the piece again",)
+    assert judge([*learnt(2), slid, press(3)], LEARN).sentences == ("limits are learnt: 3 of 5 presses",)
+
+
+def test_a_piece_that_gives_another_verdict_than_expected_is_not_learnt() -> None:
+    """It is out of limits before there are limits."""
+    failed = press(2, verdict="fail", score=1.5)
+
+    assert outcome([*learnt(2), failed]) is Outcome.OUT_OF_LIMITS
+    assert judge([*learnt(2), failed, press(3)], LEARN).sentences == ("limits are learnt: 3 of 5 presses",)
+
+
+def test_a_damaged_master_piece_must_fail() -> None:
+    """The same rules with the other verdict."""
+    failing = [press(n, expected="fail", verdict="fail", score=1.4 + 0.01 * WOBBLE[n % 5]) for n in range(6)]
+
+    assert outcome(failing) is Outcome.IN_LIMITS
+    assert outcome([*failing, press(6, expected="fail")]) is Outcome.OUT_OF_LIMITS
+
+
+def test_a_new_gel_begins_new_charts_and_keeps_the_place() -> None:
+    """Strength may change with the gel; a place that moves is out of limits at once."""
+    harder = press(6, gel_id="g2", imprint=Imprint(3.0, 9.0, 7.0, None, 1.2))
+    moved = press(6, gel_id="g2", imprint=Imprint(3.0, 12.0, 7.0, None, 1.2))
+    found = judge([*learnt(6), harder], LEARN)
+
+    assert found.outcome is Outcome.LEARNING
+    assert found.sentences == (
+        "limits are learnt: 1 of 5 presses",
+        "the first one on gel g2: its charts begin again, the limits of the place remain",
+    )
+    assert outcome([*learnt(6), moved]) is Outcome.OUT_OF_LIMITS
+
+
+def test_a_new_bundle_begins_a_new_chart_of_the_score_alone() -> None:
+    """Another scale of scores is no fault; strength is compared as before."""
+    other = press(6, bundle_id="b2", score=40.0, threshold=100.0)
+    weak = replace(other, imprint=Imprint(1.0, 9.0, 7.0, None, 1.0))
+
+    assert outcome([*learnt(6), other]) is Outcome.LEARNING
+    assert outcome([*learnt(6), weak]) is Outcome.OUT_OF_LIMITS
+
+
+def test_charts_begin_again_on_request() -> None:
+    """After the fixture was moved on purpose."""
+    moved = press(6, imprint=Imprint(2.0, 12.0, 7.0, None, 1.0), is_start=True)
+
+    assert judge([*learnt(6), moved], LEARN).sentences == ("limits are learnt: 1 of 5 presses",)
+
+
+NOON = datetime.datetime(2026, 3, 2, 12, tzinfo=datetime.UTC)
+SHIFTS = (datetime.time(6), datetime.time(14), datetime.time(22))
+
+
+def at(hours: float) -> int:
+    return round((NOON + datetime.timedelta(hours=hours)).timestamp() * 1e9)
+
+
+@pytest.mark.parametrize(
+    ("last_h", "now_h", "shifts", "expected"),
+    [
+        (None, 0, (), "there was none on this gel"),
+        (-7.9, 0, (), None),
+        (-8, 0, (), "the last one is 8.0 h old, at most 8 h are configured"),
+        (1, 0, (), "the last one is in the future, so the clock was set back"),
+        (-1, 0, SHIFTS, None),
+        (-7, 0, SHIFTS, "the shift of 06:00 has begun since the last one"),
+        (0, 2, SHIFTS, "the shift of 14:00 has begun since the last one"),
+        (9, 12, SHIFTS, "the shift of 22:00 has begun since the last one"),
+        (10.5, 17.9, SHIFTS, None),
+    ],
+)
+def test_it_is_due_after_hours_and_at_each_shift(
+    last_h: float | None, now_h: float, shifts: tuple[datetime.time, ...], expected: str | None
+) -> None:
+    """Hours from noon; the night shift began on the day before."""
+    last = None if last_h is None else at(last_h)
+
+    assert why_due(last, at(now_h), 8, shifts, datetime.UTC) == expected
