@@ -4,9 +4,9 @@ Functions that take a connection run inside the caller's transaction.
 """
 
 import sqlite3
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from edge.core.errors import StoreError
 from edge.core.reference_press.charts import ReferencePress
@@ -141,7 +141,7 @@ def read_pieces(path: Path) -> dict[PieceKey, list[ReferencePress]]:
         return {PieceKey(*key): of_piece(connection, PieceKey(*key)) for key in keys}
 
 
-def _press(row: tuple[object, ...]) -> ReferencePress:
-    *origin, score, threshold, strength, x, y, turn, noise, reason, is_start = row
-    imprint = Imprint(strength, x, y, turn, noise)  # type: ignore[arg-type]  # STRICT tables keep the types
-    return ReferencePress(*origin, score, threshold, imprint, reason, bool(is_start))  # type: ignore[arg-type]
+def _press(row: tuple[Any, ...]) -> ReferencePress:
+    values = dict(zip(_COLUMNS.split(", "), row, strict=True))
+    imprint = Imprint(**{field.name: values.pop(field.name) for field in fields(Imprint)})
+    return ReferencePress(**{**values, "is_start": bool(values["is_start"])}, imprint=imprint)

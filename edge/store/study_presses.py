@@ -6,7 +6,7 @@ Functions that take a connection run inside the caller's transaction.
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -94,7 +94,7 @@ def of_study(connection: sqlite3.Connection, study_id: str) -> list[StudyPress]:
     rows = connection.execute(
         f"SELECT {_COLUMNS} FROM study_presses WHERE study_id = ? ORDER BY number", (study_id,)
     )
-    return [StudyPress(*row[:-1], is_void=bool(row[-1])) for row in rows]
+    return [replace(StudyPress(*row), is_void=bool(row[-1])) for row in rows]
 
 
 def void(connection: sqlite3.Connection, press_id: str) -> bool:
