@@ -31,6 +31,8 @@ def test_the_right_frame_of_each_press() -> None:
         lambda one: f"gel {one.film.gel}",
         lambda one: f"light {one.film.light}",
         lambda one: one.film.part,
+        lambda one: "soft part" if one.film.part == "soft" else "hard parts",
+        lambda one: "held 0.5 s and more" if one.press.hold_s >= 0.5 else "held under 0.5 s",
     ):
         print("\n" + HEAD, *table(outcomes, invented, by), sep="\n")
     shares = sorted(one.share for one in outcomes if one.share is not None)

@@ -114,6 +114,15 @@ def test_two_frames_without_a_boundary_are_corrupt() -> None:
     assert frame.fault == "two frames without a boundary"
 
 
+def test_a_header_alone_begins_no_frame() -> None:
+    """Cameras send headers without bytes between frames; the start that follows one is the first, not a second."""
+    body = b"\xff\xd8\xff\xe0" + b"a" * 20 + b"\xff\xd9"
+    packets = flat(cut([body], 16))
+    (frame,) = FrameAssembler().feed([Packet(packets[0].data[:6]), *packets])
+    assert frame.fault is None
+    assert frame.payload == body
+
+
 @pytest.mark.parametrize("data", [b"\x01", b"\x00\x80", b"\xff\x80abc"])
 def test_a_header_that_cannot_be_is_a_fault(data: bytes) -> None:
     """A header shorter than two bytes or longer than its packet invalidates the frame."""
