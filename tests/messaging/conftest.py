@@ -1,11 +1,13 @@
 """Real brokers: mosquitto where it is installed, amqtt as well; each missing one is skipped with a message."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
 from recorded_presses import make_press, messages_of, path, store
 
+from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
@@ -114,3 +116,14 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
     yield make
     for sink in opened:
         sink.close()
+
+
+def sent(sink: MqttSink, message: Message, timeout_s: float = 20.0) -> None:
+    """Send, trying again while the broker is away."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        try:
+            return sink.send(message)
+        except SinkUnavailable:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)

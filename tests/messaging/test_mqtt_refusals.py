@@ -1,0 +1,183 @@
+"""What the MQTT sink says when a broker refuses: sizes, rules, credentials, certificates, and what is no broker."""
+
+import shutil
+import socket
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_connection import Connection
+from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt_options import MqttOptions
+
+from .conftest import ROOT, Listener, require, sent
+
+SinkTo = Callable[..., MqttSink]
+Listen = Callable[..., Listener]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "words"), [("5", "takes packets up to"), ("3.1.1", "closed the connection 3 times")]
+)
+def test_a_message_that_is_too_large_is_refused_and_the_next_goes_through(
+    sink_to: SinkTo, protocol: str, words: str
+) -> None:
+    """Level 5 states the limit; at 3.1.1 the broker only closes the connection, and three times are proof."""
+    require("mosquitto")
+    with LocalBroker("mosquitto", extra="max_packet_size 2000") as broker:
+        sink = sink_to(broker, protocol=protocol)
+        with pytest.raises(SinkRejected, match=words):
+            sent(sink, Message("heatmap/1", bytes(10_000), content_type="image/png"))
+        sent(sink, Message("result", b"{}"))
+
+
+def test_a_topic_forbidden_by_access_rules_is_a_refusal_at_level_5(sink_to: SinkTo, tmp_path: Path) -> None:
+    """The sentence names the topic and the reason."""
+    require("mosquitto")
+    rules = tmp_path / "acl"
+    rules.write_text(f"topic write {ROOT}/result\ntopic write {ROOT}/state\ntopic read #\n")
+    for path in (tmp_path, *tmp_path.parents[:3], rules):
+        path.chmod(path.stat().st_mode | 0o055)
+    with LocalBroker("mosquitto", extra=f"acl_file {rules}") as broker:
+        sink = sink_to(broker, protocol="5")
+        sink.send(Message("result", b"{}"))
+        with pytest.raises(SinkRejected, match=r"heatmap/1: Not authorized; check its access rules"):
+            sink.send(Message("heatmap/1", b""))
+        sink.send(Message("result", b"{}"))
+
+
+def test_wrong_credentials_keep_the_message_and_say_so(sink_to: SinkTo, tmp_path: Path) -> None:
+    """The message waits until the credentials are right. The password is in no sentence."""
+    require("mosquitto")
+    secret = tmp_path / "password"
+    secret.write_text("s3cret\n")
+    with LocalBroker("mosquitto", extra="allow_anonymous false") as broker:
+        sink = sink_to(broker, username="gelgate", password_file=str(secret))
+        with pytest.raises(SinkUnavailable, match=r"refuses the connection: Not authorized") as refusal:
+            sink.send(Message("result", b"{}"))
+
+    assert "s3cret" not in str(refusal.value)
+    assert "s3cret" not in repr(sink._broker)
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Path:
+    """ca, server and client keys and certificates, made here; skipped with a message where there is no openssl."""
+    if shutil.which("openssl") is None:
+        pytest.skip("SKIPPED, NOT TESTED: TLS needs openssl to make certificates")
+
+    def openssl(command: str) -> None:
+        subprocess.run(["openssl", *command.split()], cwd=tmp_path, check=True, capture_output=True)
+
+    openssl("req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=ca -keyout ca.key -out ca.pem")
+    (tmp_path / "names").write_text("subjectAltName=IP:127.0.0.1")
+    for name in ("server", "client"):
+        openssl(f"req -newkey rsa:2048 -nodes -subj /CN={name} -keyout {name}.key -out {name}.csr")
+        signed = f"-in {name}.csr -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names -out {name}.pem"
+        openssl(f"x509 -req -days 2 {signed}")
+    for path in (*tmp_path.iterdir(), tmp_path, *tmp_path.parents[:3]):
+        path.chmod(path.stat().st_mode | 0o055)  # mosquitto started by root reads them as its own user
+    return tmp_path
+
+
+# The library leaves the socket of a failed handshake to the garbage collector.
+@pytest.mark.filterwarnings("ignore:.*ssl.SSLSocket.*:pytest.PytestUnraisableExceptionWarning")
+def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
+    sink_to: SinkTo, certificates: Path
+) -> None:
+    """With both files the message is acknowledged; without our certificate, or with a strange authority, it waits."""
+    require("mosquitto")
+    files = {name: str(certificates / name) for name in ("ca.pem", "client.pem", "client.key", "server.pem")}
+    extra = (
+        f"cafile {files['ca.pem']}\ncertfile {files['server.pem']}\nkeyfile {certificates / 'server.key'}\n"
+    )
+    with LocalBroker("mosquitto", extra=extra + "require_certificate true") as broker:
+        ours = {"ca": files["ca.pem"], "cert": files["client.pem"], "key": files["client.key"]}
+        sink_to(broker, tls=ours).send(Message("result", b"{}"))
+
+        for others in ({"ca": files["ca.pem"]}, {**ours, "ca": files["client.pem"]}):
+            with pytest.raises(SinkUnavailable):
+                sink_to(broker, tls=others, acknowledge_s=1.0).send(Message("result", b"{}"))
+
+
+class FalseBroker:
+    """Accepts connections and answers each first packet with fixed bytes, or not at all."""
+
+    def __init__(self, answer: bytes | None) -> None:
+        self._answer = answer
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self._held: list[socket.socket] = []
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._server.accept()
+            except OSError:
+                return
+            self._held.append(connection)
+            connection.recv(1000)
+            if self._answer is not None:
+                connection.sendall(self._answer)
+
+    def close(self) -> None:
+        self._server.close()
+        for connection in self._held:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (None, "does not answer at MQTT 5"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not answer at MQTT 5"),
+        (b"\x20\x02\x00\x01", "refuses the connection|does not answer"),
+        (b"\x20\x02\x00\x05", "refuses the connection"),
+        (b"\xff\xff\xff\xff\xff\xff", "does not answer at MQTT 5"),
+    ],
+    ids=["silence", "a web server", "unsupported level", "not authorized", "garbage"],
+)
+def test_what_is_no_broker_or_refuses_is_said_in_a_sentence(answer: bytes | None, words: str) -> None:
+    """Silence, another protocol, garbage and refusals all end in SinkUnavailable, with no exception in a thread."""
+    false = FalseBroker(answer)
+    try:
+        with pytest.raises(SinkUnavailable, match=words):
+            Connection.open(Broker("127.0.0.1", false.port, "x", timeout_s=0.3))
+    finally:
+        false.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"hosts": "x"},
+        {"port": 0},
+        {"protocol": "4"},
+        {"password_file": "p"},
+        {"tls": {"key": "k"}},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_options_refuse_nonsense(options: dict[str, Any]) -> None:
+    """Unknown keys, impossible ports, a password without a name, a key without its certificate."""
+    with pytest.raises(ValueError, match="validation error"):
+        MqttOptions.model_validate(options)
+
+
+def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> None:
+    """Password and TLS files are read when the sink is opened, before anything connects."""
+    station = Station(ROOT, "x")
+    with pytest.raises(ConfigError, match="password file /nowhere/p cannot be read"):
+        plugin.open(MqttOptions(username="u", password_file=Path("/nowhere/p")), station)
+    with pytest.raises(ConfigError, match=r"TLS files /nowhere/ca\.pem cannot be used"):
+        plugin.open(MqttOptions.model_validate({"tls": {"ca": "/nowhere/ca.pem"}}), station)
