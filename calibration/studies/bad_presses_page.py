@@ -4,7 +4,17 @@ from typing import TYPE_CHECKING
 
 from calibration.studies.effects import COMPARED, effects, medians
 from calibration.studies.page import Page
-from calibration.studies.page_parts import by_setup, compared_table, cost_table, only_scored, refusals, table
+from calibration.studies.page_parts import (
+    by_setup,
+    cells_table,
+    compared_table,
+    cost_table,
+    only_scored,
+    refusals,
+    seeds_of,
+    split_table,
+    table,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,10 +28,11 @@ def page(rows: "pd.DataFrame") -> Page:
     head = (
         "# What do damaged presses among the nominal ones cost?\n\n"
         f"Parts {', '.join(sorted(rows['part'].unique()))}, each bank at its method's stable fraction; damaged presses "
-        f"take the place of nominal ones. Medians over {rows['seed'].nunique()} seeds.\n"
+        f"take the place of nominal ones. Medians over {seeds_of(rows, 'bad')} seeds.\n"
     )
     setups = [_setup(title, group) for title, group in by_setup(scored)]
-    sections = [head, *setups, refusals(rows), cost_table(scored, "bad", _percent)]
+    sections = [head, cells_table(rows, "bad"), *setups, split_table(scored, "bad"), refusals(rows)]
+    sections += [cost_table(scored, "bad", _percent)]
     return Page("\n".join(section for section in sections if section))
 
 

@@ -198,7 +198,7 @@ def every_study(
     dask: DaskAddress = None,
     cache: Cache = None,
 ) -> None:
-    """The three studies in one command, and their pages.
+    """Every study in one command, and their pages.
 
     What the dataset has no presses for is left out, with a sentence. The same command continues."""
     from calibration.studies.every_study import study_all

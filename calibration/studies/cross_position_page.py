@@ -17,6 +17,7 @@ from calibration.studies.page_parts import (
     only_scored,
     paper_note,
     refusals,
+    seeds_of,
     split_table,
     table,
 )
@@ -38,7 +39,11 @@ def page(rows: "pd.DataFrame") -> Page:
     sections = [_head(rows), cells_table(rows, "target_fraction")]
     for (title, group), name in zip(setups, figures, strict=True):
         sections += [_setup(title, group), f"![{title}]({name})\n"]
-    sections += [split_table(scored), refusals(rows), cost_table(scored, "target_fraction", _percent)]
+    sections += [
+        split_table(scored, "target_fraction"),
+        refusals(rows),
+        cost_table(scored, "target_fraction", _percent),
+    ]
     return Page("\n".join(section for section in sections if section), figures)
 
 
@@ -56,7 +61,7 @@ def _head(rows: "pd.DataFrame") -> str:
         "# Does a bank of one position serve another?\n\n"
         f"{where}. Each bank has a method's stable fraction of the first position's nominal presses and a share of the "
         f"second's; {int(rows['held_out'].max())} nominal presses of each position and all defective ones are scored. "
-        f"Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}"
+        f"Medians over {seeds_of(rows, 'target_fraction')} seeds.\n\n{paper_note()}"
     )
 
 

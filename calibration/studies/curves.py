@@ -1,5 +1,6 @@
 """Curves of the good-fraction study: means over seeds with their intervals, at each number of nominal presses."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -7,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.studies.intervals import is_drawn, mean_interval
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEASURE_NAMES", "Curve", "curves", "gel_share", "mean_interval", "same_in_every_seed"]
+__all__ = ["MEASURE_NAMES", "Curve", "curves", "gel_share", "same_in_every_seed"]
 
 MEASURE_NAMES = {
     "aupro_001": "AU-PRO@0.01",
@@ -23,13 +25,12 @@ MEASURE_NAMES = {
     "recall_001": "recall at 1 % false alarms",
 }
 
-_REPLICATES = 2000
-
 
 @dataclass(frozen=True)
 class Curve:
     """One method on one part. x: the fractions or shots, rising, (m,). values: each seed's, a row per x. mean, low,
-    high: over seeds, with the 95 % interval of the mean, (m,). presses: nominal presses at each x, (m,)."""
+    high: over seeds, with the 95 % interval of the mean, (m,), nan where too few presses were drawn for one. presses:
+    nominal presses at each x, (m,)."""
 
     part: str
     method: str
@@ -48,7 +49,7 @@ def curves(rows: "pd.DataFrame", x: str, measure: str) -> Iterator[Curve]:
     for (part, method), group in rows.dropna(subset=[x, measure]).groupby(["part", "method"]):
         at = list(group.groupby(x))
         values = tuple(cell[measure].to_numpy(np.float64) for _, cell in at)
-        spans = [mean_interval(each) for each in values]
+        spans = [_interval(cell, each) for (_, cell), each in zip(at, values, strict=True)]
         yield Curve(
             part,
             method,
@@ -61,11 +62,11 @@ def curves(rows: "pd.DataFrame", x: str, measure: str) -> Iterator[Curve]:
         )
 
 
-def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The 95 % percentile bootstrap interval of a mean; the value itself where there is one."""
-    drawn = np.random.default_rng(0).integers(0, len(values), (_REPLICATES, len(values)))
-    low, high = np.quantile(values[drawn].mean(axis=1), [0.025, 0.975])
-    return float(low), float(high)
+def _interval(cell: "pd.DataFrame", values: NDArray[np.float64]) -> tuple[float, float]:
+    """Of the mean over the seeds of a cell; nan where they learn the same presses."""
+    if not any(is_drawn(row) for row in cell.to_dict("records")):
+        return math.nan, math.nan
+    return mean_interval(values)
 
 
 def gel_share(presses: float) -> float:

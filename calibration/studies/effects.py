@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from calibration.studies.evidence import MIN_SEEDS, summarised
+from calibration.studies.evidence import Sample, summarised
+from calibration.studies.intervals import is_drawn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,16 +67,19 @@ def written(value: Hashable) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def direction(before: Mapping[int, float], after: Mapping[int, float]) -> tuple[Direction, float]:
+def direction(
+    before: Mapping[int, float], after: Mapping[int, float], *, are_drawn: bool = True
+) -> tuple[Direction, float]:
     """The direction of the mean difference over seeds, `undecided` if its 95 % interval includes zero; and the mean.
 
-    before, after: seed to value. Fewer than three common seeds are undecided.
+    before, after: seed to value. are_drawn: whether the seeds learn different presses; if not, or with fewer than three
+    of them, it is undecided.
     """
     paired = {("", seed): after[seed] - value for seed, value in before.items() if seed in after}
     if not paired:
         return "undecided", float("nan")
-    mean = summarised(paired)
-    if len(paired) < MIN_SEEDS or mean.low <= 0 <= mean.high:
+    mean = summarised(Sample(paired, frozenset() if are_drawn else frozenset([""])))
+    if not mean.has_interval or mean.low <= 0 <= mean.high:
         return "undecided", mean.value
     return ("up" if mean.value > 0 else "down"), mean.value
 
@@ -106,10 +110,11 @@ def effects(
     before, after: values of the column. names: what the paper's data call them.
     """
     found = []
-    for (method, part), group in rows.groupby(["method", "part"]):
+    for (method, part), group in rows[rows[condition].isin([before, after])].groupby(["method", "part"]):
+        are_drawn = any(is_drawn(row) for row in group.to_dict("records"))
         for measure in measures:
             old, new = (_by_seed(group[group[condition] == value], measure) for value in (before, after))
-            ours, difference = direction(old, new)
+            ours, difference = direction(old, new, are_drawn=are_drawn)
             theirs = paper.get((method, part, measure))
             known = None if theirs is None else published_direction(*(theirs[name] for name in names))
             if np.isfinite(difference):

@@ -1,9 +1,10 @@
-"""`gelgate study all`: the three studies into one file of rows, then their pages, with the time that each took."""
+"""`gelgate study all`: every study into one file of rows, then their pages, with the time that each took."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+from calibration.studies.bad_presses import study_bad_presses
 from calibration.studies.cross_position_study import crossed_places, study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
 from calibration.studies.presses import opened
@@ -37,6 +38,7 @@ def study_all(
     for name, study in {
         "cross-position": lambda: study_cross_position(_fitting(options, _crossed), stable),
         "resolution": lambda: study_resolution(_fitting(options, fine_places), stable, views, most_presses),
+        "bad-presses": lambda: study_bad_presses(options, stable),
     }.items():
         try:
             yield _timed(name, study)

@@ -1,39 +1,54 @@
-"""Which of several methods is better, by rows: paired differences over parts and seeds, and when they do not decide.
+"""Which of several methods is better, by rows: paired differences over parts and draws, and when they do not decide.
 
-Methods are compared on the same parts and seeds. The 95 % interval of a mean is a percentile bootstrap that resamples
-parts, and within each part seeds; with one part it says nothing about others. A method is the best if the interval of
-its advantage over each other method is above zero.
+Methods are compared on the same parts and seeds. The 95 % interval of a mean is Student's t: over the means of the
+parts, or over the draws of presses where there is one part, which says nothing about others. Seeds that learn the same
+presses are one draw. A method is the best if the interval of its advantage over each other method is above zero.
 """
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["MIN_SEEDS", "Mean", "Samples", "Standing", "Values", "ranking", "summarised"]
+from calibration.studies.intervals import MIN_DRAWS, mean_interval
 
-MIN_SEEDS = 3
-"""With fewer there is no interval."""
-
-REPLICATES = 2000
+__all__ = ["Mean", "Sample", "Samples", "Standing", "Values", "ranking", "summarised"]
 
 Values = Mapping[tuple[str, int], float]
 """(part, seed) to a measure of one method."""
 
-Samples = Mapping[str, Values]
-"""Method to its values."""
+
+@dataclass(frozen=True)
+class Sample:
+    """A measure of one method. same: the parts on which every seed learns the same presses."""
+
+    values: Values
+    same: frozenset[str] = field(default_factory=frozenset)
+
+    def minus(self, other: "Sample") -> "Sample":
+        """The differences on the parts and seeds that both have; a draw of either is a draw of the difference."""
+        both = {pair: self.values[pair] - other.values[pair] for pair in self.values if pair in other.values}
+        return Sample(both, self.same & other.same)
+
+
+Samples = Mapping[str, Sample]
+"""Method to its sample."""
 
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean and its 95 % interval, with the parts and the least number of seeds behind it."""
+    """A mean and its 95 % interval, nan where there is none. parts; draws: the least number on a part."""
 
     value: float
     low: float
     high: float
     parts: int
-    seeds: int
+    draws: int
+
+    @property
+    def has_interval(self) -> bool:
+        return math.isfinite(self.low)
 
 
 @dataclass(frozen=True)
@@ -50,64 +65,53 @@ class Standing:
     why: str
 
 
-def summarised(values: Values) -> Mean:
+def summarised(sample: Sample) -> Mean:
     """The mean over parts of the means over seeds, with its interval."""
-    groups = _groups(values)
-    drawn = _resampled(groups)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    centre = float(np.mean([group.mean() for group in groups]))
-    return Mean(centre, float(low), float(high), len(groups), min(map(len, groups)))
+    groups = {
+        part: np.array([value for (name, _), value in sorted(sample.values.items()) if name == part])
+        for part in sorted({part for part, _ in sample.values})
+    }
+    centres = np.array([group.mean() for group in groups.values()])
+    draws = min(1 if part in sample.same else len(group) for part, group in groups.items())
+    few = next(iter(groups.values()))[:draws] if len(groups) == 1 else centres
+    low, high = mean_interval(few)
+    return Mean(float(centres.mean()), low, high, len(groups), draws)
 
 
 def ranking(samples: Samples, *, higher_is_better: bool = True) -> Standing:
     """The standing of methods. Errors: ValueError without a method."""
     sign = 1 if higher_is_better else -1
-    means = {method: summarised(values) for method, values in samples.items()}
+    means = {method: summarised(sample) for method, sample in samples.items()}
     order = sorted(means, key=lambda method: -sign * means[method].value)
     first, means = order[0], {method: means[method] for method in order}
-    if (seeds := min(mean.seeds for mean in means.values())) < MIN_SEEDS:
-        why = f"with {seeds} seed{'s' * (seeds > 1)} there is no interval, at least {MIN_SEEDS} are needed"
-        return Standing(means, None, tuple(order[1:]), why)
     if len(order) == 1:
         return Standing(
             means, None, (), f"the rows have {first} alone, so there is nothing to compare it with"
         )
     rivals, spans = [], []
     for other in order[1:]:
-        both = _paired(samples[first], samples[other])
-        if not both:
+        difference = samples[first].minus(samples[other])
+        if not difference.values:
             return Standing(means, None, (other,), f"{first} and {other} have no part and seed in common")
-        advantage = summarised({pair: sign * value for pair, value in both.items()})
-        if advantage.low <= 0:
+        advantage = summarised(difference)
+        if not advantage.has_interval:
+            return Standing(means, None, tuple(order[1:]), _too_few(difference, advantage))
+        low, high = sorted((sign * advantage.low, sign * advantage.high))
+        if low <= 0:
             rivals.append(other)
-            spans.append(f"{advantage.low:+.3f} to {advantage.high:+.3f} over {other}")
+            spans.append(f"{low:+.3f} to {high:+.3f} over {other}")
     if rivals:
         return Standing(means, None, tuple(rivals), f"the advantage of {first} is {'; '.join(spans)}")
     return Standing(means, first, (), "")
 
 
-def _paired(first: Values, other: Values) -> dict[tuple[str, int], float]:
-    """The differences on the parts and seeds that both have."""
-    return {pair: first[pair] - other[pair] for pair in first if pair in other}
-
-
-def _groups(values: Values) -> list[NDArray[np.float64]]:
-    """The values of each part, over its seeds."""
-    parts = sorted({part for part, _ in values})
-    return [
-        np.array([value for (part, _), value in sorted(values.items()) if part == name]) for name in parts
-    ]
-
-
-def _resampled(groups: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Bootstrap replicates of the mean, (REPLICATES,)."""
-    rng = np.random.default_rng(0)
-    means = np.stack(
-        [
-            group[rng.integers(len(group), size=(REPLICATES, len(groups), len(group)))].mean(axis=2)
-            for group in groups
-        ]
-    )  # (parts, replicates, places): the mean of each part if it is drawn at a place
-    drawn = rng.integers(len(groups), size=(REPLICATES, len(groups)))
-    found: NDArray[np.float64] = np.take_along_axis(means, drawn[None], axis=0)[0].mean(axis=1)
-    return found
+def _too_few(difference: Sample, advantage: Mean) -> str:
+    if advantage.parts > 1:
+        return f"with {advantage.parts} parts there is no interval, at least {MIN_DRAWS} are needed"
+    if difference.same:
+        return (
+            "all seeds of this part learn the same presses, so nothing shows what other presses would give; more parts "
+            "or fewer presses of the pool would"
+        )
+    draws = advantage.draws
+    return f"with {draws} seed{'s' * (draws > 1)} there is no interval, at least {MIN_DRAWS} are needed"

@@ -10,6 +10,7 @@ import numpy as np
 from calibration.studies.curves import Curve, curves, gel_share, same_in_every_seed
 from calibration.studies.figures import fraction_figure, overview_figure, shots_figure, svg
 from calibration.studies.good_fraction_study import FRACTIONS
+from calibration.studies.intervals import MIN_DRAWS
 from calibration.studies.page import Page
 from calibration.studies.page_parts import (
     by_setup,
@@ -55,14 +56,15 @@ def page(rows: "pd.DataFrame") -> Page:
 
 def _head(rows: "pd.DataFrame") -> str:
     where = ", ".join(sorted({f"{a} {b}" for a, b in zip(rows["part"], rows["position"], strict=True)}))
-    held, seeds = int(rows["held_out"].max()), rows["seed"].nunique()
+    held = int(rows["held_out"].max())
     return (
         "# How many nominal presses a part needs\n\n"
-        f"{where}; {len(rows)} cells, {seeds} seed{'s' * (seeds != 1)}. Of each part {held} nominal presses are held "
+        f"{where}; {len(rows)} cells. Of each part {held} nominal presses are held "
         "out, the same in every cell, and scored with the defective presses of the same position. Banks are fitted on "
         "a share of the other nominal presses, the pool, which each seed draws. Intervals are of the mean over seeds, "
-        "95 %, by bootstrap: they show how much the choice of training presses matters, and not what other test "
-        f"presses would give. A gel is rated for {DEFAULT_LIMIT_PRESSES} presses.\n"
+        "95 %, Student's t: they show how much the choice of training presses matters, and not what other test "
+        f"presses would give. With fewer than {MIN_DRAWS} seeds, and with all presses, there is none. A gel is rated "
+        f"for {DEFAULT_LIMIT_PRESSES} presses.\n"
     )
 
 
@@ -91,14 +93,15 @@ def _plateaus(rows: "pd.DataFrame") -> str:
         if found is None:
             continue
         paper, last = stable_fraction(method), group["fraction"].max()
-        at = group[group["fraction"] == found].groupby("part")["presses"].max()
+        pools = group.groupby("part")["pool"].max()
+        at = {part: max(1, round(found * pool)) for part, pool in pools.items()}
         lines.append(
             [
                 method,
                 _percent(found) + (" (the largest: no plateau)" if found == last else ""),
                 "-" if paper is None else _percent(paper),
                 ", ".join(f"{part} {count}" for part, count in at.items()),
-                f"{100 * gel_share(at.max()):.0f} %",
+                f"{100 * gel_share(max(at.values())):.0f} %",
             ]
         )
     heading = ["method", "plateau from", "the paper's", "presses", "of a gel's life, at most"]
@@ -156,7 +159,7 @@ def _sizes(group: "pd.DataFrame") -> list[str]:
 
 def _splits(rows: "pd.DataFrame") -> str:
     """With fractions alone: the shots are the same number of presses in both splits, of other specimens."""
-    return split_table(rows.dropna(subset=["fraction"]) if "fraction" in rows else rows)
+    return split_table(rows.dropna(subset=["fraction"]), "fraction") if "fraction" in rows else ""
 
 
 def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, Callable[[], str]]]:
@@ -210,7 +213,7 @@ def _at(curve: Curve, x: float) -> str:
     if not len(where):
         return "-"
     k = int(where[0])
-    if len(curve.values[k]) == 1:
+    if not np.isfinite(curve.low[k]):
         return f"{curve.mean[k]:.3f}"
     return f"{curve.mean[k]:.3f} [{curve.low[k]:.3f}, {curve.high[k]:.3f}]"
 

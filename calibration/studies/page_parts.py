@@ -21,6 +21,7 @@ __all__ = [
     "only_scored",
     "paper_note",
     "refusals",
+    "seeds_of",
     "split_table",
     "table",
 ]
@@ -57,13 +58,19 @@ def cells_table(rows: "pd.DataFrame", condition: str) -> str:
             split,
             ", ".join(sorted(set(group["method"]))),
             ", ".join(_named(group[condition].dropna().unique())),
-            group["seed"].nunique(),
+            seeds_of(group, condition),
             len(group),
         ]
         for (part, backbone, mode, split), group in rows.groupby(["part", *_SETUP])
     ]
     heading = ["part", "backbone", "mode", "split", "methods", condition.replace("_", " "), "seeds", "cells"]
     return f"**Cells.** What was computed, and what this page is made from:\n\n{table(heading, lines)}"
+
+
+def seeds_of(rows: "pd.DataFrame", condition: str) -> str:
+    """How many seeds the conditions have: `10`, or `1 to 3` where not all have as many."""
+    counts = rows.groupby(["part", *_SETUP, "method", condition])["seed"].nunique()
+    return f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
 
 
 def _named(values: Iterable[Any]) -> list[str]:
@@ -120,24 +127,29 @@ def directions_table(found: Sequence[Effect]) -> str:
     return table(heading, lines)
 
 
-def split_table(rows: "pd.DataFrame", measure: str = "aupro_001") -> str:
-    """How much higher a measure is if presses, not specimens, are held out; empty without rows of both splits."""
-    if set(rows["split"]) != {"press", "specimen"}:
+def split_table(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001") -> str:
+    """How much higher a measure is if presses, not specimens, are held out; empty without rows of both splits.
+
+    condition: the column that the study varies. Only cells that both splits have are compared.
+    """
+    keys = ["backbone", "mode", "method", "part"]
+    by = rows.pivot_table(measure, [*keys, condition, "seed"], "split", aggfunc="mean")
+    if set(by) != {"press", "specimen"} or (both := by.dropna()).empty:
         return ""
-    means = (
-        rows.groupby(["backbone", "mode", "method", "part", "split"])[measure]
-        .mean()
-        .unstack("split")
-        .dropna()
-    )
     lines = [
-        [*keys, f"{both['press']:.4f}", f"{both['specimen']:.4f}", f"{both['press'] - both['specimen']:+.4f}"]
-        for keys, both in means.iterrows()
+        [
+            *names,
+            len(pairs),
+            *(f"{pairs[split].mean():.4f}" for split in ("press", "specimen")),
+            f"{(pairs['press'] - pairs['specimen']).mean():+.4f}",
+        ]
+        for names, pairs in both.groupby(level=keys)
     ]
-    heading = ["backbone", "mode", "method", "part", "by press", "by specimen", "difference"]
+    heading = ["backbone", "mode", "method", "part", "cells of each", "by press", "by specimen", "difference"]
     return (
-        f"## Split by press and by specimen\n\nMean {COMPARED[measure]} over all conditions and seeds. In a split by "
-        f"press, other presses of a tested specimen are in the bank.\n\n{table(heading, lines)}"
+        f"## Split by press and by specimen\n\nMean {COMPARED[measure]} over the conditions and seeds that both splits "
+        "have. In a split by press, other presses of a tested specimen are in the bank.\n\n"
+        f"{table(heading, lines)}"
     )
 
 

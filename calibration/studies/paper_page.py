@@ -20,6 +20,7 @@ from calibration.studies.effects import (
     published_direction,
     written,
 )
+from calibration.studies.intervals import is_drawn
 from calibration.studies.page import Page
 from calibration.studies.page_parts import by_setup, directions_table, only_scored, table
 from calibration.studies.published import published, source, stable_fraction
@@ -84,8 +85,8 @@ def page(rows: "pd.DataFrame") -> Page:
         "# The paper's results and ours\n",
         f"{source()}: it pressed real parts and had Wide-ResNet-50-2 with ImageNet weights. So orders and directions "
         "can be compared, and levels say how hard the parts are. Nothing is tuned to agree. An order or a direction of "
-        "ours is *undecided* where the 95 % interval of the mean difference over seeds includes zero, or where there "
-        "are fewer than three seeds.\n",
+        "ours is *undecided* where the 95 % interval of the mean difference over seeds includes zero, where there are "
+        "fewer than three seeds, or where every seed learns the same presses.\n",
     ]
     for title, group in by_setup(only_scored(rows)):
         found = [part for part in _setup(group) if part]
@@ -151,8 +152,9 @@ def _orders(rows: "pd.DataFrame", study: _Study) -> str:
 def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement]:
     """Whether each pair of methods has the paper's order."""
     seeds = {m: dict(zip(g["seed"], g[_MEASURE], strict=True)) for m, g in rows.groupby("method")}
+    drawn = {row["method"] for row in rows.to_dict("records") if is_drawn(row)}
     for first, second in combinations(theirs, 2):
-        ours, _ = direction(seeds[first], seeds[second])
+        ours, _ = direction(seeds[first], seeds[second], are_drawn=bool(drawn & {first, second}))
         yield agreement(ours, published_direction(theirs[first], theirs[second]))
 
 

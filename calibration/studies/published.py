@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["no_fixture", "published", "source", "stable_fraction"]
+__all__ = ["judgements", "no_fixture", "published", "source", "stable_fraction"]
 
 
 @cache
@@ -30,6 +30,12 @@ def stable_fraction(method: str) -> float | None:
 def no_fixture() -> tuple[str, ...]:
     """The parts that the paper presses without a fixture (its Table 1)."""
     return tuple(_data()["no_fixture"])
+
+
+def judgements(column: str) -> Mapping[str, str]:
+    """What the paper says of each method in a column of its Table 4, such as `strong advantage`."""
+    found: Mapping[str, str] = _data()["judgements"][column]
+    return found
 
 
 @cache

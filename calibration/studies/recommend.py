@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from calibration.studies.evidence import MIN_SEEDS, Mean, Samples, Standing, ranking
-from calibration.studies.published import no_fixture
+from calibration.studies.evidence import Mean, Sample, Samples, Standing, ranking
+from calibration.studies.intervals import is_drawn
+from calibration.studies.published import judgements, no_fixture
 from edge.core.errors import ConfigError
 
 __all__ = ["NEEDS", "Answer", "Question", "answered", "recommended"]
@@ -28,7 +29,7 @@ class Question:
     """One question to the rows.
 
     title: as it is printed, with the measure. study: whose rows answer it. values: of one row set by method, empty
-    where the rows do not cover the question. command: what gives the rows.
+    where the rows do not cover the question. command: what gives the rows. column: of the paper's Table 4.
     """
 
     title: str
@@ -37,6 +38,12 @@ class Question:
     command: str
     higher_is_better: bool = True
     unit: str = ""
+    column: str | None = None
+
+    @property
+    def judgements(self) -> Mapping[str, str]:
+        """What the paper says of each method."""
+        return {} if self.column is None else judgements(self.column)
 
 
 @dataclass(frozen=True)
@@ -49,35 +56,41 @@ class Answer:
     def lines(self) -> list[str]:
         """The answer as text."""
         if self.standing is None:
-            return [
-                self.question.title,
-                f"  the rows do not cover this; `{self.question.command}` gives them",
-            ]
+            return [self.question.title, f"  {self.verdict}"]
         found, unit = self.standing, self.question.unit
         any_mean = next(iter(found.means.values()))
-        counted = f"  parts: {any_mean.parts}; seeds: {any_mean.seeds} or more"
-        listed = [f"  {name:<10} {mean.value:8.4f}{unit}{_span(mean)}" for name, mean in found.means.items()]
-        return [self.question.title, counted, *listed, f"  -> {_verdict(found)}"]
+        counted = f"  parts: {any_mean.parts}; draws of presses on each: {any_mean.draws} or more"
+        said = {name: f"  the paper: {what}" for name, what in self.question.judgements.items()}
+        listed = [
+            f"  {name:<10} {mean.value:8.4f}{unit}{_span(mean)}{said.get(name, '')}"
+            for name, mean in found.means.items()
+        ]
+        return [self.question.title, counted, *listed, f"  -> {self.verdict}"]
+
+    @property
+    def verdict(self) -> str:
+        """The method, or why the rows do not decide."""
+        if self.standing is None:
+            return f"the rows do not cover this; `{self.question.command}` gives them"
+        found = self.standing
+        if found.best is not None:
+            return found.best
+        between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
+        return f"undecided{between}: {found.why}"
 
 
 def _span(mean: Mean) -> str:
-    """The interval; nothing where too few seeds give none."""
-    return f"  [{mean.low:.4f}, {mean.high:.4f}]" if mean.seeds >= MIN_SEEDS else ""
+    """The interval; nothing where too few draws give none."""
+    return f"  [{mean.low:.4f}, {mean.high:.4f}]" if mean.has_interval else ""
 
 
-def _verdict(found: Standing) -> str:
-    if found.best is not None:
-        return found.best
-    between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
-    return f"undecided{between}: {found.why}"
-
-
-def by_method(rows: Sequence[Row], measure: str) -> dict[str, dict[tuple[str, int], float]]:
-    """Method to (part, seed) to the measure; rows without it are left out.
+def by_method(rows: Sequence[Row], measure: str) -> dict[str, Sample]:
+    """The sample of each method; rows without the measure are left out.
 
     Errors: ConfigError for two rows of the same method, part and seed, which were made with different settings.
     """
     found: dict[str, dict[tuple[str, int], float]] = {}
+    drawn: dict[str, set[str]] = {}
     for row in rows:
         values, pair = found.setdefault(row["method"], {}), (row["part"], row["seed"])
         if pair in values:
@@ -87,17 +100,18 @@ def by_method(rows: Sequence[Row], measure: str) -> dict[str, dict[tuple[str, in
             )
         if row.get(measure) is not None:
             values[pair] = float(row[measure])
-    return found
+        if is_drawn(row):
+            drawn.setdefault(row["method"], set()).add(row["part"])
+    return {
+        method: Sample(values, frozenset(part for part, _ in values) - drawn.get(method, set()))
+        for method, values in found.items()
+    }
 
 
 def gains(rows: Sequence[Row], measure: str, column: str, before: object, after: object) -> Samples:
     """How much a measure rises from one condition to another, on the same part and seed."""
     old, new = (by_method([r for r in rows if r.get(column) == value], measure) for value in (before, after))
-    return {
-        method: paired
-        for method in old.keys() & new.keys()
-        if (paired := {p: new[method][p] - v for p, v in old[method].items() if p in new[method]})
-    }
+    return {method: new[method].minus(old[method]) for method in old.keys() & new.keys()}
 
 
 def _at_few(rows: Sequence[Row]) -> Samples:
@@ -114,17 +128,39 @@ def _unfixed(rows: Sequence[Row]) -> Samples:
     return _at_all([row for row in rows if row["part"] in no_fixture()])
 
 
+def _head_time(rows: Sequence[Row]) -> Samples:
+    """Processor time and not the clock: cells of one study run while the machine does other work as well."""
+    timed = [
+        {**row, _HEAD_MS: 1e3 * row["cpu_score_s"] / (row["test_nominal"] + row["test_defective"])}
+        for row in rows
+        if row.get("cpu_score_s") is not None and row.get("test_nominal") is not None
+    ]
+    return _at_all(timed, _HEAD_MS)
+
+
+_HEAD_MS = "head_ms"
+
 _GOOD = "gelgate study good-fraction DATASET -o FOLDER"
 _CROSS = "gelgate study cross-position DATASET -o FOLDER"
 _FINE = "gelgate study resolution DATASET -o FOLDER"
 
 NEEDS: Mapping[str, tuple[Question, ...]] = {
     "few-presses": (
-        Question(f"few presses: AU-PRO@0.01 with {FEW} presses or fewer", "good-fraction", _at_few, _GOOD),
+        Question(
+            f"few presses: AU-PRO@0.01 with {FEW} presses or fewer",
+            "good-fraction",
+            _at_few,
+            _GOOD,
+            column="few nominal contacts",
+        ),
     ),
     "localisation": (
         Question(
-            "localisation at low resolution: AU-PRO@0.01 with all presses", "good-fraction", _at_all, _GOOD
+            "localisation at low resolution: AU-PRO@0.01 with all presses",
+            "good-fraction",
+            _at_all,
+            _GOOD,
+            column="LR localization",
         ),
     ),
     "cross-position": (
@@ -133,12 +169,14 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             "cross-position",
             lambda rows: by_method([r for r in rows if r["target_fraction"] == 0], "aupro_001"),
             _CROSS,
+            column="zero-shot cross-pos.",
         ),
         Question(
             f"another position, gain in AU-PRO@0.01 by {FEW_SHOT:.0%} of its presses",
             "cross-position",
             lambda rows: gains(rows, "aupro_001", "target_fraction", 0.0, FEW_SHOT),
             _CROSS,
+            column="few-shot cross-pos. gain",
         ),
     ),
     "high-resolution": (
@@ -153,6 +191,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             "resolution",
             lambda rows: gains(rows, "aupro_001_common", "view", "lr", "hr_tiled"),
             _FINE,
+            column="HR benefit",
         ),
         Question(
             "high resolution: gain by its detail alone, over low resolution scaled up and tiled",
@@ -181,9 +220,9 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
     ),
     "least-time": (
         Question(
-            "least time: milliseconds of the head per press, on one thread",
+            "least time: processor milliseconds of the head per press, all presses in the bank",
             "good-fraction",
-            lambda rows: _at_all(rows, "score_ms"),
+            _head_time,
             _GOOD,
             higher_is_better=False,
             unit=" ms",
@@ -197,7 +236,7 @@ def answered(question: Question, rows: Sequence[Row]) -> Answer:
     """The answer of rows of one mode, backbone and split; rows with an error count as missing."""
     own = [row for row in rows if row["study"] == question.study and row.get("error") is None]
     samples = question.values(own) if own else {}
-    samples = {method: values for method, values in samples.items() if values}
+    samples = {method: sample for method, sample in samples.items() if sample.values}
     return Answer(question, ranking(samples, higher_is_better=question.higher_is_better) if samples else None)
 
 

@@ -45,6 +45,12 @@ def _paper(rows: "pd.DataFrame") -> Page:
     return page(rows)
 
 
+def _recommend(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.recommend_page import page
+
+    return page(rows)
+
+
 COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
 """The studies that repeat a validation of the paper."""
 
@@ -58,9 +64,10 @@ PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
 
 
 def write_report(rows: Path, output: Path) -> list[Path]:
-    """Write the page of every study that has rows, and one that compares them with the paper; figures are next to them.
+    """Write the page of every study that has rows, a comparison with the paper, and the recommendations.
 
-    rows: a file, or the folder of one. Errors: ConfigError for a file without rows, StoreError for a full disk.
+    Figures are next to the pages. rows: a file, or the folder of one. Errors: ConfigError for a file without rows,
+    StoreError for a full disk.
     """
     path = rows / ROWS_FILE if rows.is_dir() else rows
     if not path.is_file():
@@ -78,7 +85,9 @@ def write_report(rows: Path, output: Path) -> list[Path]:
         for name in known
     ]
     repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
-    return [*written, *([] if repeated.empty else [_write(output, "paper", _paper(repeated))])]
+    if not repeated.empty:
+        written.append(_write(output, "paper", _paper(repeated)))
+    return [*written, _write(output, "recommend", _recommend(every))]
 
 
 def _write(output: Path, name: str, page: Page) -> Path:

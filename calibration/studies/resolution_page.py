@@ -16,6 +16,7 @@ from calibration.studies.page_parts import (
     only_scored,
     paper_note,
     refusals,
+    seeds_of,
     split_table,
     table,
 )
@@ -47,7 +48,7 @@ def page(rows: "pd.DataFrame") -> Page:
     sections = [_head(rows), cells_table(rows, "view")]
     for (title, group), name in zip(setups, figures, strict=True):
         sections += [_setup(title, group), f"![{title}]({name})\n"]
-    sections += [split_table(scored), refusals(rows), cost_table(scored, "view")]
+    sections += [split_table(scored, "view"), refusals(rows), cost_table(scored, "view")]
     return Page("\n".join(section for section in sections if section), figures)
 
 
@@ -62,7 +63,7 @@ def _head(rows: "pd.DataFrame") -> str:
         "# Does high resolution pay?\n\n"
         f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
         f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
-        f"are scored. Medians over {rows['seed'].nunique()} seeds.\n\n{paper_note()}\n"
+        f"are scored. Medians over {seeds_of(rows, 'view')} seeds.\n\n{paper_note()}\n"
         f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_described, VIEWS))}\n"
         "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
         "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "

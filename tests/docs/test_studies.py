@@ -9,6 +9,7 @@ import pytest
 from calibration.studies.page import Page
 from calibration.studies.paper_page import page as paper_page
 from calibration.studies.placement_page import page as placement_page
+from calibration.studies.recommend_page import page as recommend_page
 from calibration.studies.report import PAGES
 from calibration.studies.rows import frame
 
@@ -37,6 +38,11 @@ def test_a_study_s_page_is_that_of_its_rows(study: str, rows: pd.DataFrame) -> N
 def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -> None:
     """Orders, directions and levels come from the rows and the published numbers."""
     assert (STUDIES / "paper.md").read_text(encoding="utf-8") == paper_page(rows).markdown
+
+
+def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
+    """Each answer of each setup."""
+    assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).markdown
 
 
 def test_the_page_about_placement_is_that_of_its_rows() -> None:

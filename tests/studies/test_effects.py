@@ -23,6 +23,7 @@ def test_a_direction_is_sure_or_undecided() -> None:
     assert direction(up, before)[0] == "down"
     assert direction(before, mixed)[0] == "undecided"
     assert direction({0: 0.1, 1: 0.1}, {0: 0.9, 1: 0.9})[0] == "undecided"
+    assert direction(before, up, are_drawn=False)[0] == "undecided"
 
 
 def test_directions_agree_or_differ() -> None:
@@ -93,6 +94,14 @@ def test_the_page_says_what_the_study_cost() -> None:
     assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
 
 
+def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
+    """With the cap of the pool as many as are learnt, ten seeds are one bank."""
+    text = resolution_page.page(FINE.assign(presses=40)).markdown
+
+    assert "0 agree, 0 differ, 12 undecided" in text
+    assert "| +0.1000 | undecided |" in text
+
+
 def test_the_resolution_page_separates_detail_from_tiles() -> None:
     """The gain of 0.2 is 0.1 by tiles and 0.1 by detail in these rows."""
     text = resolution_page.page(FINE).markdown
@@ -110,5 +119,7 @@ def test_both_splits_are_compared_and_refusals_are_listed() -> None:
     refused = CROSSED[:1].assign(error="the trunk lacks a tap", aupro_001=None)
     text = cross_position_page.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).markdown
 
-    assert re.search(r"\| tiny \| corrected \| padim \| PZ3 \| 0\.\d{4} \| 0\.\d{4} \| \+0\.1000 \|", text)
+    assert re.search(
+        r"\| tiny \| corrected \| padim \| PZ3 \| 30 \| 0\.\d{4} \| 0\.\d{4} \| \+0\.1000 \|", text
+    )
     assert "| spade | corrected | tiny | 1 | the trunk lacks a tap |" in text

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
-from calibration.studies.curves import curves, gel_share, mean_interval, same_in_every_seed
+from calibration.studies.curves import curves, gel_share, same_in_every_seed
 from calibration.studies.good_fraction_page import page
 from calibration.studies.report import write_report
 from edge.core.errors import ConfigError, StoreError
@@ -55,6 +55,15 @@ def test_the_plateau_follows_its_rule() -> None:
     assert "is within 0.01 of that of the largest fraction" in found
 
 
+def test_the_plateau_counts_the_presses_of_every_part() -> None:
+    """Also of a part that has no row at that fraction: its half of 380 presses is the most of a gel's life."""
+    some = rows()
+    some.loc[some["part"] == "PZ1", ["aupro_001", "auprc", "pixel_auroc"]] = 0.7
+    found = page(some[(some["part"] == "PZ3") | (some["fraction"] != 0.5)]).markdown
+
+    assert line_of(found, "steep") == "| steep | 50 % | - | PZ1 190, PZ3 55 | 19 % |"
+
+
 def test_a_method_that_still_rises_has_no_plateau() -> None:
     """It is called so."""
     rising = rows()
@@ -64,8 +73,9 @@ def test_a_method_that_still_rises_has_no_plateau() -> None:
 
 
 def test_means_have_intervals() -> None:
-    """Of four seeds 0.001 apart, around their mean."""
-    assert "| PZ1 | flat | 380 | 0.700 [0.699, 0.701] |" in page(rows()).markdown
+    """Of four seeds 0.001 apart, around their mean; with all presses there is none, because all learn the same."""
+    line = "| PZ1 | flat | 380 | 0.700 [0.698, 0.702] | 0.700 [0.698, 0.702] | 0.700 |"
+    assert line in page(rows()).markdown
 
 
 def test_seeds_that_are_one_computation_are_named() -> None:
@@ -96,7 +106,24 @@ def test_the_difference_of_the_splits_is_shown() -> None:
 
     assert "split by press" in found
     assert "split by specimen" in found
-    assert "| tiny | corrected | flat | PZ1 | 0.7000 | 0.6500 | +0.0500 |" in found
+    assert "| tiny | corrected | flat | PZ1 | 12 | 0.7000 | 0.6500 | +0.0500 |" in found
+
+
+def test_the_splits_are_compared_where_both_have_cells() -> None:
+    """At 100 % `steep` has 0.7 by press; its lower fractions have no counterpart and do not count."""
+    other = rows(split="specimen", aupro_001=0.65)
+    found = page(pd.concat([rows(), other[other["fraction"] == 1.0]])).markdown
+
+    assert "| tiny | corrected | steep | PZ1 | 4 | 0.7000 | 0.6500 | +0.0500 |" in found
+
+
+def test_the_cells_say_how_many_seeds_the_conditions_have() -> None:
+    """Four seeds everywhere, or one at some fractions."""
+    some = rows()
+    found = page(some[(some["fraction"] == 1.0) | (some["seed"] == 0)]).markdown
+
+    assert "| flat, steep | 0.25, 0.5, 1 | 4 | 24 |" in page(some).markdown
+    assert "| flat, steep | 0.25, 0.5, 1 | 1 to 4 | 12 |" in found
 
 
 def test_refused_cells_are_counted_with_their_reason() -> None:
@@ -152,11 +179,6 @@ def test_a_full_study_has_small_figures() -> None:
     assert max(sizes) < 300_000
 
 
-def test_an_interval_of_one_value_is_that_value() -> None:
-    """There is no scatter to draw from."""
-    assert mean_interval(np.array([0.5])) == (0.5, 0.5)
-
-
 def test_a_curve_has_every_seed() -> None:
     """In rising order of the fraction, with the presses behind each."""
     found = next(curves(rows(), "fraction", "aupro_001"))
@@ -177,9 +199,9 @@ def test_a_report_is_written_from_a_folder_of_rows(tmp_path: Path) -> None:
     """The page and its figures, in a new folder."""
     lines = [json.dumps({"format": 1, **row}) for row in rows().to_dict("records")]
     (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
-    written, _ = write_report(tmp_path, tmp_path / "out" / "report")
+    written, *_, advice = write_report(tmp_path, tmp_path / "out" / "report")
 
-    assert written.name == "good-fraction.md"
+    assert (written.name, advice.name) == ("good-fraction.md", "recommend.md")
     assert len(list(written.parent.glob("*.svg"))) == 5
 
 

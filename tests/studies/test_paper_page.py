@@ -28,7 +28,7 @@ def rows(*, sign: int = 1, seeds: int = 3, parts: tuple[str, ...] = ("PZ3",)) ->
                         {
                             "key": f"{part}{method}{view}{seed}", "study": "resolution", "part": part, "method": method,
                             "backbone": "tiny", "mode": "corrected", "split": "press", "seed": seed, "view": view,
-                            "position": "pos1", "most_presses": 40, "held_out": 20, "presses": 40, "bank_bytes": 1,
+                            "position": "pos1", "most_presses": 40, "held_out": 20, "presses": 22, "bank_bytes": 1,
                             "cpu_fit_s": 1.0, "cpu_score_s": 1.0, "cpu_measure_s": 1.0, **values,
                             **{f"{measure}_common": value for measure, value in values.items()},
                         }
@@ -64,6 +64,14 @@ def test_few_seeds_decide_nothing() -> None:
     assert "Of all directions: 0 agree, 0 differ, 12 undecided." in text
 
 
+def test_seeds_that_learn_the_same_presses_decide_nothing() -> None:
+    """However many they are: with a pool of 22 presses each learns all of them."""
+    text = page(rows(seeds=10).assign(most_presses=22)).markdown
+
+    assert "Of all pairs of methods: 0 agree, 0 differ, 12 undecided." in text
+    assert "Of all directions: 0 agree, 0 differ, 12 undecided." in text
+
+
 def test_parts_that_the_paper_does_not_have_are_left_out(tmp_path: Path) -> None:
     """Rows of a part of one's own have no line; the page is still written, next to the study's."""
     own = rows().assign(part="valve", most_presses=40.0)
@@ -71,7 +79,8 @@ def test_parts_that_the_paper_does_not_have_are_left_out(tmp_path: Path) -> None
     path = tmp_path / "rows.jsonl"
     path.write_text(own.assign(format=1).to_json(orient="records", lines=True))
 
-    assert [written.name for written in write_report(path, tmp_path / "out")] == ["resolution.md", "paper.md"]
+    names = [written.name for written in write_report(path, tmp_path / "out")]
+    assert names == ["resolution.md", "paper.md", "recommend.md"]
     text = (tmp_path / "out" / "resolution.md").read_text()
     assert "at most 40 nominal presses" in text
     assert "| valve | tiny | corrected | press |" in text

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from command_line import gelgate
 
 from calibration.studies.recommend import NEEDS, recommended
+from calibration.studies.recommend_page import page
 from calibration.studies.rows import Rows
 
 METHODS = ("spade", "padim", "fapm")
@@ -18,7 +20,7 @@ def rows_of(
     study: str,
     levels: Mapping[str, float],
     measure: str = "aupro_001",
-    parts: tuple[str, ...] = ("PZ3",),
+    parts: tuple[str, ...] = ("PZ3", "PZ4", "PZ5"),
     **more: Any,
 ) -> list[dict[str, Any]]:
     """Rows of ten seeds; a method's measure is its level and a small step per seed."""
@@ -54,9 +56,11 @@ def covering(need: str, levels: Mapping[str, float]) -> list[dict[str, Any]]:
         case "high-resolution":
             return rows_of("resolution", levels, "aupro_001_common", view="hr_tiled")
         case "no-fixture":
-            return rows_of("good-fraction", levels, parts=("PZ4", "PZ5"), fraction=1.0)
+            return rows_of("good-fraction", levels, parts=("PZ5",), fraction=0.95)
         case "least-time":
-            return rows_of("good-fraction", {m: -v for m, v in levels.items()}, "score_ms", fraction=1.0)
+            seconds = {m: 1 - v for m, v in levels.items()}
+            tested = {"test_nominal": 20, "test_defective": 12}
+            return rows_of("good-fraction", seconds, "cpu_score_s", fraction=1.0, **tested)
         case "bad-presses":
             return rows_of("bad-presses", levels, bad=0.1)
     raise AssertionError(need)
@@ -106,11 +110,41 @@ def test_a_gain_is_the_difference_of_two_conditions() -> None:
 
 def test_one_seed_has_no_interval() -> None:
     """A single value is printed without the width of nothing."""
-    once = [row for row in covering("localisation", {"spade": 0.9, "padim": 0.1}) if row["seed"] == 0]
+    rows = covering("localisation", {"spade": 0.9, "padim": 0.1})
+    once = [row for row in rows if row["seed"] == 0 and row["part"] == "PZ3"]
     text = "\n".join(recommended(once, ["localisation"])[0].lines())
 
-    assert "  spade        0.9000\n" in text
+    assert "  spade        0.9000  the paper: strong advantage\n" in text
     assert "[0.9" not in text
+
+
+def test_the_head_is_timed_in_processor_seconds() -> None:
+    """A machine that does other work slows the clock of one method more than of another; 3.2 s of 32 presses."""
+    rows = [
+        row | {"score_ms": 1.0 if row["method"] == "spade" else 50.0}
+        for row in covering("least-time", {"spade": -2.2, "padim": 0.2})
+    ]
+    standing = recommended(rows, ["least-time"])[0].standing
+
+    assert standing is not None
+    assert standing.best == "padim"
+    assert standing.means["spade"].value == pytest.approx(100, rel=0.01)
+
+
+def test_all_presses_of_one_part_do_not_decide() -> None:
+    """Ten seeds of one bank say nothing about other presses; with a half of the pool they are draws."""
+    rows = rows_of(
+        "resolution", {"spade": 0.9, "padim": 0.1}, "aupro_001_common", parts=("PZ3",), view="hr_tiled"
+    )
+    fixed, drawn = (
+        recommended(
+            [row | {"presses": count, "pool": 110, "most_presses": 12} for row in rows], ["high-resolution"]
+        )[0]
+        for count in (12, 6)
+    )
+
+    assert "learn the same presses" in fixed.verdict
+    assert drawn.verdict == "spade"
 
 
 def test_cells_that_were_refused_are_no_evidence() -> None:
@@ -172,3 +206,20 @@ def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
     """One sentence, with the nearest known name."""
     assert "there are no rows at" in gelgate("recommend", tmp_path).sentence()
     assert "did you mean 'few-presses'?" in gelgate("recommend", tmp_path, "--need", "few-pressse").sentence()
+
+
+def test_the_page_has_every_answer_of_every_setup() -> None:
+    """Means, intervals and the paper's judgement from the rows; a need without rows is not on it."""
+    rows = [
+        *covering("localisation", {"spade": 0.8, "padim": 0.6}),
+        *covering("few-presses", {"spade": 0.6, "padim": 0.6}),
+    ]
+    frame = pd.DataFrame([*rows, *(row | {"mode": "paper"} for row in rows[:30])])
+    text = page(frame).markdown
+
+    assert "## tactile_resnet18, corrected mode, split by press" in text
+    assert "## tactile_resnet18, paper mode, split by press" in text
+    assert "### Localisation at low resolution: AU-PRO@0.01 with all presses\n\n**spade**" in text
+    assert "| spade | 0.8045 | 0.8045 to 0.8045 | strong advantage |" in text
+    assert "### Few presses: AU-PRO@0.01 with 8 presses or fewer\n\n**undecided between" in text
+    assert "damaged presses among" not in text

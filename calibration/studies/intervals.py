@@ -1,0 +1,70 @@
+"""95 % intervals of a mean over few draws, and which seeds are draws of their own.
+
+An interval is Student's t. With three to ten values the percentiles of a bootstrap are too narrow: of ten values they
+held the true mean in 90 % of simulated cases, of five in 83 %, of three in 75 %.
+"""
+
+import math
+from collections.abc import Mapping
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MIN_DRAWS", "is_drawn", "mean_interval", "t_quantile"]
+
+MIN_DRAWS = 3
+"""With fewer values there is no interval: of two it would be nine times as wide as the two are apart."""
+
+_LEVEL = 0.975
+_Z = NormalDist().inv_cdf(_LEVEL)
+
+
+def t_quantile(freedom: int) -> float:
+    """The 97.5 % quantile of Student's t, within 0.005. Errors: ValueError below one degree of freedom.
+
+    Ref: Abramowitz and Stegun 26.7.5; one and two degrees have closed forms.
+    """
+    if freedom < 1:
+        raise ValueError(f"an interval needs a degree of freedom, found {freedom}")
+    if freedom == 1:
+        return math.tan(math.pi * (_LEVEL - 0.5))
+    if freedom == 2:
+        return (2 * _LEVEL - 1) / math.sqrt(2 * _LEVEL * (1 - _LEVEL))
+    z, n = _Z, freedom
+    return (
+        z
+        + (z**3 + z) / (4 * n)
+        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2)
+        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * n**3)
+        + (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * n**4)
+    )
+
+
+def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
+    """The 95 % interval of the mean of values (n,); nan where there are too few."""
+    if len(values) < MIN_DRAWS:
+        return math.nan, math.nan
+    mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
+    half = t_quantile(len(values) - 1) * error
+    return mean - half, mean + half
+
+
+def is_drawn(row: Mapping[str, Any]) -> bool:
+    """Whether the seed of a row decided which presses its bank learnt.
+
+    Where a bank learns all presses of the pool, other seeds are no other draws: they change at most what the method
+    itself draws.
+    """
+    if _number(row, "bad", 0.0) > 0 or _number(row, "target_fraction", 0.0) > 0:
+        return True
+    pool = min(_number(row, "pool", math.inf), _number(row, "most_presses", math.inf))
+    if math.isfinite(pool) and "target_fraction" not in row:
+        return _number(row, "presses", 0.0) < pool
+    return _number(row, "fraction", 0.0) < 1
+
+
+def _number(row: Mapping[str, Any], name: str, absent: float) -> float:
+    value = row.get(name)
+    return absent if value is None or math.isnan(value) else float(value)

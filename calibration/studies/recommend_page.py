@@ -1,0 +1,48 @@
+"""Which method to take for each need, as a page: the answers of `gelgate recommend` for every setup of the rows."""
+
+from typing import TYPE_CHECKING
+
+from calibration.studies.page import Page
+from calibration.studies.page_parts import by_setup, only_scored, table
+from calibration.studies.published import source
+from calibration.studies.recommend import Answer, recommended
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["page"]
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """The page. rows: of all studies."""
+    sections = [
+        "# Which method to take\n",
+        "The answers of `gelgate recommend` from these rows. Each method has its mean with a 95 % interval: over the "
+        "parts, or over the draws of presses where there is one part. A method is the answer if the interval of its "
+        f"advantage over each other one is above zero. The last column is the judgement of Table 4 of: {source()}.\n",
+    ]
+    for title, group in by_setup(only_scored(rows)):
+        records = group.astype(object).where(group.notna(), None).to_dict("records")
+        answers = [answer for answer in recommended(records) if answer.standing is not None]
+        sections += [f"## {title}\n", *map(_section, answers)]
+    return Page("\n".join(sections))
+
+
+def _section(answer: Answer) -> str:
+    assert answer.standing is not None
+    means, question = answer.standing.means, answer.question
+    any_mean = next(iter(means.values()))
+    lines = [
+        [
+            name,
+            f"{mean.value:.4f}{question.unit}",
+            f"{mean.low:.4f} to {mean.high:.4f}" if mean.has_interval else "-",
+            question.judgements.get(name, "-"),
+        ]
+        for name, mean in means.items()
+    ]
+    title = question.title[0].upper() + question.title[1:]
+    return (
+        f"### {title}\n\n**{answer.verdict}**\n\nParts: {any_mean.parts}; draws of presses on each: {any_mean.draws} "
+        f"or more.\n\n{table(['method', 'mean', '95 % interval', 'the paper'], lines)}"
+    )
