@@ -48,7 +48,7 @@ def history(
     """Show which presses were made.
 
     Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
-    sensor, gel, part, position, verdict, score and threshold."""
+    sensor, gel, part, position, verdict, score, threshold and cause: part or gel."""
     import time
 
     from edge.config import load_config
@@ -131,7 +131,8 @@ def _line(row: "HistoryRow") -> str:
     from edge.messaging.payload_base import iso_time
 
     score = "" if row.score is None or row.threshold is None else f"  {row.score:.4f} / {row.threshold:.4f}"
+    cause = f" ({row.cause})" if row.cause else ""
     return printable(
-        f"{row.number}  {iso_time(row.time_ns)[:19]}  {row.part}/{row.position or '-'}  {row.verdict}{score}"
+        f"{row.number}  {iso_time(row.time_ns)[:19]}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
         f"  gel {row.gel_id}"
     )

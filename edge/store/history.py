@@ -18,7 +18,8 @@ __all__ = ["COLUMNS", "HistoryQuery", "HistoryRow", "read_history"]
 class HistoryRow:
     """One press. number: the `sequence` of its result. time_ns: wall clock, nanoseconds since 1970 UTC. running_s:
     seconds that gateways had run on this database, which no step of the clock changes; None for a press of version 1.
-    score, threshold: raw, higher is more anomalous; None for a press without a score."""
+    score, threshold: raw, higher is more anomalous; None for a press without a score. cause: of a fail or unsure: part,
+    gel or unsure; None where it is not known."""
 
     number: int
     press_id: str
@@ -31,6 +32,7 @@ class HistoryRow:
     verdict: str
     score: float | None
     threshold: float | None
+    cause: str | None = None
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))

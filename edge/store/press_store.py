@@ -70,7 +70,8 @@ class PressRecord:
     """One press to record.
 
     press_id: a ULID. time_ns: wall clock. serial: of the sensor. verdict: pass, fail, unsure, rejected, or error for
-    a press that could not be scored. wear_index: optical wear just before this press, None if not measured.
+    a press that could not be scored. wear_index: optical wear just before this press, None if not measured. cause: of a
+    fail or unsure, where it is known: part, gel or unsure.
     """
 
     press_id: str
@@ -82,6 +83,7 @@ class PressRecord:
     score: float | None = None
     threshold: float | None = None
     wear_index: float | None = None
+    cause: str | None = None
 
     def __post_init__(self) -> None:
         if not is_ulid(self.press_id):
@@ -365,7 +367,7 @@ def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, run
     """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
     number = connection.execute(
         "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold, "
-        "running_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "running_ns, cause) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         (
             press.press_id,
             press.time_ns,
@@ -377,6 +379,7 @@ def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, run
             press.score,
             press.threshold,
             running_ns,
+            press.cause,
         ),
     ).lastrowid
     connection.execute(

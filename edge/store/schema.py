@@ -191,5 +191,10 @@ CREATE TABLE study_presses (
 CREATE INDEX study_presses_by_study ON study_presses (study_id, number);
 """
 
-MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
+# Why a press is not passed: part, gel or unsure. Presses of earlier versions have no cause.
+_VERSION_5: Final = """
+ALTER TABLE presses ADD COLUMN cause TEXT;
+"""
+
+MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5)
 SCHEMA_VERSION: Final = len(MIGRATIONS)

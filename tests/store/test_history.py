@@ -15,7 +15,7 @@ from edge.store.database import APPLICATION_ID, opened_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history
 from edge.store.history_files import write_history
 from edge.store.press_store import PressRecord, Store
-from edge.store.schema import SCHEMA_VERSION
+from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 VERDICTS = ("pass", "fail", "pass", "unsure", "rejected", "error")
@@ -156,3 +156,30 @@ def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
     """With those that are known."""
     with pytest.raises(StoreError, match=r"presses\.xlsx names no format; known are \.csv, \.parquet"):
         write_history(tmp_path / "presses.xlsx", [])
+
+
+def test_a_press_keeps_whether_gel_or_part_is_its_cause(
+    store: Store, path: Path, make_press: MakePress
+) -> None:
+    """As it was published; a pass has none."""
+    for number, (verdict, cause) in enumerate((("pass", None), ("fail", "gel"), ("unsure", "unsure")), 1):
+        store.record_press(replace(make_press(number, verdict), cause=cause), lambda recorded: [])
+
+    assert [row.cause for row in read_history(path, HistoryQuery())] == [None, "gel", "unsure"]
+
+
+def test_presses_of_earlier_versions_have_no_cause(path: Path, make_press: MakePress) -> None:
+    """A database of version 4 opens, keeps its presses, and takes causes from then on."""
+    connection = sqlite3.connect(path)
+    for script in MIGRATIONS[:4]:
+        connection.executescript(script)
+    connection.executescript(
+        f"PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = 4;"
+        "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, verdict, running_ns) "
+        "VALUES ('01ARZ3NDEKTSV4RRFFQ69G5FAV', 1, 'S', 'S-1', 'bolt', 'fail', 0)"
+    )
+    connection.close()
+    with Store(path) as store:
+        store.record_press(replace(make_press(2, "fail"), cause="part"), lambda recorded: [])
+
+    assert [row.cause for row in read_history(path, HistoryQuery())] == [None, "part"]
