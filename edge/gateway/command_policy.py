@@ -1,19 +1,17 @@
-"""Who may ask for what: verbs that are served, the signature of those that change something, and how many a minute."""
+"""Who may ask for what: verbs that are served, the signature of those that change something."""
 
-import threading
 from dataclasses import dataclass
 from typing import Final
 
 from edge.config import Config
 from edge.config.secret_file import read_secret
 from edge.core.errors import ConfigError
-from edge.core.ports import Clock
 from edge.core.sink_context import topic_root
 from edge.core.suggest import suggestion
 from edge.messaging.command_payloads import CommandRequest
 from edge.messaging.request_signature import is_signed, signed_text
 
-__all__ = ["CommandPolicy", "Rate", "policy_of"]
+__all__ = ["CommandPolicy", "policy_of"]
 
 # The time in a signed request and the station's clock may differ by this.
 SIGNED_WITHIN_S: Final = 60.0
@@ -64,29 +62,6 @@ class CommandPolicy:
                 "are allowed; compare the clocks"
             )
         return None
-
-
-class Rate:
-    """At most this number of requests a minute, at once or evenly. Any thread may use it."""
-
-    def __init__(self, per_minute: int, clock: Clock) -> None:
-        self._per_minute = per_minute
-        self._clock = clock
-        self._left = float(per_minute)
-        self._seen_ns = clock.monotonic_ns()
-        self._lock = threading.Lock()
-
-    def take(self) -> bool:
-        """Whether one more request is allowed now."""
-        with self._lock:
-            now_ns = self._clock.monotonic_ns()
-            gained = max(0, now_ns - self._seen_ns) / 60e9 * self._per_minute
-            self._left = min(float(self._per_minute), self._left + gained)
-            self._seen_ns = now_ns
-            if self._left < 1:
-                return False
-            self._left -= 1
-            return True
 
 
 def policy_of(config: Config, verbs: frozenset[str]) -> CommandPolicy:

@@ -14,7 +14,8 @@ from pydantic import ValidationError
 
 from edge.core.errors import GelgateError, StoreError
 from edge.core.ports import Clock
-from edge.gateway.command_policy import CommandPolicy, Rate
+from edge.core.rate import Rate
+from edge.gateway.command_policy import CommandPolicy
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.store.acts import Act
 from edge.store.press_store import Store

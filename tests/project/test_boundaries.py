@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "plugins.devices": ("edge.core", "edge.recording", "edge.clock"),
     "plugins.digital_io": ("edge.core", "edge.clock"),
     "plugins.overviews": ("edge.core", "edge.extras", "plugins.devices.v4l2"),
-    "plugins.sinks": ("edge.core", "edge.messaging"),
+    "plugins.sinks": ("edge.core", "edge.messaging", "edge.page", "edge.clock"),
     "calibration": ("edge", "plugins.detectors", "plugins.backbones", "plugins.onnx_builder"),
     "export": (
         "edge",

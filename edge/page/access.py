@@ -1,0 +1,150 @@
+"""Who may see the page and who may change something with it: addresses, names, the origin of a request, the token.
+
+A page of somebody else in the same browser can send requests here. So a request names this page by an address or a name
+that is known (against a name server that answers with our address), and a change comes from the page's own origin, as
+JSON and with a token, none of which another page can send.
+
+Ref: Fetch standard, "Origin header" and "CORS protocol"; OWASP, Cross-Site Request Forgery Prevention.
+"""
+
+import hashlib
+import hmac
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from ipaddress import IPv4Network, IPv6Network, ip_address
+from typing import Final, NamedTuple
+
+from edge.core.ports import Clock
+from edge.core.printable import printable
+from edge.core.rate import Rate
+
+__all__ = ["Access", "Network", "Refused", "TokenGate", "change_refusal"]
+
+Network = IPv4Network | IPv6Network
+
+# Wrong tokens a minute from one address; then its requests are refused, also with the right one.
+WRONG_PER_MINUTE: Final = 10
+
+# Addresses whose wrong tokens are counted; of more the oldest is forgotten.
+MOST_ADDRESSES: Final = 256
+
+_LONGEST_SHOWN: Final = 80
+
+
+class Refused(NamedTuple):
+    """status: of HTTP. is_recorded: whether it belongs into the table of acts."""
+
+    status: int
+    sentence: str
+    is_recorded: bool = False
+
+
+@dataclass(frozen=True)
+class Access:
+    """allow_from: addresses of other machines that may see the page. names: under which it is known besides its
+    address."""
+
+    allow_from: tuple[Network, ...] = ()
+    names: tuple[str, ...] = ()
+
+    def refusal(self, client: str, reached: str, host: str) -> Refused | None:
+        """client: address of the asker. reached: our address to which he is connected. host: the header `Host`."""
+        if not (_is_own(client) or any(_address(client) in network for network in self.allow_from)):
+            return Refused(
+                403,
+                f"this page is not shown to {client}; name its address in allow_from of the page on the gateway",
+            )
+        name = _name(host)
+        known = {_plain(reached), *(one.lower() for one in self.names)}
+        if _is_own(reached):
+            known |= {"localhost", "127.0.0.1", "::1"}
+        if name in known:
+            return None
+        shown = printable(name[:_LONGEST_SHOWN])
+        return Refused(
+            403,
+            f"this page is not known as '{shown}'; use its address ({reached}), or add the name to names of the page "
+            "on the gateway",
+        )
+
+
+def change_refusal(headers: Mapping[str, str]) -> Refused | None:
+    """Why a change with these headers is refused: it comes from another page, or is no JSON. Names in lower case."""
+    origin, site = headers.get("origin"), headers.get("sec-fetch-site", "same-origin")
+    own = headers.get("host", "").lower()
+    if site not in ("same-origin", "none") or (origin is not None and _origin(origin) != own):
+        return Refused(403, "this request comes from another page; only this one may ask for a change", True)
+    if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+        return Refused(415, "a request is sent as application/json")
+    return None
+
+
+class TokenGate:
+    """Admits who has the token. Any thread may use it. token: None admits no one."""
+
+    def __init__(self, token: bytes | None, clock: Clock) -> None:
+        self._digest = None if token is None else _digest(token)
+        self._clock = clock
+        self._wrong: OrderedDict[str, Rate] = OrderedDict()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a token."""
+        return self._digest is not None
+
+    def refusal(self, client: str, authorization: str) -> Refused | None:
+        """authorization: the header, `Bearer <token>`. It is compared in constant time."""
+        wrong = self._wrong.get(client)
+        if wrong is not None and wrong.is_exhausted:
+            return Refused(
+                429, f"more than {WRONG_PER_MINUTE} refused requests a minute from {client}; wait a minute"
+            )
+        kind, _, given = authorization.partition(" ")
+        if self._digest is None:
+            return self._counted(client, 403, "this page only shows: no token is configured for it")
+        if kind.lower() != "bearer" or not given.strip():
+            return self._counted(client, 401, "a change needs the token of this page")
+        if not hmac.compare_digest(_digest(given.strip().encode()), self._digest):
+            return self._counted(client, 401, "this is not the token of this page")
+        return None
+
+    def _counted(self, client: str, status: int, sentence: str) -> Refused:
+        rate = self._wrong.setdefault(client, Rate(WRONG_PER_MINUTE, self._clock))
+        rate.take()
+        while len(self._wrong) > MOST_ADDRESSES:
+            self._wrong.popitem(last=False)
+        return Refused(status, sentence, is_recorded=True)
+
+
+def _digest(token: bytes) -> bytes:
+    """Of one length, so that the comparison does not tell that of the token."""
+    return hashlib.sha256(token).digest()
+
+
+def _plain(address: str) -> str:
+    """Without a zone, and IPv4 as IPv4 where a socket for both has it as IPv6."""
+    found = ip_address(address.partition("%")[0])
+    mapped = getattr(found, "ipv4_mapped", None)
+    return str(mapped or found)
+
+
+def _address(text: str) -> object:
+    return ip_address(_plain(text))
+
+
+def _is_own(address: str) -> bool:
+    return ip_address(_plain(address)).is_loopback
+
+
+def _name(host: str) -> str:
+    """The name in a `Host` header, without the port and the brackets of IPv6."""
+    if host.startswith("["):
+        return host[1:].partition("]")[0].lower()
+    return host.partition(":")[0].strip().lower().rstrip(".")
+
+
+def _origin(origin: str) -> str:
+    """Host and port of an `Origin` header; empty for `null` and everything else."""
+    scheme, sign, rest = origin.strip().lower().partition("://")
+    return rest if sign and scheme in ("http", "https") else ""

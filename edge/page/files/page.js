@@ -1,0 +1,226 @@
+"use strict";
+// Everything is set as text, never as HTML: a part's name is what a person has typed.
+const AGAIN_MS = 1000, LOCK_AFTER_MS = 5 * 60 * 1000;
+const at = (id) => document.getElementById(id);
+const word = (press) => press.verdict || "error";
+const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
+
+let shown = null; // the newest answer of live.json
+let key = null; // { token, by } while this page is unlocked; it is kept nowhere else
+let lockTimer = 0;
+const drawn = new Map(); // what each list shows, so that one which stays is left alone: somebody may have the focus in it
+
+function element(tag, text, name) {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  made.className = name || "";
+  return made;
+}
+
+function draw(id, facts, make) {
+  const now = JSON.stringify(facts);
+  if (drawn.get(id) !== now) {
+    drawn.set(id, now);
+    at(id).replaceChildren(...make());
+  }
+}
+
+const clock = (press) => new Date(press.time_ms).toLocaleTimeString("en-GB");
+const ratio = (press) => typeof press.score_ratio === "number" ? press.score_ratio.toFixed(2) : "";
+const named = (one) => [one.part, one.position].filter(Boolean).join("/");
+const may = (verb) => key !== null && shown !== null && shown.changes.verbs.includes(verb);
+
+function showAlarm(alarm) {
+  const row = element("div", "", `alarm ${alarm.severity}`);
+  const about = element("p", alarm.text);
+  if (alarm.what_to_do) { about.append(document.createElement("br"), element("span", `What to do: ${alarm.what_to_do}`, "todo")); }
+  row.append(about);
+  if (alarm.can_acknowledge && may("acknowledge_alarm")) {
+    const button = element("button", "Acknowledge");
+    button.setAttribute("aria-label", `Acknowledge the alarm ${alarm.alarm}`);
+    button.onclick = () => change(button, "acknowledge_alarm", { alarm: alarm.alarm }, () => `The alarm ${alarm.alarm} is acknowledged.`);
+    row.append(button);
+  }
+  return row;
+}
+
+function showGel(gel) {
+  if (!gel) { put("gel", "not known yet"); return; }
+  const left = Math.max(0, gel.limit_presses - gel.presses), share = Math.min(100, 100 * gel.presses / gel.limit_presses);
+  put("gel", `${gel.gel_id}: ${gel.presses} of ${gel.limit_presses} presses, ${left} left: ${gel.state}`);
+  at("worn").style.width = `${share}%`;
+  at("worn").className = gel.state;
+  at("life").setAttribute("aria-valuenow", Math.round(share));
+  at("life").setAttribute("aria-valuetext", at("gel").textContent);
+  put("old-gel", `${gel.gel_id} with ${gel.presses} presses is put away.`);
+}
+
+function showPart(info) {
+  const parts = info.parts || [], now = named(info);
+  put("selected", now);
+  put("part", now ? [now, info.method, info.revision && `revision ${info.revision}`].filter(Boolean).join(" · ") : "not known yet");
+  draw("parts", [parts, now], () => parts.map((name) => {
+    const option = element("option", name);
+    option.value = name;
+    option.selected = name === now;
+    return option;
+  }));
+  at("select").hidden = !may("select_part") || parts.length < 2;
+}
+
+function showStation(station) {
+  const state = station.state || { state: "starting" }, info = station.info || {}, stats = station.stats || {};
+  document.title = [station.place, "gelgate"].filter(Boolean).join(" · ");
+  put("place", station.place);
+  put("state", state.state + (state.reason ? `: ${state.reason}` : ""));
+  at("state").className = state.state;
+  put("away", station.away || "");
+  at("away").hidden = !station.away;
+  const alarms = Object.values(station.alarms);
+  draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
+  showPart(info);
+  showGel(station.gel);
+  at("new-gel").hidden = !may("replace_gel") || !station.gel;
+  put("sensor", [info.sensor_product, info.sensor_serial && `serial ${info.sensor_serial}`,
+    typeof stats.delivered_fps === "number" && `${stats.delivered_fps.toFixed(1)} frames a second`,
+    stats.reconnects > 0 && `${stats.reconnects} reconnects`].filter(Boolean).join(", ") || "not known yet");
+  const receivers = Object.entries(stats.receivers || {});
+  draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${said}`)));
+  const why = station.changes.why_not;
+  put("why-not", why || (key ? "Unlocked. It locks itself after five minutes." : "Locked. With the token you select the part, acknowledge alarms and record a new gel."));
+  at("unlock").hidden = Boolean(why) || key !== null;
+  at("lock").hidden = key === null;
+}
+
+function showRow(press) {
+  const row = document.createElement("tr"), time = element("td", clock(press));
+  if (press.has_picture) {
+    const link = element("a", clock(press));
+    link.href = `pictures/${press.press_id}.png`;
+    link.target = "_blank";
+    link.setAttribute("aria-label", `Picture of the press at ${clock(press)}`);
+    time.replaceChildren(link);
+  }
+  row.append(element("td", word(press), word(press)), element("td", ratio(press)), element("td", named(press)), time);
+  return row;
+}
+
+function showPresses(presses) {
+  const last = presses[0], newest = presses.slice(0, 12);
+  draw("presses", newest.map((press) => [press.press_id, press.has_picture]), () => newest.map(showRow));
+  at("verdict").className = last ? word(last) : "none";
+  if (!last) { put("verdict", "no press yet"); return; }
+  put("verdict", word(last));
+  put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
+  put("why", last.reason || last.error || "");
+  const picture = last.has_picture ? `pictures/${last.press_id}.png` : "";
+  at("frame").hidden = !picture;
+  at("picture").alt = `the press, and its scores: ${word(last)}, ${at("facts").textContent}`;
+  if (at("picture").getAttribute("src") !== picture) {
+    if (picture) { at("picture").setAttribute("src", picture); } else { at("picture").removeAttribute("src"); }
+  }
+}
+
+function show() {
+  if (shown !== null) {
+    showStation(shown);
+    showPresses(shown.presses);
+  }
+}
+
+function say(sentence, kind) {
+  put("said", sentence);
+  at("said").className = kind;
+}
+
+function lock() {
+  key = null;
+  clearTimeout(lockTimer);
+  show();
+}
+
+function keepUnlocked() {
+  clearTimeout(lockTimer);
+  lockTimer = setTimeout(() => { lock(); say("Locked after five minutes without a change.", ""); }, LOCK_AFTER_MS);
+}
+
+async function ask(verb, given, wanted) {
+  // crypto.randomUUID is missing where a page is not from this machine and not encrypted.
+  const transaction = Array.from(crypto.getRandomValues(new Uint32Array(4)), (part) => part.toString(16)).join("-");
+  const answer = await fetch(`requests/${verb}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/json", Authorization: `Bearer ${given.token}` },
+    body: JSON.stringify({ transaction, arguments: wanted, ...(given.by ? { by: given.by } : {}) }),
+  });
+  const response = await answer.json();
+  if (response.status !== "ok") {
+    throw Object.assign(new Error(response.error), { isLocked: answer.status === 401 });
+  }
+  return response.data;
+}
+
+async function change(button, verb, wanted, done) {
+  button.disabled = true;
+  say("asked…", "");
+  try {
+    const data = await ask(verb, key, wanted);
+    keepUnlocked();
+    say(done(data), "ok");
+  } catch (error) {
+    say(`Not done: ${error.message}`, "error");
+    if (error.isLocked) { lock(); }
+  }
+  button.disabled = false;
+}
+
+at("unlock").onsubmit = async (event) => {
+  event.preventDefault();
+  const given = { token: at("token").value.trim(), by: at("by").value.trim() };
+  try {
+    await ask("unlock", given, {});
+    key = given;
+    at("token").value = "";
+    keepUnlocked();
+    say("Unlocked.", "ok");
+  } catch (error) {
+    say(`Not unlocked: ${error.message}`, "error");
+    at("token").select();
+  }
+  show();
+};
+
+at("lock").onclick = () => { lock(); say("Locked.", ""); };
+
+at("select").onsubmit = (event) => {
+  event.preventDefault();
+  const name = at("parts").value;
+  change(event.submitter || at("select").querySelector("button"), "select_part", { name },
+    (data) => data.is_waiting ? `${name} is inspected when this press has ended.` : `${name} is inspected from now on.`);
+};
+
+at("new-gel").onclick = () => { at("gel-form").reset(); at("confirm").showModal(); at("cancel").focus(); };
+at("cancel").onclick = () => at("confirm").close();
+at("gel-form").onsubmit = () => {
+  const limit = at("limit").valueAsNumber, note = at("note").value.trim();
+  const wanted = { ...(Number.isInteger(limit) ? { limit_presses: limit } : {}), ...(note ? { note } : {}) };
+  change(at("new-gel"), "replace_gel", wanted, (data) => `Gel ${data.gel_id} counts from now on. Leave it free until the station is ready.`);
+};
+
+async function look() {
+  try {
+    const answer = await fetch(shown === null ? "live.json" : `live.json?after=${shown.version}`);
+    if (!answer.ok) { throw new Error(await answer.text()); }
+    shown = await answer.json();
+    document.body.className = shown.away ? "gone" : "";
+    show();
+    setTimeout(look, 0);
+  } catch {
+    put("state", "the gateway does not answer");
+    at("state").className = "lost";
+    document.body.className = "gone";
+    shown = shown && { ...shown, version: -1 };
+    setTimeout(look, AGAIN_MS);
+  }
+}
+
+look();

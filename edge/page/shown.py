@@ -1,0 +1,152 @@
+"""What the page shows: the newest messages of one station, bounded, as JSON."""
+
+import threading
+from collections import OrderedDict
+from typing import Any, Final
+
+from edge.core.ports import Message
+from edge.messaging.alarm_advice import ADVICE, STAYING
+from edge.messaging.alarm_payload import ALARMS
+from edge.page.readable import readable
+from edge.store.ulid import is_ulid
+
+__all__ = ["MOST_PICTURES", "MOST_PRESSES", "Shown"]
+
+# Results that are shown, and of how many the picture is kept; a picture has at most 2 MiB.
+MOST_PRESSES: Final = 50
+MOST_PICTURES: Final = 12
+LARGEST_PICTURE_BYTES: Final = 4 << 20
+
+_STATUS: Final = ("state", "info", "gel", "stats")
+
+
+class Shown:
+    """The newest messages. Any thread may use it.
+
+    place: site/line/station, empty where it is not known yet. away: why nothing new comes, as one sentence.
+    """
+
+    def __init__(self, place: str, away: str | None = None) -> None:
+        self._changed = threading.Condition()
+        self._version = 1
+        self._is_closed = False
+        self._place = place
+        self._away = away
+        self._status: dict[str, Any] = dict.fromkeys(_STATUS)
+        self._alarms: dict[str, Any] = {}
+        self._presses: OrderedDict[str, Any] = OrderedDict()
+        self._pictures: OrderedDict[str, bytes] = OrderedDict()
+
+    def see(self, message: Message) -> None:
+        """topic: below the root. Others than those that are shown have no effect. Errors: ValueError, one sentence for
+        a payload that cannot be shown."""
+        kind, _, name = message.topic.partition("/")
+        if kind == "heatmap":
+            self._see_picture(name, message.payload)
+        elif message.topic == "last/heatmap":
+            self._see_last_picture(message.payload)
+        elif kind == "alarm":
+            self._see_alarm(name, message.payload)
+        elif message.topic in ("result", "last/press"):
+            content = readable("result", message.payload)
+            with self._changed:
+                _keep(self._presses, content["press_id"], content, MOST_PRESSES)
+                self._note()
+        elif message.topic in _STATUS:
+            content = readable(message.topic, message.payload)
+            with self._changed:
+                self._status[message.topic] = content
+                self._note()
+
+    def _see_picture(self, press_id: str, png: bytes) -> None:
+        if not is_ulid(press_id) or len(png) > LARGEST_PICTURE_BYTES:
+            raise ValueError("it is not the picture of a press")
+        with self._changed:
+            _keep(self._pictures, press_id, png, MOST_PICTURES)
+            self._note()
+
+    def _see_last_picture(self, png: bytes) -> None:
+        """That of `last/press`, retained: a page that was opened later has it from there. The id is in the file."""
+        from edge.pictures.png import texts
+
+        if png and len(png) <= LARGEST_PICTURE_BYTES:
+            press_id = texts(png).get("press_id", "")
+            with self._changed:
+                if is_ulid(press_id) and press_id not in self._pictures:
+                    _keep(self._pictures, press_id, png, MOST_PICTURES)
+                    self._note()
+
+    def _see_alarm(self, name: str, payload: bytes) -> None:
+        if name not in ALARMS:
+            return  # of a newer station; `stats` lists it
+        content = readable("alarm", payload) if payload else None
+        with self._changed:
+            if content is None:
+                self._alarms.pop(name, None)
+            else:
+                advice = {"what_to_do": ADVICE.get(name, ""), "can_acknowledge": name in STAYING}
+                self._alarms[name] = {**content, "alarm": name, **advice}
+            self._note()
+
+    def at(self, place: str) -> None:
+        """The station is known now."""
+        with self._changed:
+            self._place = place
+            self._note()
+
+    def set_away(self, away: str | None) -> None:
+        """Why nothing new comes; None when it does."""
+        with self._changed:
+            if away != self._away:
+                self._away = away
+                self._note()
+
+    def forget_status(self) -> None:
+        """Before retained messages come again: what is over is not among them."""
+        with self._changed:
+            self._status, self._alarms = dict.fromkeys(_STATUS), {}
+            self._note()
+
+    def _note(self) -> None:
+        self._version += 1
+        self._changed.notify_all()
+
+    def station(self) -> dict[str, Any]:
+        """What the station says of itself, and `version`, which rises with every change."""
+        with self._changed:
+            return {
+                "version": self._version,
+                "place": self._place,
+                "away": self._away,
+                **self._status,
+                "alarms": dict(self._alarms),
+            }
+
+    def presses(self) -> list[Any]:
+        """Newest first; `has_picture` says whether there is one."""
+        with self._changed:
+            return [
+                {**one, "has_picture": key in self._pictures} for key, one in reversed(self._presses.items())
+            ]
+
+    def picture(self, press_id: str) -> bytes | None:
+        """PNG; None for a press without one, and for one that is too old."""
+        with self._changed:
+            return self._pictures.get(press_id)
+
+    def wait(self, version: int, timeout_s: float) -> None:
+        """Return when there is another version than this, when the time is over, or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version != version or self._is_closed, timeout_s)
+
+    def close(self) -> None:
+        """Let no one wait any more."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+
+def _keep(kept: OrderedDict[str, Any], key: str, value: Any, most: int) -> None:
+    kept[key] = value
+    while len(kept) > most:
+        kept.popitem(last=False)

@@ -1,0 +1,109 @@
+"""What the page shows of a payload: what a station says, and nothing that is malformed."""
+
+import json
+from contextlib import suppress
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from page_messages import gel, info, press, state, stats
+
+from edge.core.gel import GelState
+from edge.core.ports import Message
+from edge.page.readable import LARGEST_PAYLOAD_BYTES, readable
+from edge.page.shown import Shown
+
+OWN = {
+    "state": state("ready"),
+    "info": info(),
+    "gel": gel(5, GelState.GOOD),
+    "stats": stats(mqtt="up"),
+    "result": press(1)[0],
+}
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@pytest.mark.parametrize("kind", OWN)
+def test_what_a_station_says_is_read_completely(kind: str) -> None:
+    """Field by field."""
+    assert readable(kind, OWN[kind].payload) == json.loads(OWN[kind].payload)
+
+
+@pytest.mark.parametrize("kind", OWN)
+def test_fields_of_a_newer_station_are_left_out(kind: str) -> None:
+    """The others are shown."""
+    content = json.loads(OWN[kind].payload)
+    assert readable(kind, json.dumps({**content, "mood": "good"}).encode()) == content
+
+
+def test_a_field_that_cannot_be_is_left_out() -> None:
+    """A result without its score is still a verdict; one without a verdict and an error is no result."""
+    content = json.loads(OWN["result"].payload)
+    assert "score_ratio" not in readable("result", json.dumps({**content, "score_ratio": "high"}).encode())
+    with pytest.raises(ValueError, match="is not what a station says"):
+        readable("result", json.dumps({**content, "verdict": "good"}).encode())
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"", "not JSON"),
+        (b"{", "not JSON"),
+        (b"[" * 100_000, "has 100000 bytes"),
+        (b"[" * 10_000, "not JSON"),
+        (b"[1]", "expected a JSON object"),
+        (b'"text"', "expected a JSON object"),
+        (b"{}", "time_ns"),
+        (b'{"secret":"x"}', "is not what a station says"),
+        (b'{"a":"' + b"x" * LARGEST_PAYLOAD_BYTES + b'"}', "at most 65536"),
+        (b"\xff\xfe", "not JSON"),
+    ],
+)
+def test_what_is_no_payload_is_refused_in_a_sentence(payload: bytes, words: str) -> None:
+    """Without a word of it."""
+    with pytest.raises(ValueError, match=words) as caught:
+        readable("state", payload)
+    assert "secret" not in str(caught.value)
+
+
+@settings(max_examples=150, deadline=None)
+@given(kind=st.sampled_from(list(OWN)), changed=st.dictionaries(st.integers(0, 20), JSON, max_size=4))
+def test_no_payload_ends_the_page(kind: str, changed: dict[int, Any]) -> None:
+    """Any JSON in any field: it is refused, or what is shown is JSON for every browser."""
+    content = json.loads(OWN[kind].payload)
+    fields = list(content)
+    content |= {fields[n % len(fields)]: value for n, value in changed.items()}
+    shown = Shown("plant/line1/press2")
+    with suppress(ValueError):
+        shown.see(Message(kind, json.dumps(content).encode()))
+    json.dumps([shown.station(), shown.presses()], allow_nan=False)
+
+
+@pytest.mark.parametrize("name", ["", "x", "../../etc/passwd", "0" * 25, "01M80FCK12K6JA76JMBJCQMHM/F"])
+def test_a_picture_has_the_id_of_a_press(name: str) -> None:
+    """Its name becomes an address of the page."""
+    with pytest.raises(ValueError, match="not the picture of a press"):
+        Shown("").see(Message(f"heatmap/{name}", b"\x89PNG"))
+
+
+def test_pictures_of_others_are_no_fault_of_the_page() -> None:
+    """One that is too large is refused, one that names no press is left."""
+    shown = Shown("")
+    with pytest.raises(ValueError, match="not the picture of a press"):
+        shown.see(Message(f"heatmap/{'0' * 26}", bytes(5 << 20)))
+    with pytest.raises(ValueError, match="not a PNG"):
+        shown.see(Message("last/heatmap", b"GIF89a"))
+    assert shown.presses() == []
+
+
+def test_an_alarm_that_is_not_known_is_left_to_stats() -> None:
+    """There is nothing to say about it; a flood of names takes no memory."""
+    shown = Shown("")
+    for n in range(1000):
+        shown.see(Message(f"alarm/x{n}", b'{"text":"x"}'))
+    assert shown.station()["alarms"] == {}

@@ -1,0 +1,171 @@
+"""The sink `page`: what it serves, and to whom."""
+
+import json
+import socket
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, state, stats
+
+from edge.core.errors import ConfigError, SinkRejected
+from edge.core.gel import GelState
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.messaging.alarm_advice import ADVICE
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.page.shown import MOST_PICTURES, MOST_PRESSES
+from edge.pictures import png
+from plugins.sinks.page import PageOptions, PageSink, plugin
+
+LARGEST_PAGE_BYTES = 150_000
+
+
+def test_it_shows_the_newest_of_everything(sink: PageSink) -> None:
+    """State, gel and alarms as they are now; an alarm that is over is gone."""
+    for message in (
+        state("starting"),
+        state("ready"),
+        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due")),
+        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="disk", text="little room")),
+        alarm_cleared("disk"),
+        gel(801, GelState.DUE),
+    ):
+        sink.send(message)
+
+    station = asked(sink.port, "/station.json")
+
+    assert station["place"] == "plant/line1/press2"
+    assert station["state"]["state"] == "ready"
+    assert [alarm["text"] for alarm in station["alarms"].values()] == ["the gel is due"]
+    assert station["alarms"]["gel"]["what_to_do"] == ADVICE["gel"]
+    assert station["gel"]["presses"] == 801
+
+
+def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
+    """A press without a picture says so."""
+    for message in (*press(1), *press(2, picture=None), *press(3, picture=b"\x89PNG3")):
+        sink.send(message)
+
+    presses = asked(sink.port, "/presses.json")
+
+    assert [(one["gel_presses"], one["has_picture"]) for one in presses] == [(3, True), (2, False), (1, True)]
+    assert ask(sink.port, f"/pictures/{presses[0]['press_id']}.png") == (200, b"\x89PNG3")
+    assert ask(sink.port, f"/pictures/{presses[1]['press_id']}.png")[0] == 404
+
+
+def test_what_it_keeps_is_bounded(sink: PageSink) -> None:
+    """The newest results, and the pictures of fewer."""
+    for n in range(1, MOST_PRESSES + 20):
+        for message in press(n):
+            sink.send(message)
+
+    presses = asked(sink.port, "/presses.json")
+
+    assert len(presses) == MOST_PRESSES
+    assert [one["has_picture"] for one in presses] == [n < MOST_PICTURES for n in range(MOST_PRESSES)]
+
+
+@pytest.mark.parametrize(
+    "path", ["/other", "/../page.py", "/pictures/../page.html", "/pictures/", "/page.html"]
+)
+def test_there_are_no_other_pages(sink: PageSink, path: str) -> None:
+    """Files of the machine least of all."""
+    assert ask(sink.port, path)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "TRACE"])
+def test_other_methods_are_not_served(sink: PageSink, method: str) -> None:
+    """OPTIONS least of all: it is the question whether another page may ask."""
+    assert ask(sink.port, "/requests/replace_gel", method)[0] == 501
+
+
+def test_everything_that_is_shown_is_there_as_json(sink: PageSink) -> None:
+    """For programs, under the name of the topic; null for what has not come yet."""
+    assert asked(sink.port, "/state.json") is None
+    for message in (state("ready"), info(), gel(801, GelState.DUE), stats(mqtt="up"), *press(1)):
+        sink.send(message)
+
+    assert asked(sink.port, "/state.json")["state"] == "ready"
+    assert asked(sink.port, "/info.json")["parts"] == ["bolt/pos1", "nut/pos1"]
+    assert asked(sink.port, "/gel.json")["presses"] == 801
+    assert asked(sink.port, "/stats.json")["receivers"] == {"mqtt": "up"}
+    assert asked(sink.port, "/alarms.json") == {}
+    live = asked(sink.port, "/live.json")
+    assert {**asked(sink.port, "/station.json"), "presses": asked(sink.port, "/presses.json")} == live
+
+
+def test_a_browser_that_waits_is_answered_when_something_comes(sink: PageSink) -> None:
+    """And at once where it has missed something."""
+    version = asked(sink.port, "/live.json")["version"]
+    with ThreadPoolExecutor() as pool:
+        waiting = pool.submit(asked, sink.port, f"/live.json?after={version}")
+        sink.send(state("ready"))
+        assert waiting.result(20)["state"]["state"] == "ready"
+    assert asked(sink.port, f"/live.json?after={version}")["version"] == version + 1
+    assert asked(sink.port, "/live.json?after=x")["version"] == version + 1
+
+
+def test_the_newest_picture_is_found_by_the_id_inside(sink: PageSink) -> None:
+    """A page that was opened after the press has it from the retained topic; one that names no press is left."""
+    newest = press(1, picture=None)[0]
+    press_id = json.loads(newest.payload)["press_id"]
+    pixels = png.encode(np.zeros((2, 2, 3), np.uint8), {"press_id": press_id})
+    sink.send(Message("last/press", newest.payload))
+    sink.send(Message("last/heatmap", pixels))
+    sink.send(Message("last/heatmap", b""))
+
+    assert [one["has_picture"] for one in asked(sink.port, "/presses.json")] == [True]
+    assert ask(sink.port, f"/pictures/{press_id}.png") == (200, pixels)
+
+
+@pytest.mark.parametrize("host", ["plant.example", "plant.example:8080", "localhost.example", ""])
+def test_a_page_of_others_cannot_read_it(sink: PageSink, host: str) -> None:
+    """A browser sends the name that it was given: one that is not this machine's is refused."""
+    assert ask(sink.port, "/presses.json", Host=host)[0] == 403
+
+
+def test_only_this_machine_reaches_it(sink: PageSink) -> None:
+    """It listens on the loopback address alone."""
+    assert ask(sink.port, "/", Host="localhost")[0] == 200
+    with (
+        pytest.raises(ConnectionRefusedError),
+        socket.create_connection(("127.0.0.2", sink.port), timeout=20),
+    ):
+        pass
+
+
+def test_what_cannot_be_shown_is_refused_and_ends_nothing(sink: PageSink) -> None:
+    """No JSON, or no object; pictures and topics that it does not show are done at once."""
+    for payload in (b"[", b"[1]", b"\xff"):
+        with pytest.raises(SinkRejected, match="cannot be shown"):
+            sink.send(Message("result", payload))
+    for message in (Message("last", b"["), Message("availability", b"online"), Message("asyncapi", b"{}")):
+        sink.send(message)
+
+    assert ask(sink.port, "/presses.json") == (200, b"[]")
+
+
+def test_a_port_that_is_taken_is_a_refusal() -> None:
+    """At the start, with the port and what to do."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+        with pytest.raises(ConfigError, match=f"127.0.0.1:{port}: .*choose another port"):
+            plugin.open(PageOptions(port=port), Station(ROOT, "press2"))
+
+
+def test_after_the_end_it_is_gone(sink: PageSink) -> None:
+    """And may be closed again."""
+    sink.close()
+    sink.close()
+
+    with pytest.raises(ConnectionRefusedError):
+        ask(sink.port, "/")
+
+
+def test_the_page_is_small_and_loads_nothing_from_elsewhere(sink: PageSink) -> None:
+    """Three files, without a network."""
+    parts = [ask(sink.port, path)[1] for path in ("/", "/page.css", "/page.js")]
+
+    assert 3000 < sum(map(len, parts)) < LARGEST_PAGE_BYTES
+    assert b"http" not in b"".join(parts).replace(b"http-equiv", b"")

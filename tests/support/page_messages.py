@@ -1,0 +1,105 @@
+"""Messages of a station as its page gets them, and a client of the page."""
+
+import http.client
+import json
+from pathlib import Path
+from typing import Any
+
+from edge.core.gel import GelState
+from edge.core.ports import Message
+from edge.core.verdict import Kind
+from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.messaging.status_payloads import (
+    InfoPayload,
+    StatePayload,
+    StatsPayload,
+    info_message,
+    state_message,
+    stats_message,
+)
+from edge.store.ulid import new_ulid
+
+ROOT = "gelgate/plant/line1/press2/gel/v1"
+T0_NS = 1_769_860_800 * 10**9
+PICTURE = (Path(__file__).parents[2] / "docs" / "images" / "damaged_press.png").read_bytes()
+TOKEN = "correct-horse"
+
+
+def press(n: int, *, picture: bytes | None = b"\x89PNG", **outcome: Any) -> list[Message]:
+    """Result and picture of press number n, one second after the one before."""
+    press_id = new_ulid(T0_NS + n, lambda k: n.to_bytes(k, "big"))
+    fields = {"verdict": Kind.PASS, "score": 0.5, "threshold": 1.0, "score_ratio": 0.5, **outcome}
+    result = ResultPayload(
+        time_ns=T0_NS + n * 10**9,
+        press_id=press_id,
+        part=fields.pop("part", "bolt"),
+        sensor_serial="S",
+        gel_id="S-1",
+        gel_presses=n,
+        gel_limit_presses=1000,
+        **fields,
+    )
+    pictures = [] if picture is None else [heatmap_message(press_id, picture)]
+    return [Message("result", result.encode()), *pictures]
+
+
+def gel(presses: int, state: GelState) -> Message:
+    fields = {"sensor_serial": "S", "gel_id": "S-1", "limit_presses": 1000}
+    return gel_message(GelPayload(time_ns=T0_NS, presses=presses, state=state, **fields))
+
+
+def state(word: str, reason: str | None = None) -> Message:
+    return state_message(StatePayload(time_ns=T0_NS, state=word, reason=reason))  # type: ignore[arg-type]
+
+
+def info(
+    part: str = "bolt", position: str = "pos1", parts: tuple[str, ...] = ("bolt/pos1", "nut/pos1")
+) -> Message:
+    return info_message(
+        InfoPayload(
+            time_ns=T0_NS,
+            gelgate_version="0.2.0",
+            sensor_product="GelSight Mini R0B",
+            sensor_serial="2BNN4ZE7",
+            part=part,
+            position=position,
+            parts=parts,
+            method="padim",
+            revision=3,
+        )
+    )
+
+
+def stats(**receivers: str) -> Message:
+    counts = {"uptime_s": 1, "frames": 1, "frames_corrupt": 0, "delivered_fps": 24.9, "presses": 2}
+    return stats_message(StatsPayload(time_ns=1, receivers=receivers, **counts))  # type: ignore[arg-type]
+
+
+def ask(
+    port: int,
+    path: str,
+    method: str = "GET",
+    body: bytes | None = None,
+    **headers: str | None,
+) -> tuple[int, bytes]:
+    """The answer of a page on this machine. headers: `_` for `-`; None leaves one out."""
+    sent = {"Host": f"127.0.0.1:{port}", **({} if body is None else {"Content-Type": "application/json"})}
+    sent |= {name.replace("_", "-"): value for name, value in headers.items()}  # type: ignore[misc]
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+    if body is not None:
+        sent = {"Content-Length": str(len(body)), **sent}
+    for name, value in sent.items():
+        if value is not None:
+            connection.putheader(name, value)
+    connection.endheaders(body)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+def asked(port: int, path: str) -> Any:
+    """The JSON at a path."""
+    return json.loads(ask(port, path)[1])
