@@ -30,6 +30,7 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         5: "`gelgate verify`: the bundle is not sound",
         6: "a recording was played, and the presses found are not the presses that it holds",
         7: "`gelgate tradeoff --check`: a point has become worse than in the earlier run",
+        8: "`gelgate replay`: a verdict that is made again differs from the one that was given",
         130: "interrupted with Ctrl-C; `gelgate run`, `gelgate record` and `gelgate acquire` end with 0 then",
     }
 )
@@ -49,7 +50,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 # `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
 _ORDER: Final = (
     "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "overview", "watch",
-    "gel", "acts", "history", "db",
+    "gel", "acts", "history", "replay", "db",
     "inspect", "verify", "sign", "keys", "export", "wrap", "describe", "topics", "docs", "install-service",
     "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
 )  # fmt: skip

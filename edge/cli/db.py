@@ -1,9 +1,12 @@
 """`gelgate db`: check, back up and migrate the database of a station."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from edge.store.ledger_chain import Head
 
 __all__ = ["db"]
 
@@ -14,17 +17,26 @@ Config = Annotated[Path | None, typer.Option("--config", "-c", help="The configu
 
 
 @db.command()
-def check(database: Database = None, config: Config = None) -> None:
+def check(
+    database: Database = None,
+    config: Config = None,
+    head: Annotated[
+        str | None,
+        typer.Option(
+            help="A ledger_head that the station published earlier: it must still be in the ledger."
+        ),
+    ] = None,
+) -> None:
     """Compare everything that the database says twice.
 
-    The file's integrity, gel counts with presses and with their second record, and the outbox with its totals. It
-    reads only, and the gateway may run meanwhile."""
+    The file's integrity, gel counts with presses and with their second record, the outbox with its totals, and the
+    ledger with its chain of hashes. It reads only, and the gateway may run meanwhile."""
     from edge.core.errors import StoreError
     from edge.core.printable import printable
     from edge.store.integrity import check_database
 
     path = _path(database, config)
-    findings = check_database(path)
+    findings = check_database(path, None if head is None else _head(head))
     for finding in findings:
         typer.echo(printable(f"{'FAULT' if finding.is_fault else 'note '}  {finding.part}: {finding.text}"))
     faults = sum(finding.is_fault for finding in findings)
@@ -80,6 +92,17 @@ def migrate(database: Database = None, config: Config = None) -> None:
         typer.echo(f"{path} has version {before}; nothing to do")
     else:
         typer.echo(f"{path} migrated from version {before} to {SCHEMA_VERSION}; as it was: {copy}")
+
+
+def _head(text: str) -> "Head":
+    """Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+    from edge.store.ledger_chain import Head
+
+    try:
+        return Head.parse(text)
+    except ValueError as error:
+        raise ConfigError(f"--head: {error}") from error
 
 
 def _path(database: Path | None, config: Path | None) -> Path:

@@ -45,6 +45,10 @@ outbox_mb = 512               # unsent messages: heatmaps are dropped first, the
 outbox_days = 30
 free_mb = 500                 # less room on the disk is an alarm
 
+[archive]                     # what verdicts were made from, for `gelgate replay`
+presses = 1000
+mb = 1000
+
 [metrics]
 # port = 9464                 # counters for Prometheus at http://127.0.0.1:9464/metrics
 

@@ -12,7 +12,15 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import topic_level
 
-__all__ = ["BundleTable", "CommandTable", "Config", "ContactTable", "InspectionTable", "StationTable"]
+__all__ = [
+    "ArchiveTable",
+    "BundleTable",
+    "CommandTable",
+    "Config",
+    "ContactTable",
+    "InspectionTable",
+    "StationTable",
+]
 
 TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
@@ -194,6 +202,24 @@ class StoreTable(Table):
     )
 
 
+class ArchiveTable(Table):
+    """What verdicts were made from, so that `gelgate replay` makes them again: see black_box.md.
+
+    It lies next to the database. On a disk that is full, or has less room than `store.free_mb`, presses are inspected
+    and not archived.
+    """
+
+    presses: int = Field(
+        default=1000, ge=0, le=10_000_000, description="the newest presses that are kept; 0: none"
+    )
+    mb: float = Field(
+        default=1000,
+        ge=1,
+        le=100_000_000,
+        description="room for them; a press of a Mini is about 1 MB: camera frame, free gel, score map",
+    )
+
+
 class MetricsTable(Table):
     """Counters for Prometheus, on this machine alone: http://127.0.0.1:<port>/metrics. Needs the extra `metrics`."""
 
@@ -242,6 +268,7 @@ class Config(Table):
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
     store: StoreTable = StoreTable()
+    archive: ArchiveTable = ArchiveTable()
     commands: CommandTable = CommandTable()
     metrics: MetricsTable = MetricsTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")

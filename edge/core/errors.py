@@ -18,6 +18,7 @@ GelgateError
 │   ├── SinkUnavailable    broker · sent again when it is back
 │   └── SinkRejected       broker · set aside, published as an alarm, offered again within a minute
 ├── StoreError         machine · free space or repair the database; inspection halts, nothing is published as pass
+├── ArchiveError       operator · bring back the file or the bundle that is named; no verdict is made again without it
 ├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
 │   └── PoseNotFound       press · the press is rejected with its reason; press again
@@ -25,6 +26,7 @@ GelgateError
 """
 
 __all__ = [
+    "ArchiveError",
     "BundleCorrupt",
     "BundleError",
     "BundleMismatch",
@@ -96,6 +98,10 @@ class PressesMissed(GelgateError):
 
 class StoreError(GelgateError):
     """The gateway's database or disk refused a write."""
+
+
+class ArchiveError(GelgateError):
+    """What a verdict was made from is gone or damaged, so it cannot be made again."""
 
 
 class DeviceError(GelgateError):

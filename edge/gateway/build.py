@@ -17,6 +17,7 @@ from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.black_box import BlackBox
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
@@ -41,6 +42,7 @@ from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message, state_message
 from edge.store.outbox import Bounds
+from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
 
@@ -69,9 +71,7 @@ def build(
     # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
-    handlers = station_handlers(calls)
-    policy = policy_of(config, frozenset(handlers))
-    commands = Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
+    commands = _commands(config, calls, store, clock)
     context = _sink_context(config, clock, retained_state, commands)
     sinks = _open_sinks(config, context, closing)
     publisher = Publisher(
@@ -99,9 +99,9 @@ def build(
         selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
-        place=Place(table.site, table.line, table.station),
+        place=_place(config),
         store=store,
-        free_space=FreeSpace(config.store.path, round(config.store.free_mb * 1e6)),
+        free_space=_free_space(config),
         references=ReferenceFolder(config.store.path.with_suffix(".references")),
         retained_state=retained_state,
         publisher=publisher,
@@ -111,9 +111,16 @@ def build(
         clock=clock,
         io=io,
         snapshots=_snapshots(config, clock, closing),
+        black_box=_black_box(config),
         overview=overview,
         stats_s=table.stats_s,
     )
+
+
+def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock: Clock) -> Commands:
+    handlers = station_handlers(calls)
+    policy = policy_of(config, frozenset(handlers))
+    return Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
 
 
 def _retained_state(config: Config) -> RetainedState:
@@ -201,6 +208,26 @@ def _snapshots(config: Config, clock: Clock, closing: ExitStack) -> Snapshots:
     snapshots = Snapshots(config.store.path.with_suffix(".snapshots") if is_served else None, clock)
     closing.callback(snapshots.close)
     return snapshots
+
+
+def _free_space(config: Config) -> FreeSpace:
+    return FreeSpace(config.store.path, round(config.store.free_mb * 1e6))
+
+
+def _black_box(config: Config) -> BlackBox:
+    """Next to the database."""
+    table = config.archive
+    archive = PressArchive(
+        config.store.path.with_suffix(".archive"),
+        table.presses,
+        round(table.mb * 1e6),
+        _free_space(config).check,
+    )
+    return BlackBox(archive, str(_place(config)), config.inspection.threads)
+
+
+def _place(config: Config) -> Place:
+    return Place(config.station.site, config.station.line, config.station.station)
 
 
 def _names_before(config: Config) -> dict[str, str]:

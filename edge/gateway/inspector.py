@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
@@ -26,7 +27,17 @@ from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
 
-__all__ = ["Inspection", "Inspector"]
+__all__ = ["Inspection", "Inspector", "JudgedFrame"]
+
+
+@dataclass(frozen=True)
+class JudgedFrame:
+    """What a press was judged by. touch: where that frame touches. reference: the free gel that it was compared with,
+    float32 (h, w, 3)."""
+
+    frame: CameraFrame
+    touch: Touch
+    reference: View | None = None
 
 
 @dataclass(frozen=True)
@@ -36,7 +47,7 @@ class Inspection:
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
     get that far. latency_ms: stage to milliseconds. judged_ns: when the judged frame came, monotonic; None without one.
     overview: the look before the press, None without such a camera. registered: how the press was brought to the bank's
-    pose, None where it was scored as it lies.
+    pose, None where it was scored as it lies. judged: what it was judged by, None where no frame was.
     """
 
     verdict: Verdict | None
@@ -47,6 +58,7 @@ class Inspection:
     judged_ns: int | None = None
     overview: OverviewView | None = None
     registered: Registered | None = None
+    judged: JudgedFrame | None = None
 
     @property
     def word(self) -> str:

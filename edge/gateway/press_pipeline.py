@@ -18,7 +18,7 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.verdict import Verdict
 from edge.gateway.admission import Admission
-from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.inspector import Inspection, Inspector, JudgedFrame
 
 __all__ = ["PressPipeline"]
 
@@ -101,4 +101,7 @@ class PressPipeline:
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
         # A frame that was made on demand has its recorded time.
         judged_ns = started_ns if frame.is_on_demand else frame.timestamp_ns
-        return replace(inspection, latency_ms={**inspection.latency_ms, "total": total}, judged_ns=judged_ns)
+        reference = self.tracker.reference
+        judged = JudgedFrame(frame, event.touch, None if reference is None else reference.view)
+        latency_ms = {**inspection.latency_ms, "total": total}
+        return replace(inspection, latency_ms=latency_ms, judged_ns=judged_ns, judged=judged)

@@ -1,22 +1,19 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from edge.core.defects import Defect, find_defects
 from edge.core.ports import Clock
-from edge.core.registration.registrar import Registered
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
+from edge.gateway.black_box import BlackBox
+from edge.gateway.heatmaps import heatmap_png
 from edge.gateway.inspector import Inspection, Inspector
 from edge.messaging.defect_place import DefectPlace
-from edge.messaging.payload_base import iso_time
 from edge.messaging.pose_payload import PosePlace
 from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_messages
-from edge.pictures.press_picture import PressCaption, press_png
+from edge.model.bundle import Bundle
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
@@ -61,21 +58,34 @@ class Recorder:
 
     wear_index: float | None = None
 
-    def __init__(self, store: Store, inspector: Inspector, serial: str, place: Place, clock: Clock) -> None:
+    def __init__(
+        self,
+        store: Store,
+        inspector: Inspector,
+        serial: str,
+        place: Place,
+        clock: Clock,
+        black_box: BlackBox | None = None,
+    ) -> None:
         self._store = store
-        self._bundle = inspector.bundle
+        self._inspector = inspector
+        self._black_box = black_box
         self._serial = serial
         self._place = place
         self._clock = clock
 
     def use(self, inspector: Inspector) -> None:
         """It judges the presses from now on."""
-        self._bundle = inspector.bundle
+        self._inspector = inspector
+
+    @property
+    def _bundle(self) -> Bundle:
+        return self._inspector.bundle
 
     def prepare(self, inspection: Inspection) -> JudgedPress:
         """Everything of a press except its place in the ledger."""
-        press = self._press(inspection)
-        heatmap = self._heatmap(press, inspection)
+        press = self._archived(self._press(inspection), inspection)
+        heatmap = heatmap_png(press, inspection, self._bundle, str(self._place))
         still = inspection.overview.jpeg if inspection.overview else None
         result = {
             **self._origin(press),
@@ -120,6 +130,12 @@ class Recorder:
             wear_index=self.wear_index,
         )
 
+    def _archived(self, press: PressRecord, inspection: Inspection) -> PressRecord:
+        """The same with what is kept of it."""
+        if self._black_box is None:
+            return press
+        return replace(press, evidence=self._black_box.keep(press, inspection, self._inspector))
+
     def _origin(self, press: PressRecord) -> dict[str, Any]:
         """Fields of a result that say what was pressed, when, where and with what."""
         return {
@@ -135,21 +151,6 @@ class Recorder:
             "bundle_id": self._bundle.digest,
             "sensor_serial": press.serial,
         }
-
-    def _heatmap(self, press: PressRecord, inspection: Inspection) -> bytes | None:
-        if inspection.rgb is None or inspection.score_map is None or press.score is None:
-            return None
-        caption = PressCaption(
-            press_id=press.press_id,
-            verdict=press.verdict,
-            score=press.score,
-            threshold=self._bundle.manifest.threshold.value,
-            mm_per_pixel=self._bundle.profile.mm_per_pixel,
-            station=str(self._place),
-            part="/".join(word for word in (press.part, press.position) if word),
-            time=iso_time(press.time_ns),
-        )
-        return press_png(_dimmed(inspection.rgb, inspection.registered), inspection.score_map, caption)
 
     def _pose(self, inspection: Inspection) -> dict[str, Any]:
         """The field `pose`; none where presses are scored as they lie."""
@@ -168,13 +169,6 @@ class Recorder:
         }
 
 
-def _dimmed(rgb: NDArray[np.uint8], registered: Registered | None) -> NDArray[np.uint8]:
-    """The press with the places that were not judged at half their light."""
-    if registered is None:
-        return rgb
-    return np.where(registered.unseen_in_press[..., None], rgb // 2, rgb)
-
-
 def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
     gel = recorded.gel
     return ResultPayload(
@@ -183,6 +177,7 @@ def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
         gel_id=gel.gel_id,
         gel_presses=gel.presses,
         gel_limit_presses=gel.limit_presses,
+        ledger_head=str(recorded.head),
     )
 
 

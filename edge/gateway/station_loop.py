@@ -207,11 +207,12 @@ class StationLoop:
         self.summary.see(parts.acquisition.status, self._session.corrupt if self._session else 0)
         self._say_load()
         parts.status.disk(parts.free_space.check())
+        parts.status.archive(parts.black_box.fault)
         try:
             self._note_clock_step()
             if self._session is not None:
                 self._session.see_gel(parts.store.gel(self._session.gel.serial, parts.clock.time_ns()))
-            outbox = parts.publisher.outbox_status()
+            outbox, head = parts.publisher.outbox_status(), str(parts.store.ledger_head())
         except StoreError as error:
             self._set_store_fault(error)
             return
@@ -225,6 +226,7 @@ class StationLoop:
             {name: _word(one) for name, one in counters.items()},
             parts.free_space.bytes,
             self._session.gel if self._session else None,
+            head,
         )
         parts.status.refused(outbox.refused, [c.last_refusal for c in counters.values() if c.last_refusal])
         parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])
@@ -311,7 +313,9 @@ class StationLoop:
         parts.status.counts(parts.store.findings)
         parts.status.clear_fault("store")
         inspector = self.selection.inspector
-        recorder = Recorder(parts.store, inspector, identity.serial, parts.place, parts.clock)
+        recorder = Recorder(
+            parts.store, inspector, identity.serial, parts.place, parts.clock, parts.black_box
+        )
         self._say_info()
         self._session = InspectionSession(
             gel,

@@ -7,6 +7,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.ports import Clock
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.black_box import BlackBox
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.digital_io.station_io import StationIo
 from edge.gateway.free_space import FreeSpace
@@ -45,5 +46,6 @@ class Parts:
     clock: Clock
     io: StationIo
     snapshots: Snapshots
+    black_box: BlackBox
     overview: Overview | None = None
     stats_s: float = 10.0

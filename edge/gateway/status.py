@@ -180,6 +180,7 @@ class StationStatus:
         receivers: Mapping[str, str] | None = None,
         disk_free_bytes: int | None = None,
         gel: GelRecord | None = None,
+        ledger_head: str | None = None,
     ) -> None:
         """Counters since the start."""
         self._dropped(outbox)
@@ -208,6 +209,7 @@ class StationStatus:
             gel_limit_presses=gel.limit_presses if gel else None,
             alarms=tuple(sorted(self._raised)),
             receivers=dict(receivers or {}),
+            ledger_head=ledger_head,
         )
         self._announce(stats_message(payload))
 
@@ -217,6 +219,13 @@ class StationStatus:
             self.clear("disk")
         else:
             self.alarm("disk", sentence, "warning")
+
+    def archive(self, fault: str | None) -> None:
+        """An alarm while presses are not archived."""
+        if fault is None:
+            self.clear("archive")
+        else:
+            self.alarm("archive", f"presses are judged and not archived: {fault}", "warning")
 
     def io_alarm(self, alarm: str, text: str | None) -> None:
         """Raise or clear an alarm of the digital inputs and outputs. Called from their threads."""

@@ -13,6 +13,7 @@ ADVICE: Final[Mapping[str, str]] = {
     "move it to a port of its own",
     "store": "free space on its disk; check the rights of its folder; `gelgate db check`; then it goes on by itself",
     "disk": "free space: old logs, backups, recordings. Until the disk is full nothing is lost",
+    "archive": "free space, or lower `archive.mb`; check the rights of the folder; `archive.presses = 0` turns it off",
     "outbox_full": "find out why the receiver is away; raise `store.outbox_mb` or `outbox_days`; dropped results stay "
     "in `gelgate history`; then acknowledge it",
     "refused": "the text has its reason: correct the broker's rules or size limit; they are offered again within a "

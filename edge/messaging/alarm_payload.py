@@ -14,6 +14,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or sends broken frames",
     "store": "the database or its disk refuses writes; inspection halts",
     "disk": "the disk of the database has little room left; when it is full, inspection halts",
+    "archive": "presses are judged, and what their verdicts are made from is not kept: no room, or a fault of the disk",
     "outbox_full": "unsent messages were dropped: too old, or no room; heatmaps first, passes next, fails last",
     "refused": "a receiver refused a message; it is kept and offered again within a minute",
     "receiver": "a receiver works, with a fault that a person should correct: denied topics, its MQTT level, client id",

@@ -101,6 +101,10 @@ class ResultPayload(Payload):
     )
 
     pose: PosePlace | None = Field(default=None, description="where the part lay; null where none is sought")
+    ledger_head: str | None = Field(
+        default=None,
+        description="the newest link of the ledger, with this press: `gelgate db check` compares it with the ledger",
+    )
 
     @model_validator(mode="after")
     def _verdict_or_error(self) -> Self:

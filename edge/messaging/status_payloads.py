@@ -84,6 +84,10 @@ class StatsPayload(Payload):
     receivers: dict[str, str] = Field(
         default_factory=dict, description="receiver to `up` or why it is not; with the MQTT level in use"
     )
+    ledger_head: str | None = Field(
+        default=None,
+        description="the newest link of the ledger: `gelgate db check` compares it with the ledger",
+    )
 
 
 def state_message(payload: StatePayload) -> Message:

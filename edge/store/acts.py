@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
+from edge.store import ledger_chain
+
 __all__ = ["Act", "Outcome", "begin", "earlier", "finish", "newest"]
 
 # Acts that were done, and requests that were refused. They are counted apart: a flood of the second kind must not push
@@ -59,13 +61,23 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
             _json(act.after),
         ),
     ).lastrowid
-    for condition, kept in (("= 'refused'", KEPT_REFUSALS), ("IS NOT 'refused'", KEPT_ACTS)):
-        connection.execute(
-            f"DELETE FROM acts WHERE outcome {condition} AND act_id <= "
-            f"(SELECT act_id FROM acts WHERE outcome {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?)",
-            (kept,),
-        )
+    if act.outcome != "refused":
+        ledger_chain.append(connection, "act", int(number or 0))
+    _remove_old(connection, "= 'refused'", KEPT_REFUSALS)
+    if removed := _remove_old(connection, "IS NOT 'refused'", KEPT_ACTS):
+        ledger_chain.acts_removed(connection, removed)
     return int(number or 0)
+
+
+def _remove_old(connection: sqlite3.Connection, condition: str, kept: int) -> int:
+    """Keep the newest of such an outcome, and up to a hundredth more, so that they go in groups; the newest id that was
+    removed, or 0."""
+    oldest = f"SELECT act_id FROM acts WHERE outcome {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"
+    if connection.execute(oldest, (kept + kept // 100,)).fetchone() is None:
+        return 0
+    (newest,) = connection.execute(oldest, (kept,)).fetchone()
+    connection.execute(f"DELETE FROM acts WHERE outcome {condition} AND act_id <= ?", (newest,))
+    return int(newest)
 
 
 def finish(
@@ -77,10 +89,12 @@ def finish(
     after: Mapping[str, Any] | None,
 ) -> None:
     """Complete it."""
-    connection.execute(
+    updated = connection.execute(
         "UPDATE acts SET outcome = ?, sentence = ?, before = ?, after = ? WHERE act_id = ?",
         (outcome, sentence, _json(before), _json(after), act_id),
     )
+    if updated.rowcount:
+        ledger_chain.append(connection, "act", act_id)
 
 
 def earlier(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
+from edge.store import ledger_chain
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 __all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "opened_read_only", "schema_version"]
@@ -138,6 +139,7 @@ def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool) -> No
     for script in MIGRATIONS[_pragma(connection, "user_version") :]:  # none if another process was first
         for statement in _statements(script):
             connection.execute(statement)
+    ledger_chain.start(connection)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelLife, GelState
+from edge.store import ledger_chain
 
 __all__ = ["GelRecord", "count_press", "history", "mount", "mounted", "set_wear"]
 
@@ -93,6 +94,7 @@ def mount(
         "INSERT INTO gels (serial, gel_id, limit_presses, installed_ns, note) VALUES (?, ?, ?, ?, ?)",
         (serial, gel_id, limit_presses, time_ns, note),
     )
+    ledger_chain.append_gels(connection, serial)
     return gel_id
 
 

@@ -7,12 +7,14 @@ explanation in normal work, such as presses that were counted while the disk was
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
+from edge.store import ledger_check
 from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.finding import Finding
+from edge.store.ledger_chain import Head
 from edge.store.outbox import ROW_OVERHEAD_BYTES
 from edge.store.press_counts import Count, PressCounts
 from edge.store.ulid import is_ulid
@@ -26,19 +28,11 @@ ASKED_EVERY: Final = 100_000
 MOST_DAMAGES: Final = 10
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One sentence about one part: file, presses, gels, counts or outbox."""
-
-    part: str
-    text: str
-    is_fault: bool = True
-
-
-def check_database(path: Path) -> list[Finding]:
+def check_database(path: Path, held: Head | None = None) -> list[Finding]:
     """Everything that is wrong or worth knowing; empty for a sound database.
 
-    Errors: StoreError for a file that cannot be read, is of another program, or has another version.
+    held: a head of the ledger that was published earlier and kept elsewhere; it must be in the chain still. Errors:
+    StoreError for a file that cannot be read, is of another program, or has another version.
     """
     counts = PressCounts(path).read()  # before the database: a press that comes between makes it only newer
     with opened_read_only(path, "checking") as connection:
@@ -54,6 +48,7 @@ def check_database(path: Path) -> list[Finding]:
             *_gels(connection),
             *_counts(connection, counts),
             *_outbox(connection),
+            *ledger_check.chain_findings(connection, held),
         ]
 
 

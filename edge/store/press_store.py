@@ -9,31 +9,28 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
 from edge.core.errors import StoreError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
 from edge.core.part_position import PartPosition
 from edge.core.ports import Message
 from edge.store import acts as act_table
-from edge.store import bundles_in_use, outbox
+from edge.store import bundles_in_use, ledger_chain, outbox
 from edge.store import gel_ledger as ledger
 from edge.store.database import Database
 from edge.store.gel_ledger import GelRecord
+from edge.store.ledger_chain import KIND_OF
 from edge.store.outbox import Bounds
 from edge.store.press_counts import Count, PressCounts
+from edge.store.press_history import History, cut_history, known_number
+from edge.store.press_record import VERDICTS, PressRecord
 from edge.store.recovery import recover
 from edge.store.running_time import RunningTime
-from edge.store.ulid import is_ulid
 
-__all__ = ["GelRecord", "MakeMessages", "PressRecord", "PressTable", "Recorded", "Store"]
+__all__ = ["VERDICTS", "GelRecord", "MakeMessages", "PressRecord", "PressTable", "Recorded", "Store"]
 
 T = TypeVar("T")
-
-VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
-
-# Rows kept in the press history; about 200 bytes each, so 200 MB. The ledger's counts do not depend on them.
-KEPT_PRESSES: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -41,11 +38,13 @@ class Recorded:
     """A press's place in the database.
 
     gel: the record of its gel, this press included. sequence: counts the presses of this database from 1. No restart
-    and no change of gel or sensor resets it, so a missing number tells a subscriber that a press was missed.
+    and no change of gel or sensor resets it, so a missing number tells a subscriber that a press was missed. head: the
+    newest link of the ledger.
     """
 
     gel: GelRecord
     sequence: int
+    head: ledger_chain.Head
 
 
 class PressTable(Protocol):
@@ -63,35 +62,6 @@ class PressTable(Protocol):
 
 MakeMessages = Callable[[Recorded], Sequence[Message]]
 """From a press's place to its messages. Called inside the transaction: quick and pure."""
-
-
-@dataclass(frozen=True)
-class PressRecord:
-    """One press to record.
-
-    press_id: a ULID. time_ns: wall clock. serial: of the sensor. verdict: pass, fail, unsure, rejected, or error for
-    a press that could not be scored. wear_index: optical wear just before this press, None if not measured. cause: of a
-    fail or unsure, where it is known: part, gel or unsure.
-    """
-
-    press_id: str
-    time_ns: int
-    serial: str
-    part: str
-    verdict: str
-    position: str | None = None
-    score: float | None = None
-    threshold: float | None = None
-    wear_index: float | None = None
-    cause: str | None = None
-
-    def __post_init__(self) -> None:
-        if not is_ulid(self.press_id):
-            raise ValueError(f"a press id is a ULID, found {self.press_id!r}")
-        if self.verdict not in VERDICTS:
-            raise ValueError(f"a recorded verdict is one of {', '.join(VERDICTS)}, found {self.verdict!r}")
-        if not self.serial or not self.part:
-            raise ValueError(f"a press has a sensor and a part, found {self.serial!r} and {self.part!r}")
 
 
 class Store:
@@ -136,18 +106,20 @@ class Store:
         `make_messages`, and then nothing is recorded.
         """
         self._compare(press.serial, press.time_ns)
-        table = into or _History()
+        table = into or History()
         with self._database.writing(f"recording press {press.press_id}") as connection:
-            known = _known(connection, table.name, press)
+            known = known_number(connection, table.name, press)
             if known is not None:
-                return Recorded(self._mounted(connection, press.serial), known)
+                return Recorded(self._mounted(connection, press.serial), known, ledger_chain.head(connection))
             self._mount_first(connection, press.serial, press.time_ns)
             if press.wear_index is not None:
                 ledger.set_wear(connection, press.serial, press.wear_index)
             ledger.count_press(connection, press.serial, press.time_ns)
             gel = self._mounted(connection, press.serial)
             running_ns = self._running.store(connection)
-            recorded = Recorded(gel, table.insert(connection, press, gel.gel_id, running_ns))
+            number = table.insert(connection, press, gel.gel_id, running_ns)
+            recorded = Recorded(gel, number, ledger_chain.append(connection, KIND_OF[table.name], number))
+            cut_history(connection)
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
             outbox.enforce(connection, self._bounds, running_ns)
             sequence = _newest_number(connection)
@@ -163,6 +135,11 @@ class Store:
         """The result of a change of one of the other tables, in a transaction of its own."""
         with self._database.writing(doing) as connection:
             return change(connection)
+
+    def ledger_head(self) -> ledger_chain.Head:
+        """The newest link of the ledger: who keeps it can prove later that nothing before it was changed."""
+        with self._database.reading("reading the head of the ledger") as connection:
+            return ledger_chain.head(connection)
 
     def gel(self, serial: str, time_ns: int) -> GelRecord:
         """The gel mounted on this sensor; an unknown sensor gets its first gel."""
@@ -340,49 +317,3 @@ def _newest_number(connection: sqlite3.Connection) -> int:
     """The number of the newest press that this database ever had."""
     row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'presses'").fetchone()
     return 0 if row is None else int(row[0])
-
-
-class _History:
-    """The history of parts."""
-
-    name = "presses"
-
-    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        return _insert(connection, press, gel_id, running_ns)
-
-
-def _known(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
-    """The number of the press, where it is recorded already. Errors: StoreError when the id is another press's."""
-    row = connection.execute(
-        f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?", (press.press_id,)
-    ).fetchone()
-    if row is None:
-        return None
-    if row[1:] != (press.serial, press.time_ns, press.verdict, press.score):
-        raise StoreError(f"press id {press.press_id} was already given to another press")
-    return int(row[0])
-
-
-def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-    """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
-    number = connection.execute(
-        "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, position, verdict, score, threshold, "
-        "running_ns, cause) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (
-            press.press_id,
-            press.time_ns,
-            press.serial,
-            gel_id,
-            press.part,
-            press.position,
-            press.verdict,
-            press.score,
-            press.threshold,
-            running_ns,
-            press.cause,
-        ),
-    ).lastrowid
-    connection.execute(
-        "DELETE FROM presses WHERE number <= (SELECT max(number) FROM presses) - ?", (KEPT_PRESSES,)
-    )
-    return int(number or 0)

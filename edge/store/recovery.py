@@ -5,7 +5,7 @@ The higher count is used: a gel that is replaced too early costs less than one t
 
 import sqlite3
 
-from edge.store import gel_ledger
+from edge.store import gel_ledger, ledger_chain
 from edge.store.press_counts import Count
 
 __all__ = ["recover"]
@@ -64,3 +64,4 @@ def _restore_gel(connection: sqlite3.Connection, known: Count, serial: str, time
             "restored from the second record",
         ),
     )
+    ledger_chain.append_gels(connection, serial)

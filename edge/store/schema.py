@@ -1,6 +1,7 @@
 """The tables of the database, as the scripts that make each version from the one before.
 
 A new file runs all of them, so it has the same tables as one that was migrated. A migration adds; it removes no row.
+A new column of a table that is chained (edge.store.ledger_chain) is NULL in the rows that are there.
 """
 
 from typing import Final
@@ -196,5 +197,29 @@ _VERSION_5: Final = """
 ALTER TABLE presses ADD COLUMN cause TEXT;
 """
 
-MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5)
+# The ledger chained by hash (edge.store.ledger_chain): a link for every row written, and where the chain starts.
+# `gel_presses` is the count of the gel with this press, `evidence` the SHA-256 of its record in the archive.
+_VERSION_6: Final = """
+CREATE TABLE ledger_chain (
+    link    INTEGER PRIMARY KEY AUTOINCREMENT,
+    kind    TEXT NOT NULL,
+    ref     ANY NOT NULL,
+    content BLOB NOT NULL,
+    hash    BLOB NOT NULL
+) STRICT;
+CREATE INDEX ledger_of_gels ON ledger_chain (ref) WHERE kind = 'gel';
+CREATE TABLE ledger_start (
+    one                INTEGER PRIMARY KEY CHECK (one = 1),
+    ledger_id          TEXT NOT NULL,
+    presses_up_to      INTEGER NOT NULL,
+    acts_up_to         INTEGER NOT NULL,
+    acts_removed_up_to INTEGER NOT NULL,
+    link               INTEGER NOT NULL,
+    hash               BLOB NOT NULL
+) STRICT;
+ALTER TABLE presses ADD COLUMN gel_presses INTEGER;
+ALTER TABLE presses ADD COLUMN evidence BLOB;
+"""
+
+MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5, _VERSION_6)
 SCHEMA_VERSION: Final = len(MIGRATIONS)

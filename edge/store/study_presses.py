@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
+from edge.store import ledger_chain
 from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
 from edge.store.press_store import PressRecord
 
@@ -99,10 +100,14 @@ def of_study(connection: sqlite3.Connection, study_id: str) -> list[StudyPress]:
 
 def void(connection: sqlite3.Connection, press_id: str) -> bool:
     """This press does not count; returns whether there is one that counted."""
-    changed = connection.execute(
-        "UPDATE study_presses SET is_void = 1 WHERE press_id = ? AND is_void = 0", (press_id,)
-    )
-    return changed.rowcount > 0
+    row = connection.execute(
+        "UPDATE study_presses SET is_void = 1 WHERE press_id = ? AND is_void = 0 RETURNING number",
+        (press_id,),
+    ).fetchone()
+    if row is None:
+        return False
+    ledger_chain.append(connection, "study", row[0])
+    return True
 
 
 def studies(path: Path) -> list[tuple[str, int, int]]:

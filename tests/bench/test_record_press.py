@@ -4,12 +4,14 @@ import sqlite3
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from edge.core.verdict import Kind
 from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.store import ledger_chain
 from edge.store.press_store import PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 
@@ -70,3 +72,22 @@ def test_recording_a_press(tmp_path: Path, heatmap_kb: int) -> None:
         f"\nrecord_press with a heatmap of {heatmap_kb} kB: median {press_ms:.2f} ms, "
         f"bare durable insert {bare_ms:.2f} ms, ratio {press_ms / bare_ms:.1f}"
     )
+
+
+@pytest.mark.bench
+def test_the_share_of_the_chain(tmp_path: Path) -> None:
+    """Prints what the link of one press costs, and its ratio to `record_press`, with its flush to the disk."""
+
+    def record(n: int) -> None:
+        time_ns = time.time_ns()
+        press = PressRecord(new_ulid(time_ns), time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0)
+        store.record_press(press, lambda recorded: [])
+
+    with Store(tmp_path / "gelgate.db") as store:
+        press_ms = median_ms(record)
+    with closing(sqlite3.connect(tmp_path / "gelgate.db", isolation_level=None)) as connection:
+        connection.execute("BEGIN IMMEDIATE")
+        link_ms = median_ms(lambda n: ledger_chain.append(connection, "press", n + 1) and None)
+        connection.execute("ROLLBACK")
+
+    print(f"\nlink {link_ms:.3f} ms, record_press {press_ms:.2f} ms, share {link_ms / press_ms:.1%}")

@@ -7,7 +7,7 @@ from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
-from edge.store.press_store import KEPT_PRESSES
+from edge.store.press_history import KEPT_PRESSES
 from edge.store.reference_files import KEPT_GELS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text(encoding="utf-8")
@@ -57,6 +57,7 @@ def test_the_limits_are_those_of_the_program() -> None:
     assert f"the newest {KEPT_PRESSES:,}" in limits["history of presses"]
     assert f"the newest {KEPT_ACTS:,}, and {KEPT_REFUSALS:,} refusals" in limits["acts"]
     assert f"the newest {KEPT_GELS} gels" in limits["pictures of the free gel"]
+    assert "`archive.presses`, `archive.mb`" in limits["archive of judged presses (`gelgate.archive/`)"]
     assert f"{JOURNAL_LIMIT_BYTES >> 20} MiB" in limits["write-ahead log"]
 
 

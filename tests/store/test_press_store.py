@@ -14,7 +14,7 @@ from edge.core.gel import GelState
 from edge.store.database import Database
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
-from edge.store.schema import MIGRATIONS
+from edge.store.schema import SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
@@ -298,7 +298,7 @@ def test_a_newer_database_is_refused_by_its_version(path: Path) -> None:
         connection.execute("PRAGMA user_version = 99")
     connection.close()
 
-    with pytest.raises(StoreError, match=f"schema version 99, this program knows up to {len(MIGRATIONS)}"):
+    with pytest.raises(StoreError, match=f"schema version 99, this program knows up to {SCHEMA_VERSION}"):
         Store(path)
 
 

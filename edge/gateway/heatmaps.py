@@ -1,0 +1,37 @@
+"""The picture of one press, as it is published and as it is made again."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.registration.registrar import Registered
+from edge.gateway.inspector import Inspection
+from edge.messaging.payload_base import iso_time
+from edge.model.bundle import Bundle
+from edge.pictures.press_picture import PressCaption, press_png
+from edge.store.press_store import PressRecord
+
+__all__ = ["heatmap_png"]
+
+
+def heatmap_png(press: PressRecord, inspection: Inspection, bundle: Bundle, station: str) -> bytes | None:
+    """None for a press without a score. station: site/line/station."""
+    if inspection.rgb is None or inspection.score_map is None or press.score is None:
+        return None
+    caption = PressCaption(
+        press_id=press.press_id,
+        verdict=press.verdict,
+        score=press.score,
+        threshold=bundle.manifest.threshold.value,
+        mm_per_pixel=bundle.profile.mm_per_pixel,
+        station=station,
+        part="/".join(word for word in (press.part, press.position) if word),
+        time=iso_time(press.time_ns),
+    )
+    return press_png(_dimmed(inspection.rgb, inspection.registered), inspection.score_map, caption)
+
+
+def _dimmed(rgb: NDArray[np.uint8], registered: Registered | None) -> NDArray[np.uint8]:
+    """The press with the places that were not judged at half their light."""
+    if registered is None:
+        return rgb
+    return np.where(registered.unseen_in_press[..., None], rgb // 2, rgb)

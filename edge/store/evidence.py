@@ -1,0 +1,76 @@
+"""The presses of a database and what the ledger says of their archive. Reads only, also while a gateway runs."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from edge.core.errors import ArchiveError
+from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.ledger_chain import head
+
+__all__ = ["KnownPress", "find_press", "presses_since"]
+
+_COLUMNS = "number, press_id, time_ns, evidence"
+
+# A prefix that fits more presses is answered with this number of them.
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class KnownPress:
+    """number: its `sequence`. evidence: SHA-256 of its record in the archive, None where it has none."""
+
+    number: int
+    press_id: str
+    time_ns: int
+    evidence: bytes | None
+
+
+def find_press(database: Path, prefix: str) -> KnownPress:
+    """The press with this id, or the only one whose id begins so. Errors: ArchiveError, StoreError."""
+    wanted = prefix.strip().upper()
+    if not wanted.isalnum() or not wanted.isascii():
+        raise ArchiveError(
+            f"'{prefix:.60}' is no press id; give the 26 letters and digits of a result's press_id, or their beginning"
+        )
+    found = list(_presses(database, "press_id >= ? AND press_id < ?", (wanted, wanted + "~"), _SHOWN + 1))
+    if len(found) > 1:
+        ids = ", ".join(press.press_id for press in found[:_SHOWN])
+        more = " and more" if len(found) > _SHOWN else ""
+        raise ArchiveError(f"'{prefix}' is the beginning of {ids}{more}; give more of the id")
+    if not found:
+        raise ArchiveError(
+            f"no press {prefix:.60} is in {_described(database)}; is it of another station, or older?"
+        )
+    return found[0]
+
+
+def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:
+    """Every press from this moment on, oldest first. Errors: ArchiveError, StoreError."""
+    return _presses(database, "time_ns >= ?", (min(since_ns or 0, 2**63 - 1),), -1)
+
+
+def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:
+    with opened_read_only(database, "reading what is archived") as connection:
+        if (version := schema_version(connection)) != SCHEMA_VERSION:
+            raise ArchiveError(
+                f"database {database} has schema version {version}, this program reads {SCHEMA_VERSION}; "
+                "`gelgate db migrate` brings it there"
+            )
+        rows = connection.execute(
+            f"SELECT {_COLUMNS} FROM presses WHERE {condition} ORDER BY number LIMIT ?", (*values, limit)
+        )
+        for row in rows:
+            yield KnownPress(*row)
+
+
+def _described(database: Path) -> str:
+    """The database in words: which ledger, and which presses it has."""
+    with opened_read_only(database, "reading what is archived") as connection:
+        ledger_id = head(connection).ledger_id
+        presses, first, last = connection.execute(
+            "SELECT count(*), min(press_id), max(press_id) FROM presses"
+        ).fetchone()
+    return f"database {database} (ledger {ledger_id}, {presses} presses" + (
+        f", {first} to {last})" if presses else ")"
+    )

@@ -1,0 +1,231 @@
+"""What each verdict was made from, in files: the camera's bytes, the free gel, the score map, the machine.
+
+`objects/` holds bytes by their SHA-256, so that what several presses share is there once. `presses/<press id>.json`
+names those of one press. The SHA-256 of that record is in the press's row, which the ledger's chain covers, so nothing
+of it can be exchanged without a trace. The newest presses are kept, up to a number and a size.
+
+Nothing here stops an inspection: a press that cannot be archived is recorded without, and `fault` says why.
+"""
+
+import hashlib
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from edge.core.errors import ArchiveError
+from edge.store.ulid import is_ulid
+
+__all__ = ["ArchiveFolder", "ArchivedPress", "PressArchive"]
+
+OBJECTS: Final = "objects"
+PRESSES: Final = "presses"
+_DIGEST: Final = re.compile(rb"\b[0-9a-f]{64}\b")
+
+Digest = str
+"""SHA-256 in hexadecimal digits."""
+
+
+class ArchivedPress(BaseModel):
+    """What one verdict was made from.
+
+    station: site/line/station. touch: area and centroid, as `edge.core.contact.mask.Touch`. frame: the camera's bytes.
+    reference: the free gel, .npy float32 (h, w, 3). score_map: raw bytes, float32 little-endian of map_shape, row by
+    row. machine: JSON, see `edge.model.machine`. reason, error: as published.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    version: Literal[1] = 1
+    press_id: str
+    time_ns: int
+    station: str
+    serial: str
+    part: str
+    position: str | None
+    bundle_id: Digest
+    revision: int | None
+    threads: int = Field(ge=1)
+    machine: Digest
+    frame: Digest
+    touch: tuple[float, float, float]
+    reference: Digest | None
+    verdict: str
+    reason: str | None
+    error: str | None
+    score: float | None
+    threshold: float | None
+    score_map: Digest | None
+    map_shape: tuple[int, int] | None
+
+    @property
+    def objects(self) -> tuple[Digest, ...]:
+        """Everything that it needs."""
+        return tuple(one for one in (self.frame, self.reference, self.score_map, self.machine) if one)
+
+    def encode(self) -> bytes:
+        """The record's file."""
+        return self.model_dump_json().encode()
+
+
+class ArchiveFolder:
+    """An archive to read. Errors of every method: ArchiveError, which says what is gone or damaged."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def press(self, press_id: str, evidence: bytes | None) -> ArchivedPress:
+        """The record of a press. evidence: its SHA-256 by the ledger."""
+        if evidence is None:
+            raise ArchiveError(
+                f"press {press_id} was never archived: it has no judged frame, or the archive was off or without room"
+            )
+        path = self.folder / PRESSES / f"{press_id}.json"
+        data = _read(path, f"press {press_id}")
+        if hashlib.sha256(data).digest() != evidence:
+            raise ArchiveError(
+                f"{path} is not what the ledger says of press {press_id}: it was changed, or is of another database; "
+                "take it from a backup"
+            )
+        try:
+            return ArchivedPress.model_validate_json(data)
+        except ValidationError as error:
+            raise ArchiveError(
+                f"{path} cannot be read by this version ({error.errors()[0]['msg']}); use the version that wrote it"
+            ) from error
+
+    def read(self, digest: Digest, what: str) -> bytes:
+        """The bytes of this SHA-256. what: in words, for errors."""
+        path = self.folder / OBJECTS / digest
+        data = _read(path, what)
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise ArchiveError(
+                f"{what} is damaged: {path} has another SHA-256 than its name; take it from a backup"
+            )
+        return data
+
+    def press_ids(self) -> list[str]:
+        """Those whose record is there, oldest first."""
+        try:
+            names = os.listdir(self.folder / PRESSES)
+        except OSError:
+            return []
+        return sorted(name[:-5] for name in names if name.endswith(".json") and is_ulid(name[:-5]))
+
+
+class PressArchive:
+    """An archive to write. One thread uses it.
+
+    most_presses, most_bytes: kept; most_presses 0 keeps nothing. why_not: why the disk must not be filled further, or
+    None. fault: why the last press was not archived; None where it was.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        most_presses: int,
+        most_bytes: int,
+        why_not: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        self.fault: str | None = None
+        self._folder = folder
+        self._most_presses, self._most_bytes = most_presses, most_bytes
+        self._why_not = why_not
+        self._presses: dict[str, tuple[Digest, ...]] = {}
+        self._uses: Counter[Digest] = Counter()
+        self._sizes: dict[Digest, int] = {}
+        self._is_open = False
+
+    @property
+    def is_on(self) -> bool:
+        """Whether presses are kept."""
+        return self._most_presses > 0
+
+    def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
+        """Write the record and its objects, and remove the oldest ones beyond the limits; returns the SHA-256 of the
+        record, None where it could not be written. Never raises for a disk."""
+        self.fault = self._why_not()
+        if self.fault is None:
+            try:
+                return self._kept(press, objects)
+            except OSError as error:
+                self.fault = f"{self._folder} cannot be written: {error.strerror or error}"
+        return None
+
+    def _kept(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes:
+        if not self._is_open:
+            self._open()
+        for digest, data in objects.items():
+            if digest not in self._sizes:
+                _write(self._folder / OBJECTS / digest, data)
+                self._sizes[digest] = len(data)
+        record = press.encode()
+        _write(self._folder / PRESSES / f"{press.press_id}.json", record)
+        self._add(press.press_id, press.objects)
+        while len(self._presses) > 1 and self._is_over():
+            self._remove_oldest()
+        return hashlib.sha256(record).digest()
+
+    def _is_over(self) -> bool:
+        return len(self._presses) > self._most_presses or sum(self._sizes.values()) > self._most_bytes
+
+    def _open(self) -> None:
+        """What is there already, without what belongs to no press: that is of a process that was killed."""
+        for name in (OBJECTS, PRESSES):
+            (self._folder / name).mkdir(parents=True, exist_ok=True)
+        for press_id, objects in _records(self._folder):
+            self._add(press_id, objects)
+        for file in list((self._folder / OBJECTS).iterdir()):
+            if file.name in self._uses:
+                self._sizes[file.name] = file.stat().st_size
+            else:
+                file.unlink()
+        self._is_open = True
+
+    def _add(self, press_id: str, objects: tuple[Digest, ...]) -> None:
+        if press_id not in self._presses:
+            self._presses[press_id] = objects
+            self._uses.update(objects)
+
+    def _remove_oldest(self) -> None:
+        """The record first: objects without one are removed at the next start at the latest."""
+        press_id = next(iter(self._presses))
+        (self._folder / PRESSES / f"{press_id}.json").unlink(missing_ok=True)
+        self._uses.subtract(self._presses.pop(press_id))
+        for digest in [digest for digest, uses in self._uses.items() if uses == 0]:
+            (self._folder / OBJECTS / digest).unlink(missing_ok=True)
+            del self._uses[digest]
+            self._sizes.pop(digest, None)
+
+
+def _records(folder: Path) -> Iterator[tuple[str, tuple[Digest, ...]]]:
+    """Press ids and their objects: every digest in the record, so that one of a newer version keeps its objects."""
+    for press_id in ArchiveFolder(folder).press_ids():
+        record = (folder / PRESSES / f"{press_id}.json").read_bytes()
+        yield press_id, tuple(digest.decode() for digest in _DIGEST.findall(record))
+
+
+def _read(path: Path, what: str) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ArchiveError(
+            f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), older ones are in "
+            "backups of the folder, which --archive names"
+        ) from None
+    except OSError as error:
+        raise ArchiveError(f"{what} cannot be read: {path}: {error.strerror}; check its rights") from error
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Complete or not at all."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)

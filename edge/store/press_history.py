@@ -1,0 +1,68 @@
+"""The history of parts: the table of their presses, of which the newest are kept. Inside the caller's transaction."""
+
+import sqlite3
+from typing import Final
+
+from edge.core.errors import StoreError
+from edge.store import ledger_chain
+from edge.store.press_record import PressRecord
+
+__all__ = ["KEPT_PRESSES", "History", "cut_history", "known_number"]
+
+# Rows kept in the press history; about 350 bytes each with their links, so 350 MB. The ledger's counts do not depend on
+# them.
+KEPT_PRESSES: Final = 1_000_000
+
+
+class History:
+    """The history of parts."""
+
+    name = "presses"
+
+    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+        return _insert(connection, press, gel_id, running_ns)
+
+
+def known_number(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
+    """The number of the press, where it is recorded already. Errors: StoreError when the id is another press's."""
+    row = connection.execute(
+        f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?", (press.press_id,)
+    ).fetchone()
+    if row is None:
+        return None
+    if row[1:] != (press.serial, press.time_ns, press.verdict, press.score):
+        raise StoreError(f"press id {press.press_id} was already given to another press")
+    return int(row[0])
+
+
+def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+    """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
+    columns: dict[str, object] = {
+        "press_id": press.press_id,
+        "time_ns": press.time_ns,
+        "serial": press.serial,
+        "gel_id": gel_id,
+        "part": press.part,
+        "position": press.position,
+        "verdict": press.verdict,
+        "score": press.score,
+        "threshold": press.threshold,
+        "running_ns": running_ns,
+        "cause": press.cause,
+        "evidence": press.evidence,
+    }
+    number = connection.execute(
+        f"INSERT INTO presses ({', '.join(columns)}, gel_presses) VALUES ({', '.join('?' * len(columns))}, "
+        "(SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL))",
+        (*columns.values(), press.serial),
+    ).lastrowid
+    return int(number or 0)
+
+
+def cut_history(connection: sqlite3.Connection) -> None:
+    """Keep the newest presses, and up to a thousandth more, so that they go in groups."""
+    first, last = connection.execute("SELECT min(number), max(number) FROM presses").fetchone()
+    if first is None or last - first < KEPT_PRESSES + KEPT_PRESSES // 1000:
+        return
+    connection.execute("DELETE FROM presses WHERE number <= ?", (last - KEPT_PRESSES,))
+    ledger_chain.cut(connection, last - KEPT_PRESSES)

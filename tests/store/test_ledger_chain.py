@@ -1,0 +1,395 @@
+"""The ledger chained by hash: what is changed, removed or inserted afterwards is found and named."""
+
+import hashlib
+import json
+import shutil
+import sqlite3
+import struct
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded_presses import SERIAL, T0
+
+from edge.core.reference_press.charts import ReferencePress
+from edge.core.reference_press.measures import Imprint
+from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
+from edge.store.acts import Act
+from edge.store.finding import Finding
+from edge.store.integrity import check_database
+from edge.store.ledger_chain import Head
+from edge.store.press_counts import Count
+from edge.store.press_store import MakeMessages, PressRecord, Store
+from edge.store.recovery import recover
+from edge.store.reference_presses import PieceKey, ReferenceTable
+from edge.store.study_presses import StudyTable
+
+MakePress = Callable[..., PressRecord]
+MessagesOf = Callable[..., MakeMessages]
+
+OLD = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
+
+
+def ledger(path: Path, held: Head | None = None) -> list[str]:
+    """The faults of the ledger alone."""
+    return [one.text for one in check_database(path, held) if one.part == "ledger" and one.is_fault]
+
+
+def change(path: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
+
+
+def rows(path: Path, query: str) -> list[tuple[object, ...]]:
+    with closing(sqlite3.connect(path)) as connection:
+        return connection.execute(query).fetchall()
+
+
+def record(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Head:
+    """A shift: presses on two gels, one request that was done and one that was refused; returns the head."""
+    with Store(path) as store:
+        for n in range(1, 6):
+            store.record_press(make_press(n, serial="S-1"), messages_of(make_press(n, serial="S-1")))
+            if n == 3:
+                store.replace_gel(
+                    "S-1", T0, note="batch 7", act=Act(T0, "a person", "replace_gel", outcome="done")
+                )
+        number, _ = store.begin_act(Act(T0, "a person", "relearn", arguments={"x": 0.5}), 60)
+        store.finish_act(number, "done", None, {"state": "a"}, {"state": "b"})
+        store.begin_act(Act(T0, "somebody", "relearn", outcome="refused", sentence="no"), 60)
+        return store.ledger_head()
+
+
+@pytest.fixture
+def used(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Path:
+    record(path, make_press, messages_of)
+    return path
+
+
+def test_what_the_gateway_writes_is_a_sound_chain(used: Path) -> None:
+    """Presses, acts that end, and gels that are removed; also after it was closed and opened again."""
+    assert ledger(used) == []
+    with Store(used) as store:
+        store.replace_gel("S-1", T0)
+    assert ledger(used) == []
+
+
+def test_every_press_moves_the_head(path: Path, make_press: MakePress, messages_of: MessagesOf) -> None:
+    """And the head that a press returns is that of the database."""
+    with Store(path) as store:
+        heads = [store.record_press(make_press(n), messages_of(make_press(n))).head for n in (1, 2)]
+
+        assert heads[0] != heads[1]
+        assert store.ledger_head() == heads[1]
+        assert Head.parse(str(heads[1])) == heads[1]
+
+
+def test_a_link_is_what_the_manual_says(used: Path) -> None:
+    """An outsider can compute it: canonical JSON, SHA-256, and the hash before."""
+    press = rows(used, "SELECT press_id, time_ns, running_ns, gel_id FROM presses WHERE number = 2")[0]
+    (before,) = rows(used, "SELECT hash FROM ledger_chain WHERE link = (SELECT link - 1 FROM ledger_chain "
+                           "WHERE kind = 'press' AND ref = 2)")[0]  # fmt: skip
+    link, found = rows(used, "SELECT link, hash FROM ledger_chain WHERE kind = 'press' AND ref = 2")[0]
+    real = {name: struct.pack(">d", value).hex() for name, value in (("score", 0.5), ("threshold", 1.0))}
+    row = {
+        "gel_id": press[3], "gel_presses": 2, "number": 2, "part": "bolt", "press_id": press[0],
+        "running_ns": press[2], "score": real["score"], "serial": "S-1", "threshold": real["threshold"],
+        "time_ns": press[1], "verdict": "pass",
+    }  # fmt: skip
+    content = hashlib.sha256(json.dumps(row, separators=(",", ":")).encode()).digest()
+
+    assert hashlib.sha256(before + content + f"{link} press 2".encode()).digest() == found
+
+
+TAMPERINGS = {
+    "UPDATE presses SET verdict = 'fail' WHERE number = 2": "press 2 was changed",
+    "UPDATE presses SET score = score + 1e-12 WHERE number = 4": "press 4 was changed",
+    "UPDATE presses SET time_ns = time_ns + 1 WHERE number = 1": "press 1 was changed",
+    "UPDATE presses SET position = 'left' WHERE number = 5": "press 5 was changed",
+    "UPDATE presses SET gel_presses = 1 WHERE number = 3": "press 3 was changed",
+    "DELETE FROM presses WHERE number = 3": "press 3 was removed",
+    "UPDATE acts SET sentence = 'x' WHERE act_id = 2": "act 2 was changed",
+    "UPDATE acts SET after = '{}' WHERE act_id = 2": "act 2 was changed",
+    "DELETE FROM acts WHERE act_id = 1": "act 1 was removed",
+    "UPDATE gels SET limit_presses = 9 WHERE gel_id = 'S-1-2'": 'gel ["S-1","S-1-2"] was changed',
+    "UPDATE gels SET removed_ns = 5 WHERE gel_id = 'S-1-1'": 'gel ["S-1","S-1-1"] was changed',
+    "INSERT INTO gels (serial, gel_id, limit_presses, installed_ns, removed_ns, note) VALUES ('T', 'g', 1, 1, 1, '')":
+        "gel g of sensor T was inserted",
+    "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) VALUES (1, 1, 'x', 'y', '{}', 'done')":
+        "act 4 was inserted",
+    "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, verdict) "
+    "SELECT '01ARZ3NDEKTSV4RRFFQ69G5FAV', time_ns, serial, gel_id, part, 'pass' FROM presses WHERE number = 1":
+        "press 6 was inserted",
+    "DELETE FROM ledger_chain WHERE kind = 'press' AND ref = 2": "before that of press 3, were removed",
+    "UPDATE ledger_chain SET content = zeroblob(32) WHERE kind = 'press' AND ref = 2": "of press 2, does not follow",
+    "UPDATE ledger_chain SET hash = zeroblob(32) WHERE kind = 'press' AND ref = 4": "of press 4, does not follow",
+    "DELETE FROM ledger_chain WHERE link >= (SELECT max(link) - 1 FROM ledger_chain)":
+        "the newest of the chain, were removed",
+    "UPDATE ledger_start SET presses_up_to = 3": "the row that says where the chain starts was changed",
+    "DELETE FROM ledger_start": "the row that says where the chain starts was removed",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("statement", TAMPERINGS)
+def test_a_change_from_outside_is_named(used: Path, statement: str) -> None:
+    """Changed, removed or inserted: the first such row, in one sentence."""
+    change(used, statement)
+    (found,) = ledger(used)
+
+    assert TAMPERINGS[statement] in found
+
+
+def test_the_first_of_several_changes_is_named(used: Path) -> None:
+    """In the order in which they were written."""
+    change(
+        used,
+        "UPDATE presses SET verdict = 'fail' WHERE number IN (2, 4)",
+        "DELETE FROM presses WHERE number = 5",
+    )
+
+    assert ledger(used)[0].startswith("press 2 was changed")
+
+
+def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(
+    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Whoever computes every link again makes a sound chain; it has another head."""
+    with Store(used) as store:
+        held = store.ledger_head()
+    assert ledger(used, held) == []
+    change(used, "UPDATE presses SET verdict = 'fail' WHERE number = 5")
+    with closing(sqlite3.connect(used)) as connection, connection:
+        forge(connection)
+
+    assert ledger(used) == []
+    assert [text for text in ledger(used, held) if "is not in the chain" in text]
+
+
+def forge(connection: sqlite3.Connection) -> None:
+    """Compute every link again, as somebody with the program could."""
+    from edge.store.ledger_chain import canonical, linked, stored_row
+
+    before = bytes(32)
+    last = dict(connection.execute("SELECT kind || ref, max(link) FROM ledger_chain GROUP BY kind, ref"))
+    for link, kind, ref, content in connection.execute(
+        "SELECT link, kind, ref, content FROM ledger_chain ORDER BY link"
+    ).fetchall():
+        row = stored_row(connection, kind, ref)
+        if row is not None and last[f"{kind}{ref}"] == link:
+            content = hashlib.sha256(canonical(row)).digest()
+        before = linked(before, link, kind, ref, content)
+        connection.execute(
+            "UPDATE ledger_chain SET content = ?, hash = ? WHERE link = ?", (content, before, link)
+        )
+
+
+def test_a_head_of_another_database_is_named_as_such(
+    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """The same presses in another file are another ledger."""
+    other = record(tmp_path / "other.db", make_press, messages_of)
+
+    (found,) = ledger(used, other)
+    assert f"is of ledger {other.ledger_id}" in found
+    assert "another station" in found
+
+
+def test_an_old_copy_in_the_place_of_the_database_lacks_the_head(
+    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
+) -> None:
+    """Its chain is sound, and shorter."""
+    copy = shutil.copy(used, tmp_path / "copy.db")
+    with Store(used) as store:
+        head = store.record_press(make_press(9), messages_of(make_press(9))).head
+
+    (found,) = ledger(Path(copy), head)
+    assert "replaced by an old copy" in found
+
+
+@pytest.mark.parametrize(
+    "text", ["", "abc", "12345678.1", f"12345678.x.{'0' * 64}", f"1234567g.1.{'0' * 64}"]
+)
+def test_a_head_that_is_none_is_refused(text: str) -> None:
+    """With its form."""
+    with pytest.raises(ValueError, match="is no head of a ledger; expected"):
+        Head.parse(text)
+
+
+def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path, make_press: MakePress,
+                                                                  messages_of: MessagesOf) -> None:  # fmt: skip
+    """Its old presses stay, outside the chain; its gels and all that follows are in it."""
+    path = Path(shutil.copy(OLD, tmp_path / "gelgate.db"))
+    with Store(path) as store:
+        before = len(store.presses())
+        store.record_press(make_press(1, serial="NEW"), messages_of(make_press(1, serial="NEW")))
+
+    notes = [one for one in check_database(path) if one.part == "ledger"]
+    (newest,) = rows(path, "SELECT max(number) FROM presses")[0:1]
+    assert before > 0
+    assert notes == [
+        Finding(
+            "ledger",
+            f"the chain starts after press {int(str(newest[0])) - 1}, where the database was migrated: older rows are "
+            "not covered",
+            is_fault=False,
+        )
+    ]
+    change(path, "UPDATE presses SET verdict = 'error' WHERE serial = 'NEW'")
+    assert len(ledger(path)) == 1
+
+
+def test_the_chain_still_verifies_when_old_presses_go(
+    path: Path, make_press: MakePress, messages_of: MessagesOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hash of the last link that went is the anchor, and a change of what remains is found as before."""
+    monkeypatch.setattr(press_history, "KEPT_PRESSES", 4)
+    with Store(path) as store:
+        for n in range(1, 21):
+            store.record_press(make_press(n), messages_of(make_press(n)))
+            if n % 7 == 0:
+                store.replace_gel(SERIAL, T0, act=Act(T0, "x", "replace_gel", outcome="done"))
+    kept = [row[0] for row in rows(path, "SELECT number FROM presses")]
+
+    assert kept == [17, 18, 19, 20]
+    assert len(rows(path, "SELECT link FROM ledger_chain")) < 20
+    assert ledger(path) == []
+    change(path, "UPDATE ledger_start SET hash = zeroblob(32)")
+    assert "does not follow" in ledger(path)[0]
+
+
+def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the newest acts are kept; one that is removed among those is found."""
+    monkeypatch.setattr(acts, "KEPT_ACTS", 3)
+    with Store(used) as store:
+        for n in range(8):
+            store.begin_act(Act(T0 + n, "x", "clock_step", outcome="done"), 0)
+    kept = [row[0] for row in rows(used, "SELECT act_id FROM acts WHERE outcome = 'done'")]
+
+    assert len(kept) == 3
+    assert ledger(used) == []
+    change(used, f"DELETE FROM acts WHERE act_id = {kept[1]}")
+    assert ledger(used)[0].startswith(f"act {kept[1]} was removed")
+
+
+def test_a_gel_restored_from_the_second_record_is_chained(used: Path) -> None:
+    """What the recovery writes is no change from outside."""
+    with closing(sqlite3.connect(used)) as connection, connection:
+        said = recover(connection, Count("S-1-9", 700, 1000, 50), "S-1", T0)
+
+    assert said
+    assert ledger(used) == []
+
+
+COLUMNS = ("press_id", "time_ns", "serial", "gel_id", "part", "verdict", "score", "threshold", "running_ns")
+
+
+def labelled(path: Path, make_press: MakePress) -> None:
+    """Two presses of a master piece, and one of a study that was pressed again."""
+    key, imprint = PieceKey(SERIAL, "bolt", "crest", "M1"), Imprint(2.0, 9.0, 7.0, None, 1.0)
+    with Store(path) as store:
+        for n in (30, 31):
+            press = make_press(n)
+            one = ReferencePress(
+                press.press_id, press.time_ns, f"{SERIAL}-1", "b", "pass", "pass", 0.5, 1.0, imprint
+            )
+            store.record_press(press, lambda recorded: [], ReferenceTable(key, one))
+        press = make_press(32)
+        store.record_press(press, lambda recorded: [], StudyTable("s1", 1, "p1", "ann", 1, "b", None))
+        assert store.write("void", lambda connection: study_presses.void(connection, press.press_id))
+
+
+@pytest.mark.parametrize(
+    ("statement", "expected"),
+    [
+        ("UPDATE reference_presses SET expected = 'fail' WHERE number = 2", "reference press 2 was changed"),
+        ("DELETE FROM reference_presses WHERE number = 1", "reference press 1 was removed"),
+        ("UPDATE study_presses SET operator = 'bob'", "study press 1 was changed"),
+        ("UPDATE study_presses SET is_void = 0", "study press 1 was changed"),
+    ],
+)
+def test_presses_of_master_pieces_and_studies_are_chained(
+    used: Path, make_press: MakePress, statement: str, expected: str
+) -> None:
+    """What an auditor is shown can be checked as the presses of parts can."""
+    labelled(used, make_press)
+    assert ledger(used) == []
+    change(used, statement)
+
+    assert ledger(used)[0].startswith(expected)
+
+
+def test_old_reference_presses_go_without_a_fault(
+    used: Path, make_press: MakePress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the newest are kept."""
+    for module in (reference_presses, ledger_check):
+        monkeypatch.setattr(module, "KEPT_REFERENCES", 1)
+    labelled(used, make_press)
+
+    assert rows(used, "SELECT number FROM reference_presses") == [(2,)]
+    assert ledger(used) == []
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    number=st.integers(1, 5),
+    column=st.sampled_from(COLUMNS),
+    value=st.one_of(st.integers(0, 2**62), st.floats(0, 1e9), st.text("abcXYZ0189", min_size=1, max_size=26)),
+)
+def test_any_other_value_in_any_column_is_found(
+    tmp_path_factory: pytest.TempPathFactory, number: int, column: str, value: object
+) -> None:
+    """Whatever is written into a press, the check names that press, unless it is the same value."""
+    path = Path(shutil.copy(sound_copy(tmp_path_factory), tmp_path_factory.mktemp("changed") / "gelgate.db"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        before = connection.execute(f"SELECT {column} FROM presses WHERE number = ?", (number,)).fetchone()
+        try:
+            connection.execute(f"UPDATE presses SET {column} = ? WHERE number = ?", (value, number))
+        except sqlite3.IntegrityError:
+            return  # a STRICT table takes no such value
+        after = connection.execute(f"SELECT {column} FROM presses WHERE number = ?", (number,)).fetchone()
+
+    found = ledger(path)
+    assert ([] if after == before else [True]) == [
+        text.startswith(f"press {number} was changed") for text in found
+    ]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    removed=st.sets(st.integers(1, 12), min_size=1, max_size=4),
+    is_renumbered=st.booleans(),
+)
+def test_links_that_are_taken_out_are_missed(
+    tmp_path_factory: pytest.TempPathFactory, removed: set[int], is_renumbered: bool
+) -> None:
+    """Also where the ones after them are numbered again to close the gap."""
+    path = Path(shutil.copy(sound_copy(tmp_path_factory), tmp_path_factory.mktemp("cut") / "gelgate.db"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for link in sorted(removed, reverse=True):
+            connection.execute("DELETE FROM ledger_chain WHERE link = ?", (link,))
+            if is_renumbered:
+                for (later,) in connection.execute(
+                    "SELECT link FROM ledger_chain WHERE link > ? ORDER BY link", (link,)
+                ).fetchall():
+                    connection.execute("UPDATE ledger_chain SET link = link - 1 WHERE link = ?", (later,))
+
+    assert len(ledger(path)) == 1
+
+
+_MADE: dict[str, Path] = {}
+
+
+def sound_copy(factory: pytest.TempPathFactory) -> Path:
+    """A database of five presses and 12 links, made once."""
+    if "path" not in _MADE:
+        from recorded_presses import make_press, messages_of
+
+        path = factory.mktemp("sound") / "gelgate.db"
+        record(path, make_press.__wrapped__(), messages_of.__wrapped__())
+        _MADE["path"] = path
+    return _MADE["path"]
