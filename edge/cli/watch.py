@@ -39,21 +39,13 @@ def watch(
 
     It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
     its station describes it."""
-    import os
-
-    from edge.core.errors import ConfigError
+    from edge.cli.broker_options import broker_at
     from edge.extras import needs
-    from edge.messaging.mqtt_broker import Broker, Tls
     from edge.messaging.subscriber import station_filter
 
     if validate:
         needs("validate", "--validate")
-    try:
-        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
-    tls = None if ca is None else Tls(ca).context()
-    broker = Broker(host, port, f"gelgate-watch-{os.getpid()}", username, password, tls)
+    broker = broker_at(host, port, "watch", username, password_file, ca)
     topics = station_filter(prefix, site, line, station)
     if validate:
         _validate(broker, topics, count, timeout)

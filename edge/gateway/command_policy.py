@@ -9,15 +9,12 @@ from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_root
 from edge.core.suggest import suggestion
 from edge.messaging.command_payloads import CommandRequest
-from edge.messaging.request_signature import is_signed, signed_text
+from edge.messaging.request_signature import SHORTEST_SECRET, is_signed, signed_text
 
 __all__ = ["CommandPolicy", "policy_of"]
 
 # The time in a signed request and the station's clock may differ by this.
 SIGNED_WITHIN_S: Final = 60.0
-
-# A secret of fewer bytes could be guessed from one request.
-SHORTEST_SECRET: Final = 16
 
 
 @dataclass(frozen=True)

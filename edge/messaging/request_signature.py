@@ -12,9 +12,12 @@ import hashlib
 import hmac
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
-__all__ = ["is_signed", "signature_of", "signed_text"]
+__all__ = ["SHORTEST_SECRET", "is_signed", "signature_of", "signed_text"]
+
+# A secret of fewer bytes could be guessed from one request.
+SHORTEST_SECRET: Final = 16
 
 
 def signed_text(

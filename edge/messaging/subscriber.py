@@ -16,7 +16,17 @@ from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
-__all__ = ["Seen", "describe", "received", "station_filter", "watch"]
+__all__ = [
+    "RETURN_S",
+    "Inbox",
+    "Seen",
+    "describe",
+    "listening",
+    "next_message",
+    "received",
+    "station_filter",
+    "watch",
+]
 
 # Press ids remembered in order to leave out repetitions: more than an outbox replays at once.
 REMEMBERED: Final = 100_000
@@ -26,6 +36,9 @@ LAST_PICTURE_S: Final = 2.0
 
 # Pauses between attempts to return to a broker that went away.
 RETURN_S: Final = 1.0
+
+Inbox = queue.SimpleQueue[Received | None]
+"""Received messages in order; None at the end of the connection."""
 
 
 @dataclass(frozen=True)
@@ -136,11 +149,11 @@ def _received(
     has_listened = False
     while True:
         try:
-            with _listening(broker, topic_filter) as inbox:
+            with listening(broker, topic_filter) as (_, inbox):
                 if has_listened:
                     tell(f"listening to broker {broker} again")
                 has_listened = True
-                while (message := _next(inbox, end.left_s())) is not None:
+                while (message := next_message(inbox, end.left_s())) is not None:
                     yield message
             return
         except SinkUnavailable as error:
@@ -154,17 +167,18 @@ def _received(
 
 
 @contextmanager
-def _listening(broker: Broker, topic_filter: str) -> Iterator["queue.SimpleQueue[Received | None]"]:
-    inbox: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
+def listening(broker: Broker, topic_filter: str) -> Iterator[tuple[Connection, Inbox]]:
+    """A connection with this subscription, and what it receives; closed at the end. Errors: SinkError."""
+    inbox: Inbox = queue.SimpleQueue()
     connection = Connection.open(broker, on_received=inbox.put, on_lost=lambda: inbox.put(None))
     try:
         connection.subscribe(topic_filter)
-        yield inbox
+        yield connection, inbox
     finally:
         connection.close()
 
 
-def _next(inbox: "queue.SimpleQueue[Received | None]", timeout_s: float | None) -> Received | None:
+def next_message(inbox: Inbox, timeout_s: float | None) -> Received | None:
     """The next message, None when the time is over. Errors: SinkUnavailable when the connection is lost."""
     try:
         message = inbox.get(timeout=timeout_s)

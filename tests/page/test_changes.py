@@ -1,7 +1,6 @@
 """Changes from the page: the station's own command table, policy and acts; who is refused, and what is written down."""
 
 import json
-import socket
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 from page_messages import ROOT, TOKEN, ask, asked
 from parts import parts_config, threshold, variant
+from ports import free_port
 from small_recordings import FakeClock
 from stepped_station import SteppedStation
 
@@ -24,11 +24,6 @@ from edge.store.press_store import Store
 from plugins.sinks.page import PageOptions, PageSink
 
 RIGHT = f"Bearer {TOKEN}"
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
 
 
 @dataclass

@@ -1,0 +1,114 @@
+"""`gelgate page`: the page of a station on another machine, such as a tablet or a PC in the office."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from edge.page.changes import Changes
+    from edge.page.from_broker import BrokerStation
+    from edge.page.settings import PageSettings
+
+__all__ = ["page"]
+
+
+def page(
+    host: Annotated[str, typer.Option(help="The broker's name or address.")] = "localhost",
+    port: Annotated[int, typer.Option(help="Its port.", min=1, max=65535)] = 1883,
+    prefix: Annotated[str, typer.Option(help="First level of the topics.")] = "gelgate",
+    site: Annotated[str, typer.Option(help="The station's site; + for any.")] = "+",
+    line: Annotated[str, typer.Option(help="Its line; + for any.")] = "+",
+    station: Annotated[str, typer.Option(help="Its name; + for any.")] = "+",
+    page_port: Annotated[int, typer.Option(help="The port of the page on this machine.")] = 8080,
+    bind: Annotated[str, typer.Option(help="This machine's address for it; 0.0.0.0 for all.")] = "127.0.0.1",
+    allow_from: Annotated[
+        list[str] | None,
+        typer.Option(help="Another machine or network that may see it; again for more. Needs --bind."),
+    ] = None,
+    name: Annotated[
+        list[str] | None, typer.Option(help="A name of this machine in the address line; again for more.")
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option(help="File that holds the token for changes. Needs --secret-file.")
+    ] = None,
+    secret_file: Annotated[
+        Path | None,
+        typer.Option(help="File that holds the station's secret, with which changes are signed."),
+    ] = None,
+    username: Annotated[str | None, typer.Option(help="User name for the broker.")] = None,
+    password_file: Annotated[Path | None, typer.Option(help="File that holds the password.")] = None,
+    ca: Annotated[
+        Path | None, typer.Option(help="Use TLS and trust this certificate authority (PEM).")
+    ] = None,
+) -> None:
+    """Serve the page of a station from a broker.
+
+    It goes on until Ctrl-C, and says when the broker or the station is away. Without --secret-file it only shows."""
+    import threading
+
+    from edge.cli.broker_options import broker_at
+    from edge.logs import start
+    from edge.messaging.subscriber import station_filter
+    from edge.page.from_broker import BrokerStation
+    from edge.page.server import PageServer
+
+    given = {"bind": bind, "allow_from": allow_from or (), "names": name or (), "token_file": token_file}
+    settings = _settings({"port": page_port, **given})
+    broker = broker_at(host, port, "page", username, password_file, ca)
+    shown = BrokerStation(broker, station_filter(prefix, site, line, station))
+    changes = _changes(shown, settings, secret_file)
+    server = PageServer(shown.shown, changes, settings.access(), settings.bind, settings.port)
+    start("text", is_verbose=False)
+    try:
+        shown.start()
+        typer.echo(f"gelgate: the page is at http://{_shown(settings.bind)}:{server.port}/", err=True)
+        for warning in settings.warnings():
+            typer.echo(f"gelgate: {warning}", err=True)
+        threading.Event().wait()
+    finally:
+        server.close()
+        shown.close()
+
+
+def _settings(given: dict[str, object]) -> "PageSettings":
+    """Errors: ConfigError with every fault."""
+    from pydantic import ValidationError
+
+    from edge.core.errors import ConfigError
+    from edge.page.settings import PageSettings
+    from edge.validation_messages import numbered, sentences
+
+    try:
+        return PageSettings.model_validate(given)
+    except ValidationError as error:
+        raise ConfigError(numbered("the page's options", sentences(PageSettings, error))) from error
+
+
+def _changes(shown: "BrokerStation", settings: "PageSettings", secret_file: Path | None) -> "Changes":
+    """Errors: ConfigError for a secret without a token, and a token without a secret."""
+    from edge.clock import SystemClock
+    from edge.config.secret_file import read_secret
+    from edge.core.errors import ConfigError
+    from edge.messaging.request_signature import SHORTEST_SECRET
+    from edge.page.access import TokenGate
+    from edge.page.changes import Changes
+    from edge.page.from_broker import page_requests
+
+    clock = SystemClock()
+    token = settings.token()
+    if (token is None) != (secret_file is None):
+        raise ConfigError(
+            "changes need --secret-file, which signs them for the station, and --token-file, which a person types; "
+            "give both, or neither"
+        )
+    if secret_file is None:
+        why = "this page only shows: it was started without --secret-file and --token-file"
+        return Changes(None, TokenGate(None, clock), clock, why)
+    secret = read_secret(secret_file, "--secret-file", SHORTEST_SECRET)
+    return Changes(page_requests(shown, secret, clock), TokenGate(token, clock), clock)
+
+
+def _shown(address: str) -> str:
+    """As in a browser's address line."""
+    return f"[{address}]" if ":" in address else address

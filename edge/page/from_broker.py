@@ -1,0 +1,209 @@
+"""The page of a station that is somewhere else: what it shows comes from a broker, and changes go there, signed."""
+
+import json
+import logging
+import threading
+from contextlib import suppress
+from functools import partial
+from typing import Any, Final
+
+from edge.core.errors import GelgateError, SinkError
+from edge.core.ports import Clock, Message
+from edge.core.sink_context import TOPIC_VERSION, PageRequests
+from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_connection import Connection
+from edge.messaging.request_signature import signature_of, signed_text
+from edge.messaging.subscriber import RETURN_S, Inbox, listening, next_message
+from edge.page.shown import Shown
+
+__all__ = ["BrokerStation", "page_requests"]
+
+log = logging.getLogger(__name__)
+
+# The station answers within 5 s; a broker far away takes longer.
+ANSWER_S: Final = 15.0
+
+VERBS: Final = frozenset({"select_part", "acknowledge_alarm", "replace_gel"})
+
+
+class BrokerStation:
+    """Shows one station from its messages at a broker, until `close`; one thread, started by `start`.
+
+    topic_filter: of one station, or of several: then the first that is heard is shown, and the others are named in the
+    log.
+    """
+
+    def __init__(self, broker: Broker, topic_filter: str, answer_s: float = ANSWER_S) -> None:
+        self.shown = Shown("", f"no connection to broker {broker} yet")
+        self._broker = broker
+        self._filter = topic_filter
+        self._answer_s = answer_s
+        self._closing = threading.Event()
+        self._changed = threading.Condition()
+        self._connection: Connection | None = None
+        self._inbox: Inbox | None = None
+        self._root: str | None = None
+        self._others: set[str] = set()
+        self._why_away = ""
+        self._answers: dict[str, bytes | None] = {}
+        self._thread = threading.Thread(target=self._keep_listening, name="page-broker", daemon=True)
+
+    def start(self) -> None:
+        """Listen from now on. A broker that is away is no error: the page says so, and it is tried again."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the connection. May be called again."""
+        self._closing.set()
+        inbox = self._inbox
+        if inbox is not None:
+            inbox.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def ask(self, verb: str, payload: bytes) -> bytes:
+        """Publish the request, and return the station's answer. Errors: GelgateError, one sentence."""
+        transaction = str(json.loads(payload)["transaction"])
+        connection, root = self._connection, self._root
+        if connection is None or root is None:
+            raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
+        with self._changed:
+            self._answers[transaction] = None
+        try:
+            connection.publish(
+                Outgoing(f"{root}/cmd/{verb}", payload, expiry_s=max(1, round(self._answer_s)))
+            )
+            with self._changed:
+                self._changed.wait_for(lambda: self._answers[transaction] is not None, self._answer_s)
+                answer = self._answers[transaction]
+        finally:
+            with self._changed:
+                del self._answers[transaction]
+        if answer is None:
+            raise GelgateError(
+                f"the station did not answer within {self._answer_s:g} s; `gelgate acts` there says whether it was done"
+            )
+        return answer
+
+    @property
+    def root(self) -> str:
+        """Of the topics of the station that is shown. Errors: GelgateError before it is known."""
+        if self._root is None:
+            raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
+        return self._root
+
+    def _keep_listening(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self.listen()
+            except SinkError as error:
+                self._note_away(f"{error}; trying again")
+                self._closing.wait(RETURN_S)
+
+    def _note_away(self, why: str) -> None:
+        """In the log once, not with each attempt."""
+        if why != self._why_away:
+            log.warning("%s", why)
+        self._why_away = why
+        self.shown.set_away(why)
+
+    def listen(self) -> None:
+        """Listen until `close`. Errors: SinkError when there is no connection, or when it is lost."""
+        with listening(self._broker, self._filter) as (connection, inbox):
+            self._inbox = inbox
+            self._begin(connection)
+            try:
+                while not self._closing.is_set() and (message := next_message(inbox, None)) is not None:
+                    self.see(message)
+            except SinkError:
+                if not self._closing.is_set():
+                    raise
+            finally:
+                self._connection = None
+
+    def _begin(self, connection: Connection) -> None:
+        """What is over since the last connection is not among the retained messages."""
+        self._connection, self._why_away = connection, ""
+        log.info("listening to broker %s", self._broker)
+        self.shown.forget_status()
+        self.shown.set_away(
+            f"broker {self._broker} has no message of a station below {self._filter} yet; check the names, and that "
+            "its gateway runs"
+        )
+
+    def see(self, message: Received) -> None:
+        """Show it, or give it to who waits for it. What is no message of a station is left, with a line in the log."""
+        root, sign, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
+        if not sign or not self._is_shown(f"{root}/gel/{TOPIC_VERSION}"):
+            return
+        if topic.startswith("cmd/"):
+            self._see_answer(topic, message.payload)
+            return
+        self.shown.set_away(None)
+        try:
+            self.shown.see(Message(topic, message.payload))
+        except ValueError as error:
+            log.warning("a message on %.200r is not shown: %s", message.topic, error)
+
+    def _is_shown(self, root: str) -> bool:
+        if self._root is None:
+            self._root = root
+            self.shown.at("/".join(root.split("/")[1:-2]))
+        elif root != self._root and root not in self._others and len(self._others) < 100:
+            self._others.add(root)
+            log.warning(
+                "the page shows %s; messages of %.200r are left out: name the one with --site, --line and --station",
+                self._root,
+                root,
+            )
+        return root == self._root
+
+    def _see_answer(self, topic: str, payload: bytes) -> None:
+        if not topic.endswith("/response"):
+            return
+        with suppress(ValueError, RecursionError), self._changed:
+            answer = _read_answer(payload)
+            if answer.transaction in self._answers:
+                self._answers[answer.transaction] = answer.encode()
+                self._changed.notify_all()
+
+
+def _read_answer(payload: bytes) -> CommandResponse:
+    """Fields of a newer station are left out. Errors: ValueError, RecursionError."""
+    content = json.loads(payload)
+    if not isinstance(content, dict):
+        raise ValueError("expected a JSON object")
+    known = {key: value for key, value in content.items() if key in CommandResponse.model_fields}
+    return CommandResponse.model_validate(known)
+
+
+def page_requests(station: BrokerStation, secret: bytes, clock: Clock) -> PageRequests:
+    """Requests from the page to the station, signed with its secret. What the page refuses is in the log alone: the
+    table of acts is the station's."""
+    return PageRequests(VERBS, partial(_do, station, secret, clock), partial(_refuse, clock))
+
+
+def _do(station: BrokerStation, secret: bytes, clock: Clock, verb: str, payload: bytes) -> bytes:
+    try:
+        asked = CommandRequest.model_validate_json(payload)
+        return station.ask(verb, _signed(station.root, verb, asked, secret, clock.time_ns()))
+    except (GelgateError, ValueError) as error:
+        return _answer(clock, verb, str(error))
+
+
+def _signed(root: str, verb: str, asked: CommandRequest, secret: bytes, time_ns: int) -> bytes:
+    by = f"{asked.by}, at a page"[:64] if asked.by else "page"
+    text = signed_text(root, verb, asked.transaction, time_ns, by, asked.arguments)
+    request = asked.model_copy(update={"by": by, "time_ns": time_ns, "signature": signature_of(secret, text)})
+    return request.model_dump_json().encode()
+
+
+def _refuse(clock: Clock, verb: str, payload: bytes, why: str) -> bytes:
+    log.warning("command %.64r was refused at the page: %s", verb, why)
+    return _answer(clock, verb, why)
+
+
+def _answer(clock: Clock, verb: str, error: str) -> bytes:
+    answer: dict[str, Any] = {"transaction": None, "verb": verb[:64], "status": "error", "error": error}
+    return CommandResponse(time_ns=clock.time_ns(), **answer).encode()

@@ -1,0 +1,308 @@
+"""The page of a station at a broker: the same JSON, also while the broker is away; changes go there, signed."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_messages import ROOT, T0_NS, TOKEN, ask, asked, gel, press, state
+from ports import free_port
+from small_recordings import FakeClock
+
+from edge.cli.page import page
+from edge.clock import SystemClock
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.gel import GelState
+from edge.core.ports import Message
+from edge.core.sink_context import Station
+from edge.gateway.command_policy import CommandPolicy
+from edge.gateway.commands import Change, Commands
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_connection import Connection
+from edge.page.access import Access, TokenGate
+from edge.page.changes import Changes
+from edge.page.from_broker import BrokerStation, page_requests
+from edge.page.server import PageServer
+from edge.store.press_store import Store
+from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt_options import MqttOptions
+
+GELGATE = Path(sys.executable).parent / "gelgate"
+SECRET = b"0123456789abcdef"
+ALL = "gelgate/+/+/+/gel/v1/#"
+
+
+@pytest.fixture
+def broker() -> Iterator[LocalBroker]:
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    with LocalBroker("mosquitto") as running:
+        yield running
+
+
+def until(is_so: Callable[[], object], within_s: float = 60.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def says(broker: LocalBroker, *messages: Message, root: str = ROOT) -> None:
+    """A station publishes these."""
+    connection = Connection.open(Broker(broker.host, broker.port, "says"))
+    for one in messages:
+        connection.publish(Outgoing(f"{root}/{one.topic}", one.payload, 1, one.retain))
+    connection.close()
+
+
+def listening(broker: LocalBroker, opened: ExitStack, topic_filter: str = ALL) -> BrokerStation:
+    station = BrokerStation(Broker(broker.host, broker.port, "page"), topic_filter)
+    opened.callback(station.close)
+    station.start()
+    return station
+
+
+def test_it_shows_what_the_broker_has_and_what_comes(broker: LocalBroker) -> None:
+    """The retained messages first: state, gel, alarms and the newest press; its place is in the topic."""
+    newest = press(1, picture=None)[0]
+    says(
+        broker,
+        state("ready"),
+        gel(801, GelState.DUE),
+        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due")),
+        Message("last/press", newest.payload, retain=True),
+    )
+    with ExitStack() as opened:
+        shown = listening(broker, opened).shown
+        until(lambda: shown.presses())
+        says(broker, *press(2))
+        until(lambda: len(shown.presses()) == 2 and shown.presses()[0]["has_picture"])
+        station = shown.station()
+
+    assert (station["place"], station["away"]) == ("plant/line1/press2", None)
+    assert (station["state"]["state"], station["gel"]["presses"]) == ("ready", 801)
+    assert list(station["alarms"]) == ["gel"]
+
+
+def test_it_goes_on_when_the_broker_is_back(broker: LocalBroker) -> None:
+    """Meanwhile it says that it is away. An alarm that ended meanwhile is gone, the presses stay."""
+    gone = alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due"))
+    says(broker, state("ready"), gone, *press(1))
+    with ExitStack() as opened:
+        shown = listening(broker, opened).shown
+        until(lambda: shown.station()["alarms"])
+        says(broker, *press(1))
+        until(lambda: shown.presses())
+
+        broker.stop()
+        until(lambda: "trying again" in (shown.station()["away"] or ""))
+        assert shown.station()["state"]["state"] == "ready"
+        broker.start()
+        until(lambda: "has no message of a station" in (shown.station()["away"] or ""))
+        says(broker, state("ready"))
+        until(lambda: shown.station()["away"] is None)
+
+        assert shown.station()["alarms"] == {}
+        assert len(shown.presses()) == 1
+
+
+def test_a_broker_that_is_away_at_the_start_is_waited_for() -> None:
+    """The page is there, and says so."""
+    with ExitStack() as opened:
+        station = BrokerStation(Broker("127.0.0.1", free_port(), "page"), ALL)
+        opened.callback(station.close)
+        assert "no connection to broker 127.0.0.1:" in station.shown.station()["away"]
+        station.start()
+        until(lambda: "trying again" in station.shown.station()["away"])
+
+
+def unheard() -> BrokerStation:
+    return BrokerStation(Broker("127.0.0.1", 1, "page"), ALL)
+
+
+def test_one_station_is_shown_and_others_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    """The first; the log says once how to choose another."""
+    station = unheard()
+    for root in (ROOT, ROOT.replace("press2", "press3"), ROOT.replace("press2", "press3")):
+        station.see(Received(f"{root}/state", state("ready").payload, 1, True))
+        station.see(Received(f"{root}/state", state("halted", root).payload, 1, True))
+
+    assert station.shown.station()["place"] == "plant/line1/press2"
+    assert station.shown.station()["state"]["reason"] == ROOT
+    assert caplog.text.count("are left out: name the one with --site, --line and --station") == 1
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload"),
+    [
+        (f"{ROOT}/state", b"{"),
+        (f"{ROOT}/state", b"[" * 50_000),
+        (f"{ROOT}/result", b'{"press_id":"<script>"}'),
+        (f"{ROOT}/heatmap/../../x", b"\x89PNG"),
+        (f"{ROOT}/last/heatmap", b"GIF"),
+        (f"{ROOT}/alarm/gel", b"\xff"),
+        (f"{ROOT}/cmd/select_part/response", b"[" * 50_000),
+        (f"{ROOT}/cmd/select_part/response", b"[]"),
+        (f"{ROOT}/cmd/select_part/response", b'{"transaction":{}}'),
+        (f"{ROOT}/cmd/select_part", b'{"transaction":"1"}'),
+        ("gelgate/x", b"{}"),
+        ("/gel/v1/state", b"{}"),
+    ],
+)
+def test_a_malformed_message_ends_nothing_and_is_not_shown(topic: str, payload: bytes) -> None:
+    """Anybody may publish at a broker."""
+    station = unheard()
+    station.see(Received(f"{ROOT}/state", state("ready").payload, 1, True))
+    before = station.shown.station()
+    station.see(Received(topic, payload, 1, False))
+
+    assert station.shown.station() == before
+    assert station.shown.presses() == []
+
+
+@pytest.fixture
+def served(broker: LocalBroker, tmp_path: Path) -> Iterator[Callable[..., tuple[int, Store]]]:
+    """A station at the broker that serves signed requests, and its page here with this secret; gives port and store."""
+    with ExitStack() as opened:
+        clock = FakeClock(time.time_ns())
+        store = opened.enter_context(Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns))
+        policy = CommandPolicy(ROOT, frozenset(), frozenset({"select_part"}), SECRET)
+        handlers = {"select_part": lambda asked: Change({"part": asked["name"]}), "replace_gel": None}
+        commands = Commands(handlers, policy, store, clock)  # type: ignore[arg-type]
+        opened.callback(sink_of(broker, commands).close)
+
+        def serve(secret: bytes = SECRET) -> tuple[int, Store]:
+            station = listening(broker, opened)
+            until(lambda: station.shown.station()["away"] is None)
+            here = SystemClock()
+            changes = Changes(page_requests(station, secret, here), TokenGate(TOKEN.encode(), here), here)
+            server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0)
+            opened.callback(server.close)
+            return server.port, store
+
+        yield serve
+
+
+def sink_of(broker: LocalBroker, commands: Commands) -> MqttSink:
+    station = Station(ROOT, "press2", birth=lambda: [state("ready")], on_command=commands)
+    return plugin.open(MqttOptions(host=broker.host, port=broker.port, retry_s=1), station)
+
+
+def post(port: int, verb: str, token: str = TOKEN, **more: Any) -> tuple[int, dict[str, Any]]:
+    body = json.dumps({"transaction": "1", **more}).encode()
+    status, answer = ask(port, f"/requests/{verb}", "POST", body, Authorization=f"Bearer {token}")
+    return status, json.loads(answer)
+
+
+def test_a_change_is_signed_for_the_station(served: Callable[..., tuple[int, Store]]) -> None:
+    """It is done there, and its table of acts names the person."""
+    port, store = served()
+    status, answer = post(port, "select_part", by="kim", arguments={"name": "PZ1/pos1"})
+
+    assert (status, answer["status"], answer["data"]) == (200, "ok", {"part": "PZ1/pos1"})
+    (act,) = store.acts()
+    assert (act.who, act.verb, act.outcome) == ("kim, at a page, over MQTT, signed", "select_part", "done")
+
+
+def test_a_wrong_secret_is_refused_by_the_station(served: Callable[..., tuple[int, Store]]) -> None:
+    """With its sentence, and a row there."""
+    port, store = served(b"another-secret-16")
+    answer = post(port, "select_part", arguments={"name": "PZ1/pos1"})[1]
+
+    assert answer["error"] == "the signature is not that of this request and this station's secret"
+    assert [act.outcome for act in store.acts()] == ["refused"]
+
+
+def test_a_wrong_token_does_not_reach_the_station(
+    served: Callable[..., tuple[int, Store]], caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is a sentence on the page and a line in the log here."""
+    port, store = served()
+    status, answer = post(port, "select_part", "guess-guess")
+
+    assert (status, answer["error"]) == (401, "this is not the token of this page")
+    assert "command 'select_part' was refused at the page" in caplog.text
+    assert store.acts() == []
+
+
+def test_a_verb_that_the_station_does_not_serve_is_its_answer(
+    served: Callable[..., tuple[int, Store]],
+) -> None:
+    """The page does not know its configuration."""
+    assert "is off at this station" in post(served()[0], "replace_gel")[1]["error"]
+
+
+def test_a_station_that_does_not_answer_is_a_sentence(broker: LocalBroker) -> None:
+    """It may have been done: the table of acts there says so."""
+    says(broker, state("lost"))
+    with ExitStack() as opened:
+        station = BrokerStation(Broker(broker.host, broker.port, "page"), ALL, answer_s=0.2)
+        opened.callback(station.close)
+        station.start()
+        until(lambda: station.shown.station()["away"] is None)
+        with pytest.raises(GelgateError, match=r"did not answer within 0.2 s; `gelgate acts` there"):
+            station.ask("select_part", b'{"transaction":"1"}')
+
+
+def test_nothing_is_asked_while_the_broker_is_away() -> None:
+    """The sentence says why."""
+    answer = page_requests(unheard(), SECRET, FakeClock()).do("select_part", b'{"transaction":"1"}')
+    assert "nothing was asked: no connection to broker 127.0.0.1:1 yet" in json.loads(answer)["error"]
+
+
+def test_an_alarm_that_is_over_is_gone(broker: LocalBroker) -> None:
+    """An empty message ends it."""
+    raised = alarm_message(AlarmPayload(time_ns=T0_NS, alarm="disk", text="little room"))
+    with ExitStack() as opened:
+        shown = listening(broker, opened).shown
+        says(broker, raised)
+        until(lambda: shown.station()["alarms"])
+        says(broker, alarm_cleared("disk"))
+        until(lambda: not shown.station()["alarms"])
+
+
+def test_the_verb_serves_the_page_until_it_is_interrupted(broker: LocalBroker) -> None:
+    """It prints the address; without a secret the page only shows, and says so."""
+    says(broker, state("ready"))
+    port = free_port()
+    options = ["--port", str(broker.port), "--host", broker.host, "--page-port", str(port)]
+    with subprocess.Popen([GELGATE, "page", *options], stderr=subprocess.PIPE, text=True) as running:
+        assert running.stderr is not None
+        line = next(line for line in running.stderr if "http" in line)
+        until(lambda: asked(port, "/state.json"))
+        changes = asked(port, "/station.json")["changes"]
+        running.send_signal(signal.SIGINT)
+        assert running.wait(60) == 130
+
+    assert f"the page is at http://127.0.0.1:{port}/" in line
+    assert changes["why_not"] == "this page only shows: it was started without --secret-file and --token-file"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"bind": "0.0.0.0"}, "bind = '0.0.0.0' needs allow_from"),
+        ({"secret_file": "secret"}, "changes need --secret-file, which signs them for the station, and"),
+        ({"token_file": "secret"}, "changes need --secret-file, which signs them for the station, and"),
+        ({"secret_file": "nowhere", "token_file": "secret"}, "--secret-file: .*nowhere cannot be read"),
+        ({"page_port": 80}, "'port' is 80"),
+        ({"password_file": "nowhere"}, "password file .*nowhere cannot be read"),
+    ],
+)
+def test_options_that_cannot_work_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    """In a sentence, before anything is served."""
+    secret = tmp_path / "secret"
+    secret.write_bytes(SECRET)
+    secret.chmod(0o640)
+    given = {key: tmp_path / one if key.endswith("_file") else one for key, one in options.items()}
+
+    with pytest.raises(ConfigError, match=words):
+        page(**given)
