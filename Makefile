@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture tradeoff test test-train test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff test test-train test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -15,6 +15,10 @@ readme-picture: demo
 	mkdir -p docs/images
 	$(BIN)/python -c 'import cv2, glob; cv2.imwrite("docs/images/damaged_press.png", \
 	  cv2.imread(min(glob.glob("demo/heatmaps/*-fail.png"))), [cv2.IMWRITE_PNG_COMPRESSION, 9])'
+
+# The pictures of the page in docs/operations.md and docs/subscribers.md, drawn from messages in headless Chromium.
+page-pictures: $(VENV)/.test
+	PYTHONPATH=tests/support $(BIN)/python tests/support/page_pictures.py docs/images
 
 # The picture of accuracy against time in README.md, from the rows that `gelgate tradeoff` wrote.
 tradeoff: $(VENV)/.test

@@ -28,9 +28,10 @@ ADVICE: Final[Mapping[str, str]] = {
     "overview": "check its cable; `gelgate overview` takes a still; presses are refused meanwhile where it must see "
     "the part",
     "overload": "end other programs; use a faster bundle (`gelgate tradeoff`); check presses against parts made",
-    "gel": "order a gel; change it: see Gel change",
+    "gel": "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate gel "
+    "replace`",
     "trigger_device": "check its cable; `gelgate check` tries each; it is opened again when it is back",
     "actuator": "check its cable and its supply; stop the line where a reject gate depends on it",
-    "pulse": "find the part, then acknowledge it, with the button or the request",
+    "pulse": "find the part, then acknowledge it, with the button, on the page or with the request",
 }
 """Alarm id to what to do, in the order of `alarm_payload.ALARMS`. Backquotes are around what is typed."""

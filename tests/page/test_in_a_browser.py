@@ -1,10 +1,11 @@
-"""The page in headless Chromium: what a person sees and does."""
+"""The page in headless Chromium: what a person sees."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from chromium import BROWSER_MS
+from chromium import BROWSER_MS, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
 from edge.core.gel import GelState
@@ -12,6 +13,25 @@ from edge.core.verdict import Kind
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_message
 from plugins.sinks.page import PageSink
+
+# Of each text: its words, and the contrast to the nearest background that covers. Ref: WCAG 2.2, relative luminance.
+CONTRASTS = """() => {
+  const numbers = (colour) => colour.match(/[0-9.]+/g).map(Number);
+  const linear = (c) => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => [r, g, b].map((c) => linear(c / 255))
+    .reduce((sum, c, n) => sum + c * [0.2126, 0.7152, 0.0722][n], 0);
+  const behind = (one) => {
+    const back = numbers(getComputedStyle(one).backgroundColor);
+    return back.length < 4 || back[3] === 1 ? back : one.parentElement ? behind(one.parentElement) : [255, 255, 255];
+  };
+  return [...document.querySelectorAll("body *")]
+    .filter((one) => one.checkVisibility())
+    .filter((one) => [...one.childNodes].some((node) => node.nodeType === 3 && node.data.trim()))
+    .map((one) => {
+      const [a, b] = [light(numbers(getComputedStyle(one).color)), light(behind(one))];
+      return [one.textContent, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
+    });
+}"""
 
 
 @pytest.fixture
@@ -50,14 +70,14 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert tab.inner_text("#verdict").lower() == "fail"
     assert "<b>bolt</b>" in tab.inner_text("#facts")
     assert "2.50 × threshold" in tab.inner_text("#facts")
-    assert tab.inner_text("#alarms .alarm") == f"gel S-1 is due\nWhat to do: {ADVICE['gel']}"
+    assert tab.inner_text("#alarms .alarm") == f"gel S-1 is due\nWhat to do: {ADVICE['gel']}".replace("`", "")
     assert tab.inner_text("#selected") == "bolt/pos1"
     assert "GelSight Mini R0B, serial 2BNN4ZE7, 24.9 frames a second" in tab.inner_text("#sensor")
     assert "801 of 1000 presses, 199 left: due" in tab.inner_text("#gel")
     assert tab.inner_text("#state") == "ready"
     assert "mqtt: no broker answers" in tab.inner_text("#receivers")
     assert tab.locator("#presses tr").count() == 2
-    tab.wait_for_function("document.getElementById('picture').naturalWidth > 0")
+    wait_until(tab, "document.getElementById('picture').naturalWidth > 0")
 
 
 def test_a_press_without_a_score_is_an_error_on_the_page(tab: Any, sink: PageSink) -> None:
@@ -74,9 +94,10 @@ def test_a_press_without_a_score_is_an_error_on_the_page(tab: Any, sink: PageSin
     assert tab.locator("#picture").is_hidden()
 
 
-def test_it_is_readable_on_a_phone(tab: Any, sink: PageSink) -> None:
-    """One column, and nothing wider than the screen."""
-    tab.set_viewport_size({"width": 390, "height": 844})
+@pytest.mark.parametrize("width", [320, 390, 768, 1000])
+def test_nothing_is_wider_than_the_screen(tab: Any, sink: PageSink, width: int) -> None:
+    """From a small phone on; the picture is scrolled in its own frame."""
+    tab.set_viewport_size({"width": width, "height": 844})
     outcome = {"verdict": Kind.REJECTED, "score": None, "score_ratio": None}
     for message in (
         *press(1, part="a_very_long_name_of_a_part_without_a_blank", picture=PICTURE),
@@ -85,7 +106,54 @@ def test_it_is_readable_on_a_phone(tab: Any, sink: PageSink) -> None:
         sink.send(message)
 
     tab.wait_for_selector("#verdict.rejected")
-    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("size", [(1280, 900), (1920, 1080)])
+def test_the_verdict_is_readable_from_two_metres(tab: Any, sink: PageSink, size: tuple[int, int]) -> None:
+    """Letters of 10 mm for each 2 m (ISO 9355-2: 15 to 20 minutes of arc), on a screen of 96 pixels an inch."""
+    tab.set_viewport_size({"width": size[0], "height": size[1]})
+    for message in press(
+        1, verdict=Kind.REJECTED, score=None, score_ratio=None, reason="off_position: again"
+    ):
+        sink.send(message)
+    tab.wait_for_selector("#verdict.rejected")
+
+    font_px = float(tab.evaluate("parseFloat(getComputedStyle(document.getElementById('verdict')).fontSize)"))
+    capital_mm = 0.7 * font_px / 96 * 25.4
+    assert capital_mm >= 2000 * math.tan(math.radians(20 / 60))
+
+
+def test_alarms_and_verdicts_are_announced(tab: Any, sink: PageSink) -> None:
+    """To a screen reader: roles, names, and a name for every control."""
+    for message in (state("ready"), info(), gel(801, GelState.DUE), *press(1, picture=PICTURE)):
+        sink.send(message)
+    tab.wait_for_selector("#verdict.pass")
+
+    assert tab.get_attribute("#verdict", "aria-live") == "assertive"
+    assert tab.get_by_role("meter", name="Gel").get_attribute("aria-valuenow") == "80"
+    assert tab.get_by_role("table", name="Last presses").count() == 1
+    assert tab.get_by_role("img", name="pass, bolt").count() == 1
+    assert [role for role in ("status", "region", "main") if tab.get_by_role(role).count() == 0] == []
+    unnamed = "[...document.querySelectorAll('input, select')].filter((one) => !one.labels.length).length"
+    assert tab.evaluate(unnamed) == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_stand_out_by_day_and_by_night(browser: Any, sink: PageSink, scheme: str) -> None:
+    """Contrast of at least 4.5 (WCAG 2.2, 1.4.3), of everything that is written."""
+    for message in (state("ready"), info(), gel(801, GelState.DUE), *press(1, picture=PICTURE), *press(2)):
+        sink.send(message)
+    sink.send(alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="`due`", severity="warning")))
+    one = browser.new_page(color_scheme=scheme)
+    one.set_default_timeout(BROWSER_MS)
+    one.goto(f"http://127.0.0.1:{sink.port}/")
+    one.wait_for_selector("#verdict.pass")
+    low = one.evaluate(CONTRASTS)
+    one.close()
+
+    assert [words for words, contrast in low if contrast < 4.5] == []
+    assert len(low) > 20
 
 
 def test_a_gateway_that_is_gone_is_seen(browser: Any, sink: PageSink) -> None:

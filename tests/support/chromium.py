@@ -1,18 +1,27 @@
 """The system's Chromium, driven without a window; playwright brings none of its own."""
 
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
 import pytest
 
-__all__ = ["BROWSER_MS", "chromium"]
+__all__ = ["BROWSER_MS", "chromium", "wait_until"]
 
 # On a busy machine a browser takes long to start.
 BROWSER_MS: Final = 120_000
 
 _PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def wait_until(tab: Any, expression: str) -> None:
+    """Ask the page again and again until this is true there; a page with a strict policy does not wait by itself."""
+    deadline = time.monotonic() + BROWSER_MS / 1000
+    while not tab.evaluate(expression):
+        assert time.monotonic() < deadline, f"it did not come to {expression}"
+        tab.wait_for_timeout(10)
 
 
 @contextmanager

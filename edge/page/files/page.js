@@ -30,10 +30,17 @@ const ratio = (press) => typeof press.score_ratio === "number" ? press.score_rat
 const named = (one) => [one.part, one.position].filter(Boolean).join("/");
 const may = (verb) => key !== null && shown !== null && shown.changes.verbs.includes(verb);
 
+// What is typed is between backquotes.
+const words = (text) => text.split("`").map((part, n) => element(n % 2 ? "code" : "span", part));
+
 function showAlarm(alarm) {
-  const row = element("div", "", `alarm ${alarm.severity}`);
-  const about = element("p", alarm.text);
-  if (alarm.what_to_do) { about.append(document.createElement("br"), element("span", `What to do: ${alarm.what_to_do}`, "todo")); }
+  const row = element("div", "", `alarm ${alarm.severity}`), about = element("p", "");
+  about.append(...words(alarm.text));
+  if (alarm.what_to_do) {
+    const todo = element("strong", "What to do: ");
+    todo.append(...words(alarm.what_to_do));
+    about.append(document.createElement("br"), todo);
+  }
   row.append(about);
   if (alarm.can_acknowledge && may("acknowledge_alarm")) {
     const button = element("button", "Acknowledge");
@@ -72,8 +79,8 @@ function showStation(station) {
   const state = station.state || { state: "starting" }, info = station.info || {}, stats = station.stats || {};
   document.title = [station.place, "gelgate"].filter(Boolean).join(" · ");
   put("place", station.place);
-  put("state", state.state + (state.reason ? `: ${state.reason}` : ""));
-  at("state").className = state.state;
+  put("state", (station.away ? "last known: " : "") + state.state + (state.reason ? `: ${state.reason}` : ""));
+  at("state").className = station.away ? "away" : state.state;
   put("away", station.away || "");
   at("away").hidden = !station.away;
   const alarms = Object.values(station.alarms);
