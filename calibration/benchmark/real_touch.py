@@ -19,6 +19,7 @@ from calibration.benchmark.touch_edits import Edited
 from calibration.benchmark.touch_presses import MIN_HELD, OBJECTS, Object, Presses
 from calibration.benchmark.trial import PROFILE, REGION, Trial
 from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.rendered_damage.conditions import relit
 from calibration.simulator.field_of_view import F32
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
@@ -78,9 +79,11 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
         )
     rng = np.random.default_rng([_SEED, *name.encode()])
     damaged = _edits(held, edits, presses, rng)
-    relit = [cut.region.crop(touch_edits.relit(cut.rgb, rng)) for cut in held]
-    counts = len(held) + len(damaged), len(others), len(relit)
-    frames = [cut.frame for cut in held] + [rgb for rgb, _ in damaged] + [cut.frame for cut in others] + relit
+    relighted = [cut.region.crop(relit(cut.rgb, rng)) for cut in held]
+    counts = len(held) + len(damaged), len(others), len(relighted)
+    frames = (
+        [cut.frame for cut in held] + [rgb for rgb, _ in damaged] + [cut.frame for cut in others] + relighted
+    )
     masks = np.zeros((len(frames), *frames[0].shape[:2]), np.bool_)
     masks[len(held) : counts[0]] = [mask for _, mask in damaged]
     kind = np.repeat([0, 1, 2], counts)

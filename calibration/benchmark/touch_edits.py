@@ -1,4 +1,4 @@
-"""Small edits of real presses, for no damaged part is public: pieces of real relief, marker dots, another light.
+"""Small edits of real presses, for no damaged part is public: pieces of real relief, marker dots.
 
 An edit stands for damage and is none: it shows what a detector sees of a small change, and not which damage occurs.
 Every random choice comes from the generator that is given, so a seed gives the same edits everywhere.
@@ -23,7 +23,6 @@ __all__ = [
     "dots",
     "near_dots",
     "relief",
-    "relit",
     "remove_dot",
     "without_dots",
 ]
@@ -52,10 +51,6 @@ _DOT_LEVELS, _SURROUNDINGS_PX = 25, 17
 _DOT_AREA_PX = (12, 200)
 _RIM_PX, _NEAR_PX = 2, 4
 _APART_PX = 10
-
-# Another light: gains of each colour and their slope from edge to edge of the picture. A choice; automatic exposure
-# moves the level of a GelSight Mini by a fifth within a session (edge/core/imaging/known_profiles.py).
-_GAIN, _SLOPE = 0.15, 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,11 +217,3 @@ def add_dot(rgb: U8, spots: Mask, rng: np.random.Generator) -> Edited:
     added[to] = np.clip(np.round(rgb[to] * np.minimum(share[source], 1)[:, None]), 0, 255).astype(np.uint8)
     mask[to] = True
     return Edited(added, mask)
-
-
-def relit(rgb: U8, rng: np.random.Generator) -> U8:
-    """The press under another light: each colour brighter or darker, by a share that changes over the picture."""
-    height, width = rgb.shape[:2]
-    v, u = np.linspace(-1, 1, height)[:, None, None], np.linspace(-1, 1, width)[None, :, None]
-    gain, across, down = (rng.uniform(-most, most, 3) for most in (_GAIN, _SLOPE, _SLOPE))
-    return np.clip(np.round(rgb * (1 + gain + across * u + down * v)), 0, 255).astype(np.uint8)

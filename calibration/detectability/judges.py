@@ -18,6 +18,7 @@ from calibration.fitting.held_out import Learner
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.registration import in_pose_of
 from calibration.map_limits.head_limit import limited_like
+from calibration.map_limits.head_relief import relieved_like
 from edge import registry
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError
@@ -145,6 +146,7 @@ class _Folds:
         """The judge of the presses held out. Errors: FitError."""
         whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
         head, bank = limited_like(whole.bank, self.learner.head(bank), bank)
+        head, bank = relieved_like(whole.bank, whole.manifest.facts, head, bank)
         graphs = Graphs(trunk=whole.graphs.trunk, head=head)
         assert whole.manifest.backbone is not None
         manifest, files = bundle_files(

@@ -270,7 +270,7 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 def summary(fitted: "Fitted", output: Path) -> None:
     """The summary of the bundle, in a few lines."""
-    from edge.model.limit_facts import limit_sentence
+    from edge.model.limit_facts import limit_sentence, missing_sentence
     from edge.model.promise import promise
 
     manifest = fitted.manifest
@@ -282,6 +282,8 @@ def summary(fitted: "Fitted", output: Path) -> None:
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
     if sentence := limit_sentence(manifest.facts):
         typer.echo(f"limit: {sentence}")
+    if sentence := missing_sentence(manifest.facts):
+        typer.echo(f"missing relief: {sentence}")
     typer.echo(f"false alarms: {promise(limit)}")
     if cost:
         typer.echo(

@@ -35,10 +35,11 @@ from calibration.fitting.limit_choice import Choice
 from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.pose_decision import PoseChoice, Register, chosen_pose
+from calibration.fitting.relief_step import ReliefChoice, relief_of, with_relief
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
 from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.fitting.trunks import Trunk
-from calibration.map_limits.head_limit import bank_with_limit, head_with_limit, limit_arrays
+from calibration.map_limits.head_limit import bank_with, head_with_limit, limit_arrays
 from calibration.map_limits.kinds import PLAIN
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -47,6 +48,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.limit_facts import MISSING
 from edge.model.manifest import (
     Facts,
     GridEntry,
@@ -187,7 +189,9 @@ class _Fit:
         head = self.learner.head(bank)
         if (chosen := self.choice.chosen) is not None:
             arrays = limit_arrays(chosen.limit)
-            head, bank, scores = head_with_limit(head, arrays), bank_with_limit(bank, arrays), chosen.scores
+            head, bank, scores = head_with_limit(head, arrays), bank_with(bank, arrays), chosen.scores
+        self.relief = self._timed("threshold", lambda: self._relief(nominal, head))
+        head, bank = with_relief(head, bank, self.relief, self._unit(scores))
         self.graphs = Graphs(trunk=self.config.trunk.graph, head=head)
         self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
         self.warnings += self.apart
@@ -207,6 +211,20 @@ class _Fit:
         if self.limits is None:
             return Choice(PLAIN, self.config.why_plain)
         return self.limits.choice(bank, nominal)
+
+    def _relief(self, nominal: Nominal, head: bytes) -> ReliefChoice:
+        config = self.config
+        if self.limits is None or config.why_plain:
+            return ReliefChoice(config.why_plain)
+        return relief_of(
+            self.posed, (config.profile, config.region), nominal, self._taken, self.folds, self.learner, head
+        )
+
+    def _unit(self, scores: NDArray[np.float64] | None) -> float:
+        """The score at the limit."""
+        if self.choice.chosen is not None or scores is None:
+            return 1.0
+        return self._limit(scores).value
 
     def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
         bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
@@ -332,6 +350,7 @@ class _Fit:
             facts={
                 "backbone": config.trunk.facts,
                 "limit": self.choice.facts(),
+                MISSING: self.relief.facts(),
                 **self.pose.facts,
                 **{k: v for k, v in bank.facts.items() if k != "repairs"},
             },

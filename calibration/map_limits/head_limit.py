@@ -16,7 +16,7 @@ from edge.core.errors import FitError
 from edge.model.onnx_extend import Operation, extended, opset_of
 from edge.model.onnx_validation import GraphRefused
 
-__all__ = ["ARRAYS", "bank_with_limit", "can_extend", "head_with_limit", "limit_arrays", "limited_like"]
+__all__ = ["ARRAYS", "bank_with", "can_extend", "head_with_limit", "limit_arrays", "limited_like"]
 
 _MAP, _SCORE = "score_map", "score"
 _RAW_MAP, _RAW_SCORE = "limit_raw_map", "limit_raw_score"
@@ -59,9 +59,9 @@ def limit_arrays(limit: MapLimit) -> dict[str, NDArray[np.float32]]:
     return {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
 
 
-def bank_with_limit(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
-    """The bank with a limit's arrays. Errors: FitError for a detector with an array of such a name."""
-    taken = sorted(bank.arrays.keys() & set(ARRAYS))
+def bank_with(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
+    """The bank with more arrays. Errors: FitError for a detector with an array of such a name."""
+    taken = sorted(bank.arrays.keys() & set(arrays))
     if taken:
         raise FitError(f"the detector's bank has an array '{taken[0]}', a name that limits use; rename it")
     return Bank({**bank.arrays, **arrays}, bank.packing, bank.facts)
@@ -78,7 +78,7 @@ def head_with_limit(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def limited_like(whole: Mapping[str, NDArray[Any]], head: bytes, bank: Bank) -> tuple[bytes, Bank]:
     """A head and its bank with the limit that another bank's arrays hold; unchanged where it has none."""
     arrays = {name: whole[name] for name in ARRAYS if name in whole}
-    return (head_with_limit(head, arrays), bank_with_limit(bank, arrays)) if arrays else (head, bank)
+    return (head_with_limit(head, arrays), bank_with(bank, arrays)) if arrays else (head, bank)
 
 
 def _extended(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,8 +51,21 @@ class EditedPress:
         picture changes by the difference between the light on the two surfaces, so noise, grain, dust and marks stay.
         Where the picture was compressed, it is compressed again.
         """
-        changed = self.station.light(self.surface + self._pressed(damage) - self._sound) - self._lit
-        rgb = np.clip(np.rint(self._seen + changed), 0, 255).astype(np.uint8)
+        return self._shown(self.surface + self._pressed(damage) - self._sound)
+
+    def smoothed(self, sigma_mm: float) -> U8:
+        """The press of an object that is smoother by this much, uint8 (h, w, 3): relief finer than that is missing.
+
+        The standard deviation of a Gaussian window over the gel's surface. The picture changes as in `damaged`.
+        """
+        across, down = (sigma_mm / m for m in self.station.field.mm_per_px)
+        return self._shown(
+            np.asarray(cv2.GaussianBlur(self.surface, (0, 0), across, sigmaY=down), np.float32)
+        )
+
+    def _shown(self, surface: F32) -> U8:
+        """The press with this surface instead of its own."""
+        rgb = np.clip(np.rint(self._seen + self.station.light(surface) - self._lit), 0, 255).astype(np.uint8)
         return rgb if self._seen is self.rgb else compressed(rgb, self.station.region)
 
     @cached_property

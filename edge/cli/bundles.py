@@ -52,7 +52,7 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import limit_sentence
+    from edge.model.limit_facts import limit_sentence, missing_sentence
     from edge.model.promise import promise
 
     limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
@@ -99,6 +99,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     rows += [
         ("threshold", f"{limit.value:.6g} ({limit.method})"),
         ("limit", limit_sentence(manifest.facts) or "plain"),
+        ("missing relief", missing_sentence(manifest.facts) or "not checked"),
         ("false alarms", promise(limit)),
         ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
          f"relative {manifest.tolerance.relative:.2g}"),

@@ -5,13 +5,15 @@ The head's values of that name are renamed; every other byte of it stays.
 Ref: onnx/onnx.proto3 (field numbers).
 """
 
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from edge.model.onnx_validation import GraphRefused, fields
 from edge.model.protobuf import Field, message, written
 
-__all__ = ["Operation", "extended", "opset_of"]
+__all__ = ["Operation", "extended", "inputs_of", "opset_of"]
 
 # onnx.proto3, ModelProto, GraphProto and the entries used here.
 _GRAPH, _OPSET, _OPSET_VERSION = 7, 8, 2
@@ -24,12 +26,16 @@ _FIRST_NAME = 1
 
 @dataclass(frozen=True)
 class Operation:
-    """One standard operation. axes: for a reduction, which does not keep them; an int64 constant of the graph."""
+    """One standard operation.
+
+    axes: for a reduction, an int64 constant of the graph. is_kept: whether the axes stay, with one element each.
+    """
 
     kind: str
     inputs: tuple[str, ...]
     output: str
     axes: tuple[int, ...] = ()
+    is_kept: bool = False
 
 
 def extended(
@@ -37,13 +43,15 @@ def extended(
     renamed: Mapping[str, str],
     inputs: Mapping[str, Sequence[int]],
     operations: Sequence[Operation],
+    constants: Mapping[str, float] = MappingProxyType({}),
 ) -> bytes:
     """The head with more operations.
 
     renamed: values of the head to their new names; an operation gives each of the old ones. inputs: name to shape of
-    each further float32 input. Errors: GraphRefused for bytes that are not a model, or nodes with subgraphs.
+    each further float32 input. constants: name to value of each further float32 constant, (1, 1). Errors: GraphRefused
+    for bytes that are not a model, or nodes with subgraphs.
     """
-    more = b"".join(_appended(inputs, operations))
+    more = b"".join(_appended(inputs, operations, constants))
     parts = []
     for number, value in fields(memoryview(head)):
         if number == _GRAPH and isinstance(value, memoryview):
@@ -65,6 +73,17 @@ def opset_of(head: bytes) -> int:
         ),
         default=0,
     )
+
+
+def inputs_of(head: bytes) -> list[str]:
+    """The names of its inputs. Errors: GraphRefused."""
+    return [
+        _first_name(entry)
+        for number, graph in fields(memoryview(head))
+        if number == _GRAPH and isinstance(graph, memoryview)
+        for field, entry in fields(graph)
+        if field == _INPUT and isinstance(entry, memoryview)
+    ]
 
 
 def _renamed(graph: memoryview, names: Mapping[str, str]) -> Iterator[bytes]:
@@ -102,9 +121,14 @@ def _first_name(entry: memoryview) -> str:
     return next(found, b"").decode("utf-8", "replace")
 
 
-def _appended(inputs: Mapping[str, Sequence[int]], operations: Sequence[Operation]) -> Iterator[bytes]:
+def _appended(
+    inputs: Mapping[str, Sequence[int]], operations: Sequence[Operation], constants: Mapping[str, float]
+) -> Iterator[bytes]:
     for name, shape in inputs.items():
         yield written(_INPUT, _float_input(name, shape))
+    for name, value in constants.items():
+        content = (1, 1), (2, _FLOAT), (8, name), (9, struct.pack("<f", value))
+        yield written(_INITIALIZER, message(*content))
     for operation in operations:
         yield from _node(operation)
 
@@ -121,13 +145,15 @@ def _node(operation: Operation) -> Iterator[bytes]:
         inputs = (*inputs, axes)
         data = b"".join(axis.to_bytes(8, "little", signed=True) for axis in operation.axes)
         yield written(_INITIALIZER, message((1, len(operation.axes)), (2, _INT64), (8, axes), (9, data)))
-        content = [(_NODE_ATTRIBUTE, message((1, "keepdims"), (3, 0), (20, _INT_ATTRIBUTE)))]
+        content = [
+            (_NODE_ATTRIBUTE, message((1, "keepdims"), (3, int(operation.is_kept)), (20, _INT_ATTRIBUTE)))
+        ]
     yield written(
         _NODE,
         message(
             *((_NODE_INPUT, name) for name in inputs),
             (_NODE_OUTPUT, operation.output),
-            (_NODE_NAME, f"appended {operation.output}"),
+            (_NODE_NAME, f"appended {operation.kind} of {' and '.join(operation.inputs)}"),
             (_NODE_KIND, operation.kind),
             *content,
         ),

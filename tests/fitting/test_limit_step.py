@@ -11,12 +11,13 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.map_limits.head_limit import ARRAYS
+from calibration.map_limits.head_relief import ARRAYS as RELIEF_ARRAYS
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.contact.mask import Touch
-from edge.model.limit_facts import limit_sentence
+from edge.model.limit_facts import limit_sentence, missing_sentence
 from edge.model.scorer import Scorer
 
 
@@ -77,7 +78,8 @@ def test_a_fit_keeps_the_plain_limit(
     """Where it is asked for, and where there is nothing to choose."""
     manifest = fit_files(presses, replace(config, **changes), created="").manifest  # type: ignore[arg-type]
     assert manifest.facts["limit"] == {"kind": "plain", "why": why, "found": {}}
-    assert not set(ARRAYS) & set(manifest.bank)
+    assert missing_sentence(manifest.facts) == f"not checked: {why}"
+    assert not {*ARRAYS, *RELIEF_ARRAYS} & set(manifest.bank)
 
 
 def unlike(presses: NominalPresses) -> NominalPresses:

@@ -1,0 +1,260 @@
+"""What a smoother object lacks, learnt from the nominal presses alone, and whether it is worth checking.
+
+The direction in the finest tap that separates smoother presses from nominal ones, and neither light, exposure and
+contrast nor one nominal press from the next: Fisher's linear discriminant of the features averaged over the contact.
+The smoother presses are rendered into the nominal ones, and each press is judged by what the other folds teach.
+
+Ref: Fisher, The use of multiple measurements in taxonomic problems, Annals of Eugenics 7 (1936).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.folds import Folds
+from calibration.fitting.held_out import Learner
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.relief_presses import ChangedPresses, changed_presses
+from calibration.map_limits.head_limit import bank_with, can_extend
+from calibration.map_limits.head_relief import head_with_relief, relief_arrays
+from calibration.map_limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
+from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.onnx_extend import inputs_of
+from plugins.detectors.common.smoothing import Smoothing
+
+__all__ = ["USEFUL", "ReliefChoice", "choose_relief", "relief_of", "with_relief"]
+
+Float = NDArray[np.float64]
+Floating = NDArray[np.floating]
+Take = Callable[[NDArray[np.uint8]], Features]
+
+USEFUL = 0.6
+"""The share of the smoother presses that must be found; a part with little relief can lack little."""
+
+# A cell touches half at this share of the distance that the most changed cells of a press have from the free gel.
+_LEVEL_SHARE, _HIGHEST = 0.35, 0.995
+# A contact of less than this share of the weakest nominal one shows no relief to judge by.
+_WEAKEST_SHARE = 0.25
+# Presses whose contact is weaker than this share of the usual one say little of the features of a contact.
+_USUAL_SHARE = 0.3
+# Fisher's within-class scatter: what conditions change counts this many times, and the scatter of single cells by this
+# share, which keeps it regular with few presses.
+_CONDITIONS, _CELLS = 4.0, 0.05
+_MOST_CELLS = 4096
+# The limit lies below the lowest nominal press by these shares of its distance from the middle, and from the smoother.
+_BEYOND_NOMINAL, _BEYOND_SMOOTHER = 0.25, 0.25
+# Of each condition this share of the presses may lie lower: a rendered condition is no nominal press.
+_LOWEST_SHARE = 0.1
+# The map of missing relief is blurred by this standard deviation.
+_BLUR_MM = 0.38
+
+
+@dataclass(frozen=True, eq=False)
+class ReliefChoice:
+    """relief: None where nothing is checked. found: the share of smoother presses found, None where none was tried."""
+
+    why: str
+    relief: MissingRelief | None = None
+    found: float | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """For the manifest."""
+        known = {} if self.found is None else {"found": round(self.found, 4)}
+        tap = {} if self.relief is None else {"tap": self.relief.tap}
+        return {"is_checked": self.relief is not None, "why": self.why, **known, **tap}
+
+
+def relief_of(
+    presses: NominalPresses,
+    view: tuple[SensorProfile, Region],
+    nominal: Nominal,
+    take: Take,
+    folds: Folds,
+    learner: Learner,
+    head: bytes,
+) -> ReliefChoice:
+    """What the station's presses allow. take: the features of frames. head: the graph that is to be extended."""
+    tap = finest_tap(learner.grid, inputs_of(head))
+    if tap is None or not can_extend(head):
+        return ReliefChoice("it cannot be appended to the method's graph")
+    changed = changed_presses(presses, *view, np.random.default_rng(learner.seed))
+    if changed is None:
+        return ReliefChoice("there is no picture of the free gel, or no contact, to make smoother")
+    return choose_relief(nominal, changed, take, folds, learner.grid, tap)
+
+
+def with_relief(head: bytes, bank: Bank, choice: ReliefChoice, unit: float) -> tuple[bytes, Bank]:
+    """Head and bank with what is missing, where it is checked. unit: the score at the limit. Errors: FitError."""
+    if choice.relief is None or unit <= 0:
+        return head, bank
+    arrays = relief_arrays(replace(choice.relief, unit=unit))
+    return head_with_relief(head, choice.relief.tap, arrays), bank_with(bank, arrays)
+
+
+def finest_tap(grid: Grid, read: Sequence[str]) -> str | None:
+    """The tap with the most cells, of those that a head reads; None where it reads none."""
+    cells = {tap: grid.taps[tap][1] * grid.taps[tap][2] for tap in read if tap in grid.taps}
+    return max(cells, key=lambda tap: cells[tap]) if cells else None
+
+
+def choose_relief(
+    nominal: Nominal, changed: ChangedPresses, take: Take, folds: Folds, grid: Grid, tap: str
+) -> ReliefChoice:
+    """What tells a smoother press, from nominal presses (with features of the free gel) and changed ones."""
+    evidence = _Evidence.of(nominal, changed, take, tap)
+    held_out = evidence.held_out(folds)
+    if held_out.limit >= 0:
+        return ReliefChoice("the nominal presses differ more than smoother ones do from them")
+    found = float(np.mean([values < held_out.limit for values in held_out.smoother]))
+    count = held_out.smoother.size
+    words = f"{round(found * count)} of {count} smoother presses"
+    if found < USEFUL:
+        return ReliefChoice(
+            f"of the part's relief little can be missing: only {words} are found", None, found
+        )
+    weights, middle = evidence.direction(np.arange(nominal.presses))
+    limit = held_out.limit
+    relief = replace(
+        evidence.blank(tap, grid), weights=weights / limit, middle=middle / limit, weakest=evidence.weakest
+    )
+    highest = float(relief.missing_of(evidence.nominal).max())
+    if highest >= 1:
+        return ReliefChoice("its own nominal presses would fail by it", None, found)
+    return ReliefChoice(f"{words} are found, {_of_conditions(held_out)}", relief, found)
+
+
+def _of_conditions(held_out: "_HeldOut") -> str:
+    is_alarm = held_out.same < held_out.limit
+    return f"and {int(is_alarm.sum())} of {is_alarm.size} nominal ones under another light or contrast"
+
+
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """Roughness by directions learnt without the press, 0 in the middle. nominal: (n,); same, smoother: (kinds, m)."""
+
+    nominal: Float
+    same: Float
+    smoother: Float
+
+    @property
+    def limit(self) -> float:
+        """Below every nominal press, and further by a share of the way to the smoother ones."""
+        lowest = min(float(self.nominal.min()), float(np.quantile(self.same, _LOWEST_SHARE, axis=1).min()))
+        to_smoother = lowest - float(np.median(self.smoother, axis=1).max())
+        return lowest - max(-_BEYOND_NOMINAL * lowest, _BEYOND_SMOOTHER * to_smoother)
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Everything pooled over the contact. press: which nominal press each changed one was, (m,). cells: the scatter of
+    single touched cells, (channels, channels)."""
+
+    free: Float
+    level: float
+    expected: Float
+    nominal: Pooled
+    press: NDArray[np.int64]
+    same: tuple[Pooled, ...]
+    smoother: tuple[Pooled, ...]
+    cells: Float
+
+    @classmethod
+    def of(cls, nominal: Nominal, changed: ChangedPresses, take: Take, tap: str) -> "_Evidence":
+        maps, untouched = nominal.features[tap], (nominal.no_contact or nominal.features)[tap]
+        free = np.median(untouched.mean(axis=0, dtype=np.float64), axis=(1, 2), keepdims=True)
+        distances = [np.sqrt(np.square(one - free).sum(axis=0)) for one in maps]
+        level = _LEVEL_SHARE * float(np.median([np.quantile(one, _HIGHEST) for one in distances]))
+        expected = np.mean([contact_of(one[None], free, level)[0] for one in maps], axis=0)
+        same, smoother = (
+            tuple(pooled(take(frames)[tap], free, level) for frames in kinds)
+            for kinds in (changed.same, changed.smoother)
+        )
+        cells = _touched_cells(maps[changed.press], free, level)
+        return cls(
+            free,
+            level,
+            expected,
+            pooled(maps, free, level),
+            changed.press,
+            same,
+            smoother,
+            np.cov(cells.T),
+        )
+
+    @property
+    def weakest(self) -> float:
+        return max(_WEAKEST_SHARE * float(self.nominal.contact.min()), 1.0)
+
+    def blank(self, tap: str, grid: Grid) -> MissingRelief:
+        """With everything but a direction and its limit."""
+        channels, *cells = grid.taps[tap]
+        raised = Smoothing.of(grid, (cells[0], cells[1]), _BLUR_MM, "sampled")
+        return MissingRelief(
+            tap,
+            self.free,
+            self.level,
+            np.zeros(channels),
+            0.0,
+            self.weakest,
+            self.expected,
+            raised.rows,
+            raised.columns,
+        )
+
+    def held_out(self, folds: Folds) -> _HeldOut:
+        """Every press by the direction of the other folds."""
+        nominal = np.zeros(len(self.nominal.contact))
+        same, smoother = (np.zeros((len(kinds), len(self.press))) for kinds in (self.same, self.smoother))
+        for held in folds:
+            direction = self.direction(np.setdiff1d(np.arange(len(nominal)), held))
+            nominal[held] = self.roughness(self.nominal[held], direction)
+            rows = np.isin(self.press, held)
+            for values, kinds in ((same, self.same), (smoother, self.smoother)):
+                values[:, rows] = [self.roughness(kind[rows], direction) for kind in kinds]
+        return _HeldOut(nominal, same, smoother)
+
+    def roughness(self, presses: Pooled, direction: tuple[Float, float]) -> Float:
+        weights, middle = direction
+        shown = presses.contact / (presses.contact + self.weakest)
+        return np.asarray((presses.means @ weights - middle) * shown)
+
+    def direction(self, known: NDArray[np.int64]) -> tuple[Float, float]:
+        """Weights (channels,) and the median of the known presses by them: higher is rougher."""
+        usual = _USUAL_SHARE * np.median(self.nominal.contact)
+        rows = np.isin(self.press, known) & (self.nominal.contact[self.press] > usual)
+        shown = known[self.nominal.contact[known] > usual]
+        if not rows.any():
+            rows = np.isin(self.press, known)
+        base = self.nominal.means[self.press[rows]]
+        means = self.nominal.means[shown]
+        within = _scatter(means - means.mean(axis=0)) + _CELLS * self.cells
+        changes = [kind.means[rows] - base for kind in self.same]
+        within = within + _CONDITIONS * np.mean([_scatter(change) for change in changes], axis=0)
+        smoother = np.mean([kind.means[rows] - base for kind in self.smoother], axis=(0, 1))
+        weights = -np.linalg.solve(within + _least(within), smoother)
+        weights = weights / max(float(np.sqrt(weights @ within @ weights)), float(np.finfo(np.float32).tiny))
+        return weights, float(np.median(means @ weights))
+
+
+def _touched_cells(maps: Floating, free: Float, level: float) -> Float:
+    """Features of cells in the middle of a contact, float64 (k, channels)."""
+    most = max(1, _MOST_CELLS // len(maps))
+    found = []
+    for one in maps:
+        touching = one[:, contact_of(one[None], free, level)[0] > 0.8].T
+        found.append(touching[:: max(1, len(touching) // most)])
+    return np.concatenate(found).astype(np.float64)
+
+
+def _scatter(rows: Float) -> Float:
+    return np.asarray(rows.T @ rows / max(len(rows) - 1, 1))
+
+
+def _least(within: Float) -> Float:
+    """Keeps a scatter regular where a channel never changes."""
+    return 1e-6 * float(np.trace(within)) / len(within) * np.eye(len(within)) + 1e-12 * np.eye(len(within))

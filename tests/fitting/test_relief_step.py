@@ -1,0 +1,177 @@
+"""A fit learns from its own presses what a smoother object lacks, and refuses none for light or depth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
+
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.folds import held_out_folds
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.relief_presses import changed_presses
+from calibration.fitting.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
+from calibration.fitting.trunks import open_trunk
+from calibration.map_limits.head_relief import ARRAYS
+from calibration.rendered_damage.conditions import dimmed, relit
+from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.pose import HeightField, Jitter, sample
+from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from edge import registry
+from edge.core.detector import Features, Grid, Nominal
+from edge.model.limit_facts import missing_sentence
+from edge.model.scorer import Scorer
+
+TRUNK = open_trunk("tactile_resnet18", ("layer1",))
+LEARNT = 10
+
+
+def smooth_dome(x_mm: F32, y_mm: F32) -> F32:
+    """The dome without its grooves."""
+    return np.asarray(np.maximum(-0.06 * (x_mm * x_mm + y_mm * y_mm), -1.0), np.float32)
+
+
+class Presses:
+    """Presses of the dome, of a smoother one, and a lighter press, by the same station."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        pictures = {f"p{k}": bench.press(k) for k in range(LEARNT)}
+        self.learnt = named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        numbers = range(LEARNT, LEARNT + 4)
+        self.sound = np.stack([self.of(pillow, k) for k in numbers])
+        self.smooth = np.stack([self.of(smooth_dome, k) for k in numbers])
+        self.lighter = np.stack([self.of(pillow, k, 0.75) for k in numbers])
+
+    def of(self, part: HeightField, number: int, depth: float = 1.0) -> np.ndarray:
+        gel, placed = self.bench.gel, self.bench.placed(number)
+        imprint = gel.imprint(sample(part, placed, LR), depth * DEPTH_MM * placed.depth_factor)
+        rgb = gel.expose(gel.light(gel.surface(imprint)), ("press", number), Exposure())
+        return np.ascontiguousarray(REGION.crop(rgb))
+
+
+@pytest.fixture(scope="module")
+def presses() -> Presses:
+    with reproducible_opencv():
+        return Presses(Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01))))
+
+
+class Taken:
+    """The features of the finest tap."""
+
+    def __init__(self) -> None:
+        from edge.model.session import open_session
+
+        self.session = open_session(TRUNK.graph, 1, "trunk")
+        self.grid = trunk_grid(self.session, ["layer1"], (REGION.height, REGION.width), PROFILE.pixels_per_mm)
+
+    def __call__(self, frames: np.ndarray) -> Features:
+        return extract(self.session, frames, self.grid, lambda fraction: None)
+
+
+@pytest.fixture(scope="module")
+def take() -> Taken:
+    return Taken()
+
+
+def chosen(learnt: NominalPresses, take: Taken) -> ReliefChoice:
+    assert learnt.no_contact is not None
+    nominal = Nominal(take(learnt.frames), learnt.touched, take(learnt.no_contact))
+    changed = changed_presses(learnt, PROFILE, REGION, np.random.default_rng(0))
+    assert changed is not None
+    folds, _ = held_out_folds((None,) * len(learnt), 5, np.random.default_rng(0))
+    return choose_relief(nominal, changed, take, folds, take.grid, "layer1")
+
+
+@pytest.fixture(scope="module")
+def choice(presses: Presses, take: Taken) -> ReliefChoice:
+    return chosen(presses.learnt, take)
+
+
+def missing(choice: ReliefChoice, take: Taken, frames: np.ndarray) -> np.ndarray:
+    assert choice.relief is not None
+    return choice.relief.missing(take(frames)["layer1"])
+
+
+def test_an_object_without_the_grooves_lacks_relief(
+    choice: ReliefChoice, presses: Presses, take: Taken
+) -> None:
+    """Every press of it lies above the limit, though no such object was ever shown."""
+    assert (missing(choice, take, presses.smooth) > 1).all()
+
+
+def test_sound_presses_lack_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
+    """Learnt ones are far below the limit, and so are others."""
+    assert (missing(choice, take, presses.learnt.frames) < 0.9).all()
+    assert (missing(choice, take, presses.sound) < 0.9).all()
+
+
+def test_a_lighter_press_lacks_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
+    """Three quarters of the depth show less of the part; its relief is there."""
+    assert (missing(choice, take, presses.lighter) < 1).all()
+
+
+def test_another_light_lacks_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
+    """Other colours and four fifths of the exposure are no other object."""
+    rng = np.random.default_rng(3)
+    assert (missing(choice, take, np.stack([relit(rgb, rng) for rgb in presses.sound])) < 1).all()
+    assert (missing(choice, take, np.stack([dimmed(rgb, 0.8) for rgb in presses.sound])) < 1).all()
+
+
+def test_the_free_gel_lacks_everything(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
+    """Nothing touches."""
+    assert presses.learnt.no_contact is not None
+    assert (missing(choice, take, presses.learnt.no_contact) > 2).all()
+
+
+def test_a_smooth_part_can_lack_little(presses: Presses, take: Taken) -> None:
+    """Where few smoother presses are found nothing is checked, and the choice says so."""
+    with reproducible_opencv():
+        frames = np.stack([presses.of(smooth_dome, k) for k in range(LEARNT)])
+    found = chosen(replace(presses.learnt, frames=frames), take)
+    assert found.relief is None
+    assert "little can be missing" in found.why
+
+
+def test_nothing_is_learnt_without_the_free_gel(presses: Presses) -> None:
+    """Without it no object can be made smoother."""
+    without = replace(presses.learnt, no_contact=None)
+    assert changed_presses(without, PROFILE, REGION, np.random.default_rng(0)) is None
+
+
+def test_the_finest_tap_is_the_one_with_the_most_cells() -> None:
+    """Of those that the head reads."""
+    grid = Grid((96, 96), {"layer1": (64, 24, 24), "layer2": (128, 12, 12)}, 16.0)
+    assert finest_tap(grid, ["layer2", "bank", "layer1"]) == "layer1"
+    assert finest_tap(grid, ["layer2", "bank"]) == "layer2"
+    assert finest_tap(grid, ["bank"]) is None
+
+
+@pytest.fixture(scope="module")
+def fitted(presses: Presses) -> Fitted:
+    detector = registry.detector("padim")
+    trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
+    config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
+    return fit_files(presses.learnt, config, created="")
+
+
+def test_a_bundle_says_what_it_checks(fitted: Fitted) -> None:
+    """The manifest has the reason and the tap, and the arrays are in the bank."""
+    facts = fitted.manifest.facts
+    assert missing_sentence(facts).startswith("checked: ")
+    assert facts["missing_relief"]["tap"] == "layer1"
+    assert facts["missing_relief"]["found"] >= USEFUL
+    assert set(ARRAYS) <= set(fitted.manifest.bank)
+
+
+def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, presses: Presses) -> None:
+    """Its score is the highest value of its map, which shows where; learnt presses keep their scores."""
+    scorer, threshold = Scorer(fitted.bundle(), 1), fitted.manifest.threshold
+    for rgb in presses.smooth:
+        found = scorer.score(rgb)
+        assert found.anomaly_score == pytest.approx(float(found.score_map.max()))
+        assert found.anomaly_score > threshold.value
+    known = [scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames]
+    assert max(known) <= max(threshold.nominal_scores) * (1 + 1e-4)
