@@ -161,7 +161,7 @@ def test_a_broker_that_is_away_is_seen_and_the_page_goes_on(browser: Any) -> Non
         wait_until(one, "document.getElementById('away').textContent.includes('has no message')")
         says(state("ready"), *press(2))
         one.wait_for_selector("#away", state="hidden")
-        assert one.locator("#presses tr").count() == 2
+        wait_until(one, "document.querySelectorAll('#presses tr').length === 2")
         one.close()
         server.close()
         station.close()
