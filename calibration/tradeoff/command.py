@@ -73,6 +73,8 @@ def tradeoff(
     from edge.extras import needs
 
     needs("peers" if peers else "studies", "tradeoff --peers" if peers else "tradeoff")
+    if peers:
+        _require_models()
     limits = Limits(time_ms(within) if within else None, size(under) if under else None, presses)
     is_choosing = bool(limits.names) or point is not None
     _check_options(output, bundle, overwrite, is_choosing, check)
@@ -97,6 +99,12 @@ def tradeoff(
         _choose(rows, limits, points, chosen, settings, bundle or output / "bundle", overwrite)
     if check is not None:
         _check(rows, check)
+
+
+def _require_models() -> None:
+    from calibration.tradeoff.peers import require_models
+
+    require_models()
 
 
 def _check_options(

@@ -27,7 +27,7 @@ from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
 
-__all__ = ["NOTE", "Peer", "load_weights", "peers"]
+__all__ = ["NOTE", "Peer", "load_weights", "peers", "require_models"]
 
 NOTE: Final = (
     "Not compared with its published figure: that is for MVTec AD and ImageNet weights, and the dataset is not at "
@@ -66,6 +66,19 @@ class Peer:
         self.drawing.draw(rgb, score_map, score)
         end = time.perf_counter()
         return (decoded - start) * 1e3, 0.0, (scored - decoded) * 1e3, (end - scored) * 1e3
+
+
+def require_models() -> None:
+    """Import anomalib's models, before anything is measured. Errors: ConfigError where they cannot be imported."""
+    try:
+        import anomalib.models.image.padim.torch_model
+        import anomalib.models.image.patchcore.torch_model  # noqa: F401
+    except (ImportError, RuntimeError, OSError) as error:
+        # RuntimeError, OSError: a torchvision of another build than torch lacks its operators or their libraries.
+        raise ConfigError(
+            f"--peers cannot import anomalib ({str(error).splitlines()[0]:.200}); install torch and torchvision of the "
+            "same build, both for CPU or both for CUDA"
+        ) from error
 
 
 def peers(

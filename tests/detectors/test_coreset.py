@@ -13,22 +13,22 @@ from plugins.detectors.common.coreset import greedy_from_distances, k_centre
 
 @settings(max_examples=30, deadline=None)
 @given(
-    st.sampled_from([(256, 32), (3, 2), (1, 1)]),
+    st.sampled_from([(256, 0.9), (2, 0.5), (1, 0.99)]),
     st.integers(1, 40),
     st.integers(1, 5),
     st.integers(1, 40),
     st.integers(0, 2**32 - 1),
 )
 def test_the_lazy_coreset_is_the_full_one(
-    sizes: tuple[int, int], n: int, c: int, count: int, seed: int
+    sizes: tuple[int, float], n: int, c: int, count: int, seed: int
 ) -> None:
     """Integers with many ties: the same rows in the same order as with all distances, the lowest first, also
-    where the pool and the batch (`sizes`) hold few of the rows.
+    where few rows are updated together and the level falls in large or small steps (`sizes`).
     """
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 4, (n, c)).astype(np.float32)
     start = int(rng.integers(n))
-    with mock.patch.object(coreset, "POOL", sizes[0]), mock.patch.object(coreset, "BATCH", sizes[1]):
+    with mock.patch.object(coreset, "BATCH", sizes[0]), mock.patch.object(coreset, "STEP", sizes[1]):
         found = k_centre(points, count, start)
     picks = [start]
     distance = np.square(points - points[start]).sum(axis=1)
@@ -41,3 +41,17 @@ def test_the_lazy_coreset_is_the_full_one(
     small = greedy_from_distances(squared[None], count, start)[0]
     assert small[: len(picks)].tolist() == picks
     assert len(set(small.tolist())) == len(small)
+
+
+def test_any_copy_of_a_repeated_row_may_be_picked_and_no_other_row() -> None:
+    """Fractions, every row twice: the picked rows are those of all distances, in their order."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(400, 8)).repeat(2, axis=0)
+    found = k_centre(points, 60, 5)
+    picks, distance = [5], np.square(points - points[5]).sum(axis=1)
+    while len(picks) < 60:
+        picks.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
+
+    np.testing.assert_array_equal(points[found.rows], points[picks])
+    assert found.radius == pytest.approx(np.sqrt(distance.max()))

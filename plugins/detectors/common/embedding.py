@@ -201,7 +201,9 @@ class Embedded:
         taps = self.embedding.choice.taps
         parts = [self.native[tap][:, self.embedding.index(tap)[cells]].swapaxes(0, 1) for tap in taps]
         if self.embedding.choice.projection == "semi_orthogonal":
-            total: NDArray[np.float64] = np.sum(parts, axis=0, dtype=np.float64)
+            total = parts[0].astype(np.float64, order="C")
+            for part in parts[1:]:
+                total += part
             return total
         return np.concatenate(parts, axis=2, dtype=np.float64)
 
@@ -344,8 +346,10 @@ def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> tuple[float
     squares = power = 0.0
     flat = x.reshape(*x.shape[:2], -1)
     scale = max(float(flat.max()), -float(flat.min())) or 1.0
+    chosen = slice(None) if len(cells) == flat.shape[2] else cells
     for channel in range(flat.shape[1]):
-        values = flat[:, channel, cells].astype(np.float64) / scale
+        values = flat[:, channel, chosen].astype(np.float64, order="C")
+        values /= scale
         power += float(np.square(values).mean())
         squares += float(values.var(axis=0, ddof=1).mean()) if len(values) > 1 else 0.0
     floor = DEVIATION_FLOOR**2 * power

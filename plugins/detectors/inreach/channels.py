@@ -88,7 +88,7 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
         part = slice(first, first + step)
         squared = asking[part] @ asked_of[seed].T
         there[seed, part] = found = squared.argmin(axis=1)
-        away[seed, part] = np.take_along_axis(squared, found[:, None], axis=1)[:, 0]
+        away[seed, part] = squared[np.arange(len(found)), found]
         np.minimum(back[seed], squared.min(axis=0), out=back[seed])
     return Nearest(there, away, back)
 
