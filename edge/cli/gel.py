@@ -8,7 +8,7 @@ import typer
 if TYPE_CHECKING:
     from edge.store.press_store import GelRecord, Store
 
-__all__ = ["gel"]
+__all__ = ["gel", "user"]
 
 gel = typer.Typer(help="Show the wear of gels, or record a replacement.", no_args_is_help=True)
 
@@ -72,12 +72,13 @@ def replace(
             limit,
             note,
             lambda gel: [gel_message(GelPayload.of(gel, now_ns))],
-            Act(now_ns, f"{_user()}, command line", "replace_gel", outcome="done", arguments=asked),
+            Act(now_ns, f"{user()}, command line", "replace_gel", outcome="done", arguments=asked),
         )
     print(json.dumps(_plain(record), indent=2) if as_json else _line(record))
 
 
-def _user() -> str:
+def user() -> str:
+    """Who asks, for the table of acts."""
     import getpass
 
     try:

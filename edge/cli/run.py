@@ -39,6 +39,10 @@ settle_s = 0.2
 limit_presses = 1000          # the maker's figure for coins; sharp parts cut faster
 warn_fraction = 0.8
 
+[reference]
+enforce = "off"               # or "warn", "refuse": what a missing reference press does; docs/operations.md
+# pieces = [{ name = "M1" }]    # master pieces
+
 [store]
 path = "gelgate.db"
 outbox_mb = 512               # unsent messages: heatmaps are dropped first, then passes, fails last
@@ -253,7 +257,9 @@ def press_line(report: "PressReport") -> str:
     stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
     total = result.latency_ms.get("total", 0.0)
     verdict = (result.verdict or "error").upper()
+    label = "" if report.label is None else f"{report.label.kind} {report.label.piece}  "
+    said = "".join(f"  {sentence}" for sentence in report.sentences)
     return (
-        f"{result.part}/{result.position or '-'}  {verdict:8} {found}  "
-        f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}"
+        f"{result.part}/{result.position or '-'}  {label}{verdict:8} {found}  "
+        f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
     )

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from edge.config.overview_table import OverviewTable
 from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
+from edge.config.reference_table import ReferenceTable
 from edge.core.contact.settings import ContactSettings
 from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import topic_level
@@ -267,6 +268,7 @@ class Config(Table):
     inspection: InspectionTable
     contact: ContactTable = ContactTable()
     gel: GelTable = GelTable()
+    reference: ReferenceTable = ReferenceTable()
     store: StoreTable = StoreTable()
     archive: ArchiveTable = ArchiveTable()
     commands: CommandTable = CommandTable()

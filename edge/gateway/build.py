@@ -32,6 +32,8 @@ from edge.gateway.opening import BundleOpener, Opened, device_opener, overview_o
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
+from edge.gateway.press_labels import PressLabels
+from edge.gateway.reference_guard import ReferenceGuard
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
@@ -58,11 +60,13 @@ def build(
     closing: ExitStack,
     checked: Preflight | None = None,
     read_again: Callable[[], Config] | None = None,
+    labels: PressLabels | None = None,
 ) -> Parts:
     """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
     checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
-    by default as it was at the start. Errors: ConfigError, BundleError, StoreError.
+    by default as it was at the start. labels: which presses are no part's; by default the reference presses that are
+    asked for. Errors: ConfigError, BundleError, StoreError.
     """
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), _retained_state(config)
     store = closing.enter_context(_open_store(config, clock))
@@ -95,6 +99,7 @@ def build(
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
     overview = _overview(config, clock, status, closing)
+    reference = ReferenceGuard(config.reference, store, status, clock)
     return Parts(
         selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
@@ -112,6 +117,8 @@ def build(
         io=io,
         snapshots=_snapshots(config, clock, closing),
         black_box=_black_box(config),
+        reference=reference,
+        labels=labels or reference,
         overview=overview,
         stats_s=table.stats_s,
     )

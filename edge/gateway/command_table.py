@@ -14,6 +14,7 @@ from edge.messaging.command_payloads import (
     AcknowledgeAlarmArguments,
     CommandArguments,
     NoArguments,
+    ReferencePressArguments,
     ReplaceGelArguments,
     SelectPartArguments,
     SnapshotArguments,
@@ -72,6 +73,17 @@ def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
     return {"is_waiting": True}
 
 
+def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> Data:
+    guard = loop.parts.reference
+    if loop.parts.labels is not guard:
+        raise ValueError("a gauge study runs on this station; ask for a reference press after it")
+    if arguments.cancel:
+        guard.cancel()
+        return {"is_waiting": False}
+    label = guard.request(arguments.piece, is_start=arguments.restart)
+    return {"piece": label.piece, "is_waiting": True, "within_s": guard.within_s}
+
+
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
     loop.acknowledge_alarm(arguments.alarm)
     return {"alarms": loop.alarms}
@@ -121,6 +133,14 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         "open the configured bundles again while presses are judged as before; `info` and the alarm `bundle` have the "
         "outcome",
         "the bundles",
+    ),
+    Command(
+        "reference_press",
+        ReferencePressArguments,
+        _reference_press,
+        "the next press is that of a master piece; its outcome is on the topic `reference`. `restart`: its charts "
+        "begin again; `cancel`: the next press is a part's",
+        "the charts of the master piece",
     ),
     Command(
         "acknowledge_alarm",

@@ -14,6 +14,7 @@ from edge.core.ports import Clock
 from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
+from edge.gateway.press_labels import PressLabels
 from edge.gateway.service_manager import ServiceManager
 from edge.gateway.station_loop import OnPress, StationLoop
 from edge.gateway.station_parts import Parts
@@ -42,14 +43,16 @@ class Gateway:
         on_press: OnPress = lambda report: None,
         checked: Preflight | None = None,
         read_again: Callable[[], Config] | None = None,
+        labels: PressLabels | None = None,
     ) -> Self:
         """Build every part; a part that cannot work is refused here, before anything is started.
 
         on_press: called by the loop with every recorded press. checked: the parts opened by the check before the start.
-        read_again: reads the configuration at a reload. Errors: ConfigError, BundleError, StoreError.
+        read_again: reads the configuration at a reload. labels: which presses are no part's. Errors:
+        ConfigError, BundleError, StoreError.
         """
         with ExitStack() as closing:
-            parts = build(config, clock, closing, checked, read_again)
+            parts = build(config, clock, closing, checked, read_again, labels)
             return cls(parts, closing.pop_all(), on_press)
 
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:

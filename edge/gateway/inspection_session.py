@@ -21,9 +21,11 @@ from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
+from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.press_labels import Mounted, PressLabels
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.status import StationStatus
@@ -64,6 +66,7 @@ class InspectionSession:
         clock: Clock,
         on_judged: Callable[[Inspection], None] = lambda inspection: None,
         admission: Admission | None = None,
+        labels: PressLabels | None = None,
     ) -> None:
         self.gel = gel
         self._on_judged = on_judged
@@ -75,7 +78,8 @@ class InspectionSession:
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
-        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission)
+        self._inspector = inspector
+        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission, labels)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
@@ -83,6 +87,14 @@ class InspectionSession:
     def has_contact(self) -> bool:
         """Whether something presses the gel."""
         return self._pipeline.tracker.has_contact
+
+    @property
+    def mounted(self) -> Mounted:
+        """What a press would be made with now."""
+        manifest = self._inspector.bundle.manifest
+        part = PartPosition(manifest.part, manifest.position)
+        digest = self._inspector.bundle.digest
+        return Mounted(self.gel.serial, self.gel.gel_id, part, digest, self.has_contact)
 
     @property
     def contact_state(self) -> str:
@@ -124,6 +136,7 @@ class InspectionSession:
     def use(self, inspector: Inspector) -> None:
         """Judge with another bundle from the next press on. Only while no press waits for its verdict, or when one has
         just begun."""
+        self._inspector = inspector
         self._pipeline.use(inspector)
         self._recorder.use(inspector)
         self._at_fit = inspector.bundle.free_reference

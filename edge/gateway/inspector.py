@@ -22,6 +22,8 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.overview.rules import OverviewView
 from edge.core.ports import Clock
+from edge.core.press_label import PressLabel
+from edge.core.reference_press.measures import Imprint
 from edge.core.registration.registrar import Registered
 from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
@@ -47,7 +49,8 @@ class Inspection:
     rgb: uint8 (h, w, 3) of the inspected region. score_map: float32 (h, w), raw. Both are None where the frame did not
     get that far. latency_ms: stage to milliseconds. judged_ns: when the judged frame came, monotonic; None without one.
     overview: the look before the press, None without such a camera. registered: how the press was brought to the bank's
-    pose, None where it was scored as it lies. judged: what it was judged by, None where no frame was.
+    pose, None where it was scored as it lies. judged: what it was judged by, None where no frame was. label: what the
+    press is for, None for a part's. imprint: what is measured of it where it is a master piece's.
     """
 
     verdict: Verdict | None
@@ -59,6 +62,8 @@ class Inspection:
     overview: OverviewView | None = None
     registered: Registered | None = None
     judged: JudgedFrame | None = None
+    label: PressLabel | None = None
+    imprint: Imprint | None = None
 
     @property
     def word(self) -> str:

@@ -1,5 +1,6 @@
 """From frames to judged presses: contact finds the press, the inspector judges its one frame."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -16,15 +17,19 @@ from edge.core.contact.tracker import ContactTracker
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
+from edge.core.press_label import PressLabel, ReferenceLabel
+from edge.core.reference_press.measures import Imprint
 from edge.core.verdict import Verdict
 from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector, JudgedFrame
+from edge.gateway.press_labels import PressLabels
 
 __all__ = ["PressPipeline"]
 
 
 class PressPipeline:
-    """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera."""
+    """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera. labels:
+    which presses are no part's; the overview camera is not asked about these."""
 
     def __init__(
         self,
@@ -33,12 +38,15 @@ class PressPipeline:
         clock: Clock,
         on_event: Callable[[Event], None] = lambda event: None,
         admission: Admission | None = None,
+        labels: PressLabels | None = None,
     ) -> None:
         self.detector = detector
         self._inspector = inspector
         self._clock = clock
         self._on_event = on_event
         self._admission = admission
+        self._labels = labels
+        self._label: PressLabel | None = None
 
     @property
     def tracker(self) -> ContactTracker:
@@ -73,16 +81,54 @@ class PressPipeline:
         for event in events:
             self._on_event(event)
             match event:
-                case PressBegan() if self._admission is not None:
-                    self._admission.begin()
+                case PressBegan():
+                    self._begin()
                 case PressSettled():
-                    inspections.append(self._admitted(event))
+                    inspections.append(self._settled(event))
                 case PressNotSettled():
                     text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
                     rejected = Verdict.rejected(Rejection(Reason.NOT_SETTLED, text))
-                    view = self._admission.take()[0] if self._admission else None
-                    inspections.append(Inspection(rejected, overview=view))
+                    inspections.append(self._labelled(self._unsettled(rejected)))
         return inspections
+
+    def _begin(self) -> None:
+        """What this press is for; a part's is looked at before anything of it is judged."""
+        self._label = self._labels.begin() if self._labels is not None else None
+        if self._label is None and self._admission is not None:
+            self._admission.begin()
+
+    def _unsettled(self, rejected: Verdict) -> Inspection:
+        is_looked_at = self._label is None and self._admission is not None
+        view = self._admission.take()[0] if is_looked_at and self._admission else None
+        return Inspection(rejected, overview=view)
+
+    def _labelled(self, inspection: Inspection) -> Inspection:
+        """With what the press is for; the next one is a part's."""
+        label, self._label = self._label, None
+        return replace(inspection, label=label) if label is not None else inspection
+
+    def _settled(self, event: PressSettled) -> Inspection:
+        """Judged, unless parts may not be judged now: then it is not scored."""
+        if self._label is not None:
+            judged = self._labelled(self._judged(event))
+            return replace(judged, imprint=self._imprint(event, judged)) if _is_reference(judged) else judged
+        refusal = self._labels.refusal() if self._labels is not None else None
+        if refusal is not None:
+            return self._unsettled(Verdict.rejected(refusal))
+        return self._admitted(event)
+
+    def _imprint(self, event: PressSettled, judged: Inspection) -> Imprint:
+        profile, touch = self._inspector.bundle.profile, event.touch
+        (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
+        found = judged.registered
+        is_turning = found is not None and found.uncertainty.turn_rad is not None
+        return Imprint(
+            strength_levels=event.strength,
+            x_mm=touch.x * width * x_mm,
+            y_mm=touch.y * height * y_mm,
+            turn_deg=math.degrees(found.pose.turn_rad) if found is not None and is_turning else None,
+            noise_levels=self.tracker.noise_levels,
+        )
 
     def _admitted(self, event: PressSettled) -> Inspection:
         """Judged, unless the overview camera refuses the part: then it is not scored."""
@@ -105,3 +151,7 @@ class PressPipeline:
         judged = JudgedFrame(frame, event.touch, None if reference is None else reference.view)
         latency_ms = {**inspection.latency_ms, "total": total}
         return replace(inspection, latency_ms=latency_ms, judged_ns=judged_ns, judged=judged)
+
+
+def _is_reference(inspection: Inspection) -> bool:
+    return isinstance(inspection.label, ReferenceLabel)

@@ -5,11 +5,14 @@ from typing import Any
 
 from edge.core.defects import Defect, find_defects
 from edge.core.ports import Clock
+from edge.core.press_label import PressLabel
+from edge.core.reference_press.measures import Imprint
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.black_box import BlackBox
 from edge.gateway.heatmaps import heatmap_png
 from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.labelled_presses import LabelledTable, labelled_table
 from edge.messaging.defect_place import DefectPlace
 from edge.messaging.pose_payload import PosePlace
 from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_messages
@@ -33,20 +36,28 @@ class JudgedPress:
     heatmap_png: bytes | None
     overview_jpeg: bytes | None = None
     judged_ns: int | None = None
+    label: PressLabel | None = None
+    imprint: Imprint | None = None
 
 
 @dataclass(frozen=True)
 class PressReport:
-    """One press as recorded and as published. judged_ns: when the judged frame came, monotonic; None without one."""
+    """One press as recorded and as published. judged_ns: when the judged frame came, monotonic; None without one.
+    label: what it was for, None for a part's; such a press is not published as a result. sentences: what it says of the
+    station, for a master piece's."""
 
     result: ResultPayload
     gel: GelRecord
     heatmap_png: bytes | None
     judged_ns: int | None = None
+    label: PressLabel | None = None
+    sentences: tuple[str, ...] = ()
 
     @property
     def word(self) -> str:
-        """The verdict, or `error`."""
+        """The verdict, or `error`; `reference` or `study` for a press that is no part's."""
+        if self.label is not None:
+            return self.label.kind
         return "error" if self.result.verdict is None else self.result.verdict.value
 
 
@@ -96,20 +107,33 @@ class Recorder:
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
             "overview_topic": f"overview/{press.press_id}" if still else None,
         }
-        return JudgedPress(press, result, heatmap, still, inspection.judged_ns)
+        return JudgedPress(
+            press, result, heatmap, still, inspection.judged_ns, inspection.label, inspection.imprint
+        )
 
     def record(self, judged: JudgedPress) -> PressReport:
         """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
         made: list[ResultPayload] = []
+        table = self._table_of(judged)
 
         def messages(recorded: Recorded) -> Any:
             made.append(_result(judged, recorded))
+            if table is not None:
+                return table.messages(made[-1], recorded, judged.heatmap_png)
             return press_messages(made[-1], recorded.gel, judged.heatmap_png, judged.overview_jpeg)
 
-        recorded = self._store.record_press(judged.press, messages)
+        recorded = self._store.record_press(judged.press, messages, table)
         # No messages are made for a press that the database already has.
         result = made[-1] if made else _result(judged, recorded)
-        return PressReport(result, recorded.gel, judged.heatmap_png, judged.judged_ns)
+        said = table.sentences if table is not None else ()
+        return PressReport(result, recorded.gel, judged.heatmap_png, judged.judged_ns, judged.label, said)
+
+    def _table_of(self, judged: JudgedPress) -> LabelledTable | None:
+        """None for the history of parts."""
+        if judged.label is None:
+            return None
+        reason = judged.result["reason"] or judged.result["error"]
+        return labelled_table(judged.label, judged.press, judged.imprint, reason, judged.result["bundle_id"])
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""
@@ -173,7 +197,7 @@ def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
     gel = recorded.gel
     return ResultPayload(
         **judged.result,
-        sequence=recorded.sequence,
+        sequence=recorded.sequence if judged.label is None else None,
         gel_id=gel.gel_id,
         gel_presses=gel.presses,
         gel_limit_presses=gel.limit_presses,

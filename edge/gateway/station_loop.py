@@ -121,6 +121,7 @@ class StationLoop:
                 self._look_at(frame)
             if is_trying:
                 self._follow_selection()
+                self._parts.labels.step(self._session.mounted if self._session else None)
                 self._record()
                 self._note_snapshot()
                 self.is_halted = False
@@ -327,6 +328,7 @@ class StationLoop:
             parts.clock,
             self._judged,
             self._admission(),
+            parts.labels,
         )
         return self._session
 
@@ -344,7 +346,8 @@ class StationLoop:
             )
 
     def _judged(self, inspection: Inspection) -> None:
-        self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
+        if inspection.label is None:  # no gate and no light for what is no part
+            self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
 
     def _since(self, judged_ns: int | None) -> int:
         """From when deadlines count: the judged frame, or now where there is none."""
@@ -367,6 +370,8 @@ class StationLoop:
             self._parts.io.recorded(report.word, self._since(report.judged_ns))
             self.summary.add(report)
             self._on_press(report)
+            if report.label is not None:
+                self._parts.labels.recorded(report.label)
 
     def _set_store_fault(self, error: StoreError) -> None:
         self._was_held_up = True

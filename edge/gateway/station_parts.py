@@ -14,6 +14,8 @@ from edge.gateway.free_space import FreeSpace
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
+from edge.gateway.press_labels import PressLabels
+from edge.gateway.reference_guard import ReferenceGuard
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
@@ -28,7 +30,8 @@ __all__ = ["Parts"]
 class Parts:
     """The parts of a station, built and not yet started. Their builder closes them.
 
-    calls: of other threads, with the loop that has these parts. stats_s: between two reports.
+    calls: of other threads, with the loop that has these parts. labels: which presses are no part's: those of
+    `reference`, or of a gauge study. stats_s: between two reports.
     """
 
     selection: PartSelection
@@ -47,5 +50,7 @@ class Parts:
     io: StationIo
     snapshots: Snapshots
     black_box: BlackBox
+    reference: ReferenceGuard
+    labels: PressLabels
     overview: Overview | None = None
     stats_s: float = 10.0

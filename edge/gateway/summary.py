@@ -16,7 +16,8 @@ LATENCIES_KEPT: Final = 1000
 
 @dataclass
 class Summary:
-    """The counts of a run. verdicts: word to number, `error` for a press without a verdict.
+    """The counts of a run. verdicts: word to number, `error` for a press without a verdict, `reference`
+    and `study` for one that is no part's.
 
     latencies_ms: frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so
     they do not count. frames: the fate of the sensor's frames. frames_corrupt: not delivered, or delivered and not
@@ -35,7 +36,7 @@ class Summary:
         """One more press."""
         result = report.result
         self.presses += 1
-        self.verdicts[result.verdict or "error"] += 1
+        self.verdicts[report.word] += 1
         if result.score is not None and "total" in result.latency_ms:
             self.latencies_ms.append(result.latency_ms["total"])
         if (result.reason or "").startswith(f"{Reason.STALE}:"):

@@ -30,6 +30,8 @@ ADVICE: Final[Mapping[str, str]] = {
     "overload": "end other programs; use a faster bundle (`gelgate tradeoff`); check presses against parts made",
     "gel": "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate gel "
     "replace`",
+    "reference": "`gelgate reference press`, then press the master piece; where it is out of limits, the text names "
+    "what to check first",
     "trigger_device": "check its cable; `gelgate check` tries each; it is opened again when it is back",
     "actuator": "check its cable and its supply; stop the line where a reject gate depends on it",
     "pulse": "find the part, then acknowledge it, with the button, on the page or with the request",

@@ -25,6 +25,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "overview": "the overview camera gives no pictures: presses are refused where it must see the part",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "gel": "the gel is due or must be replaced",
+    "reference": "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
     "trigger_device": "a pedal or button cannot be used",
     "actuator": "a light or relay cannot be used, or its watchdog has put it into its safe state",
     "pulse": "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",

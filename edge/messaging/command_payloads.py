@@ -17,6 +17,7 @@ __all__ = [
     "CommandRequest",
     "CommandResponse",
     "NoArguments",
+    "ReferencePressArguments",
     "ReplaceGelArguments",
     "SelectPartArguments",
     "SnapshotArguments",
@@ -104,6 +105,15 @@ class AcknowledgeAlarmArguments(CommandArguments):
     """Of `cmd/acknowledge_alarm`."""
 
     alarm: PlainText = Field(min_length=1, max_length=64)
+
+
+class ReferencePressArguments(CommandArguments):
+    """Of `cmd/reference_press`. piece: may be left out where there is one. restart: its charts begin again. cancel: no
+    reference press is waited for any more."""
+
+    piece: PlainText | None = Field(default=None, min_length=1, max_length=64)
+    restart: bool = False
+    cancel: bool = False
 
 
 class SnapshotArguments(CommandArguments):

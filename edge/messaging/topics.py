@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.gel_payload import GelPayload
+from edge.messaging.reference_payload import ReferencePayload
 from edge.messaging.result_payload import ResultPayload
 from edge.messaging.status_payloads import InfoPayload, StatePayload, StatsPayload
 
@@ -50,6 +51,13 @@ TOPICS: Final[tuple[Topic, ...]] = (
     ),
     Topic(
         "last", 1, True, ResultPayload, "the same as `last/press`, for subscribers of version 0.2 and before"
+    ),
+    Topic(
+        "reference",
+        1,
+        True,
+        ReferencePayload,
+        "the newest reference press with its control charts; such a press is on no other topic but `heatmap`",
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
     Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),

@@ -12,16 +12,18 @@ from edge.core.errors import StoreError
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
 from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
-from edge.store.press_store import PressRecord
+from edge.store.press_store import PressRecord, Store
 
 __all__ = [
     "PieceKey",
     "ReferenceRequest",
     "ReferenceTable",
+    "after",
     "ask",
     "newest_number",
     "of_piece",
     "read_pieces",
+    "take",
     "take_request",
     "withdraw",
 ]
@@ -104,6 +106,19 @@ def newest_number(connection: sqlite3.Connection) -> int:
     return int(connection.execute("SELECT coalesce(max(number), 0) FROM reference_presses").fetchone()[0])
 
 
+def after(connection: sqlite3.Connection, number: int) -> list[ReferencePress] | None:
+    """The presses of the piece of the first press after this number, up to it; None where there is none yet."""
+    row = connection.execute(
+        "SELECT serial, part, position, piece, press_id FROM reference_presses WHERE number > ? ORDER BY number",
+        (number,),
+    ).fetchone()
+    if row is None:
+        return None
+    presses = of_piece(connection, PieceKey(*row[:4]))
+    ids = [one.press_id for one in presses]
+    return presses[: ids.index(row[4]) + 1]
+
+
 def ask(connection: sqlite3.Connection, wish: ReferenceRequest) -> None:
     """The gateway takes it within seconds; it replaces one that waits."""
     connection.execute(
@@ -111,6 +126,16 @@ def ask(connection: sqlite3.Connection, wish: ReferenceRequest) -> None:
         "VALUES (1, ?, ?, ?, ?, ?)",
         (wish.request, wish.who, wish.piece, int(wish.is_start), wish.time_ns),
     )
+
+
+def take(store: Store) -> ReferenceRequest | None:
+    """What waits, and then it waits no more; without one, nothing is written. Errors: StoreError."""
+    doing = "reading what the command line asks for"
+    return store.write(doing, take_request) if store.read(doing, _has_request) else None
+
+
+def _has_request(connection: sqlite3.Connection) -> bool:
+    return connection.execute("SELECT 1 FROM reference_request").fetchone() is not None
 
 
 def take_request(connection: sqlite3.Connection) -> ReferenceRequest | None:

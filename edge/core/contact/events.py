@@ -85,13 +85,15 @@ class PressBegan:
 class PressSettled:
     """The press rests: score frame `sequence`, the deepest one at rest. Once per press.
 
-    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch: of the frame to score.
+    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch, strength: of the frame to score; strength
+    grows with depth, levels.
     """
 
     timestamp_ns: int
     sequence: int
     began_ns: int
     touch: Touch
+    strength: float = 0.0
 
 
 @dataclass(frozen=True)

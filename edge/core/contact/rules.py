@@ -196,7 +196,8 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
             chosen = track.window.chosen(track.wanted_ns)
-            return (PressSettled(now, chosen.sequence, began, chosen.place or chosen.touch or Touch(0.0)),)
+            touch = chosen.place or chosen.touch or Touch(0.0)
+            return (PressSettled(now, chosen.sequence, began, touch, chosen.strength),)
         case State.SETTLING, State.CONTACT:
             return (PressNotSettled(now, sequence, began, NotSettledReason.TIMED_OUT),)
         case State.EARLY_RELEASE, State.RECOVERY:

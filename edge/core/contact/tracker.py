@@ -92,6 +92,7 @@ class ContactTracker:
         self._structure: ReliefOfReference | None = None
         self._refer_to(stored or witness)
         self._baseline, self._free = _Mean(), _Mean()
+        self._free_looks: tuple[View, ...] = ()
         self._rest: View | None = None
         self._last: View | None = None
         self._recent: dict[int, _Seen] = {}
@@ -113,6 +114,15 @@ class ContactTracker:
     def reference(self) -> Reference | None:
         """The free gel as last learnt, or the stored one until then."""
         return self._reference
+
+    @property
+    def noise_levels(self) -> float | None:
+        """The temporal noise of the free gel: one standard deviation of one value of a view. The look just before
+        a contact is left out: the part may be in it. None where the gel was not seen free three times."""
+        if len(self._free_looks) < 3:
+            return None
+        earlier, later, _ = self._free_looks
+        return float(np.std(later - earlier, dtype=np.float64) / np.sqrt(2))
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
@@ -190,6 +200,7 @@ class ContactTracker:
         self._track, events = contact.relearn(self._track)
         self._refer_to(None)
         self._mask, self._touch, self._relief = None, None, None
+        self._free_looks = ()
         self._is_lent = False
         self._witness = None
         self._baseline.clear()
@@ -304,6 +315,7 @@ class ContactTracker:
             self._free.clear()
             return []
         self._free.add(view, timestamp_ns)
+        self._free_looks = (*self._free_looks[-2:], view)
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
         old = self._reference

@@ -42,6 +42,7 @@ class Reason(StrEnum):
     NO_PART = "no_part"
     NO_PART_ID = "no_part_id"
     OTHER_PART = "other_part"
+    REFERENCE = "reference"
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,13 @@ class ReferencePress:
     def is_as_expected(self) -> bool:
         return self.verdict == self.expected
 
+    @property
+    def is_scored(self) -> bool:
+        return self.verdict in _SCORED
+
     def value(self, measure: Measure) -> float | None:
         """None where it was not measured."""
-        if self.verdict not in _SCORED:
+        if not self.is_scored:
             return None
         value = self.score if measure.name == "score" else getattr(self.imprint, measure.name)
         return None if value is None else float(value)
@@ -97,7 +101,7 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
     if not presses:
         raise ValueError("a judgement needs a press")
     newest, found = presses[-1], charts(presses, learn)
-    if newest.verdict not in _SCORED:
+    if not newest.is_scored:
         return Judgement(
             Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), found
         )

@@ -17,16 +17,16 @@ def why_due(
 ) -> str | None:
     """Why one is due, as a sentence without its end, or None.
 
-    last_ns, now_ns: wall clock, nanoseconds since 1970; last_ns None where there was none. every_h: hours, above 0.
+    last_ns, now_ns: wall clock, nanoseconds since 1970; last_ns None where there was none with this gel and
+    bundle. every_h: hours, above 0.
     shifts: the local times at which shifts begin. zone: of these times; None for that of this machine.
     """
     if last_ns is None:
-        return "there was none on this gel"
+        return "there was none with this gel and bundle"
     if last_ns > now_ns:
         return "the last one is in the future, so the clock was set back"
-    hours = (now_ns - last_ns) / 3.6e12
-    if hours >= every_h:
-        return f"the last one is {hours:.1f} h old, at most {every_h:g} h are configured"
+    if now_ns - last_ns >= every_h * 3.6e12:
+        return f"the last one is more than {every_h:g} h old"
     begun = _newest_begin(datetime.datetime.fromtimestamp(now_ns / 1e9, zone).astimezone(zone), shifts, zone)
     if begun is not None and last_ns < begun.timestamp() * 1e9:
         return f"the shift of {begun:%H:%M} has begun since the last one"

@@ -148,9 +148,9 @@ def at(hours: float) -> int:
 @pytest.mark.parametrize(
     ("last_h", "now_h", "shifts", "expected"),
     [
-        (None, 0, (), "there was none on this gel"),
+        (None, 0, (), "there was none with this gel and bundle"),
         (-7.9, 0, (), None),
-        (-8, 0, (), "the last one is 8.0 h old, at most 8 h are configured"),
+        (-8, 0, (), "the last one is more than 8 h old"),
         (1, 0, (), "the last one is in the future, so the clock was set back"),
         (-1, 0, SHIFTS, None),
         (-7, 0, SHIFTS, "the shift of 06:00 has begun since the last one"),

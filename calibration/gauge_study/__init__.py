@@ -1,0 +1,1 @@
+"""Gauge studies (measurement systems analysis): pieces x operators x repeats, and the tables that auditors expect."""

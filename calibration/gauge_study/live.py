@@ -1,0 +1,149 @@
+"""A study on a running station: each press is the next step of the plan."""
+
+import queue
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from calibration.gauge_study.plan import StudyPlan
+from edge.core.imaging.quality import Rejection
+from edge.core.press_label import PressLabel, StudyLabel
+from edge.gateway.press_labels import Mounted
+from edge.gateway.recorder import PressReport
+from edge.store.study_presses import StudyPress
+
+__all__ = ["StudyLabels", "open_steps"]
+
+_SCORED: Final = ("pass", "fail", "unsure")
+
+
+def open_steps(plan: StudyPlan, rows: Sequence[StudyPress]) -> list[int]:
+    """The places in the plan's order, from 0, that have no counted press with a score."""
+    done = {one.step for one in rows if not one.is_void and one.verdict in _SCORED}
+    return [number for number in range(len(plan.order)) if number not in done]
+
+
+@dataclass
+class StudyLabels:
+    """The `PressLabels` of a study. rows: its presses so far. say: lines for the person. stop: ends the run. void:
+    makes the press with this id count no more. keys: what a person has typed, `r` or `s`, from any thread.
+
+    fault: why the study cannot go on.
+    """
+
+    plan: StudyPlan
+    rows: Sequence[StudyPress]
+    say: Callable[[str], None]
+    stop: Callable[[], None]
+    void: Callable[[str], object]
+    keys: "queue.SimpleQueue[str]" = field(default_factory=queue.SimpleQueue)
+    fault: str | None = None
+
+    def __post_init__(self) -> None:
+        self._open = open_steps(self.plan, self.rows)
+        self._skipped: list[int] = []
+        self._last: tuple[int, str] | None = None
+        self._first = next((one for one in self.rows if not one.is_void), None)
+        self._before: tuple[str, str, str, str, str] | None = (
+            None if self._first is None else _origin(self._first)
+        )
+        self._has_asked = False
+
+    @property
+    def left(self) -> int:
+        """Presses of the plan that are still to be made."""
+        return len(self._open) + len(self._skipped)
+
+    def step(self, mounted: Mounted | None) -> None:
+        if mounted is None:
+            return
+        now = (mounted.serial, mounted.gel_id, mounted.part.part, mounted.part.position, mounted.bundle_id)
+        self._before = self._before or now
+        if now != self._before:
+            self._end_with(_changed(self._before, now))
+            return
+        while not self.keys.empty():
+            self._obey(self.keys.get())
+        if not self._open:
+            self.stop()
+        elif not self._has_asked:
+            self._ask()
+
+    def begin(self) -> PressLabel | None:
+        if self.fault is not None or not self._open:
+            return None
+        number = self._open[0]
+        step = self.plan.order[number]
+        return StudyLabel(self.plan.study_id, number, step.piece, step.operator, step.repeat)
+
+    def refusal(self) -> Rejection | None:
+        return None
+
+    def recorded(self, label: PressLabel) -> None:
+        """`see` has what it needs."""
+
+    def see(self, report: PressReport) -> None:
+        """A press was recorded."""
+        if not isinstance(report.label, StudyLabel):
+            return
+        result = report.result
+        if result.verdict is None or result.verdict.value not in _SCORED:
+            self.say(f"no score: {result.error or result.reason}; press {report.label.piece} again")
+            return
+        self._last = (report.label.step, result.press_id)
+        for steps in (self._open, self._skipped):
+            if report.label.step in steps:
+                steps.remove(report.label.step)
+        if not self._open:
+            self.stop()
+            return
+        self._ask()
+
+    def _ask(self) -> None:
+        self._has_asked = True
+        number = self._open[0]
+        step = self.plan.order[number]
+        self.say(
+            f"press {number + 1} of {len(self.plan.order)}: operator {step.operator}, piece {step.piece}, repeat "
+            f"{step.repeat}"
+        )
+
+    def _obey(self, key: str) -> None:
+        match key:
+            case "r" if self._last is not None:
+                number, press_id = self._last
+                self.void(press_id)
+                self._open.insert(0, number)
+                self._last = None
+                self._ask()
+            case "r":
+                self.say("there is no press of this run to repeat")
+            case "s" if self._open:
+                self._skipped.append(self._open.pop(0))
+                self.say("skipped: it is asked for again at the next run")
+                if self._open:
+                    self._ask()
+            case _:
+                self.say(f"'{key}' is no key: r and Enter repeats the last press, s and Enter skips this one")
+
+    def _end_with(self, fault: str) -> None:
+        self.fault = fault
+        self.stop()
+
+
+def _origin(press: StudyPress) -> tuple[str, str, str, str, str]:
+    return press.serial, press.gel_id, press.part, press.position, press.bundle_id
+
+
+def _changed(before: Collection[str], now: Collection[str]) -> str:
+    """What is not as it was."""
+    names = ("sensor", "gel", "part", "position", "bundle")
+    words = [
+        f"{name} {old[:16]} before and {new[:16]} now"
+        for name, old, new in zip(names, before, now, strict=True)
+        if old != new
+    ]
+    return (
+        f"the study was begun with another {' and '.join(words)}: its scores cannot be compared; put that back, or "
+        "make a new plan"
+    )

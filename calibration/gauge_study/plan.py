@@ -1,0 +1,128 @@
+"""The plan of a gauge study: which operator presses which piece, in a random order that is written down.
+
+Within each repeat every operator has one block, and within a block the pieces are in random order; the blocks are in
+random order too. So no operator waits for each press, and no piece has its own time of the day.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+
+from edge.core.errors import ConfigError
+from edge.store.ulid import new_ulid
+
+__all__ = ["Piece", "Step", "StudyPlan", "make_plan", "read_plan"]
+
+Name = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{1,64}$")]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class Piece(_Entry):
+    """known: the verdict that it must give, None where that is not known."""
+
+    name: Name
+    known: Literal["pass", "fail"] | None = None
+
+
+class Step(_Entry):
+    """One press; repeat counts from 1."""
+
+    operator: Name
+    piece: Name
+    repeat: int = Field(ge=1)
+
+
+class StudyPlan(_Entry):
+    """order: the presses, first to last."""
+
+    kind: Literal["gelgate gauge study"] = "gelgate gauge study"
+    version: Literal[1] = 1
+    study_id: str = Field(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")
+    seed: int
+    repeats: int = Field(ge=2, le=100)
+    operators: tuple[Name, ...] = Field(min_length=2, max_length=50)
+    pieces: tuple[Piece, ...] = Field(min_length=2, max_length=1000)
+    order: tuple[Step, ...]
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for what, names in (("operator", self.operators), ("piece", [one.name for one in self.pieces])):
+            if twice := [name for name, n in Counter(names).items() if n > 1]:
+                raise ValueError(f"the {what} '{twice[0]}' is there twice")
+        wanted = {
+            (operator, piece.name, repeat)
+            for operator in self.operators
+            for piece in self.pieces
+            for repeat in range(1, self.repeats + 1)
+        }
+        found = Counter((step.operator, step.piece, step.repeat) for step in self.order)
+        if set(found) != wanted or set(found.values()) != {1}:
+            raise ValueError(
+                f"order has {len(self.order)} presses, expected each operator with each piece in each repeat, once: "
+                f"{len(wanted)}"
+            )
+        return self
+
+    @property
+    def known(self) -> list[str] | None:
+        """Of each piece, where it is known of all."""
+        known = [piece.known for piece in self.pieces]
+        return [one for one in known if one is not None] if None not in known else None
+
+    def text(self) -> str:
+        """As it is written: the same plan gives the same text."""
+        return self.model_dump_json(indent=1) + "\n"
+
+
+def make_plan(
+    pieces: Sequence[Piece], operators: Sequence[str], repeats: int, seed: int, time_ns: int
+) -> StudyPlan:
+    """time_ns: wall clock, for the study's id. Errors: ConfigError for fewer than two of anything, or a name twice."""
+    for what, number in (("pieces", len(pieces)), ("operators", len(operators)), ("repeats", repeats)):
+        if number < 2:
+            raise ConfigError(
+                f"a gauge study has at least 2 {what}, found {number}; with fewer nothing can be compared (10 pieces, "
+                "3 operators and 3 repeats are usual)"
+            )
+    rng = np.random.default_rng(seed)
+    order = tuple(
+        Step(operator=operators[operator], piece=pieces[piece].name, repeat=repeat)
+        for repeat in range(1, repeats + 1)
+        for operator in rng.permutation(len(operators))
+        for piece in rng.permutation(len(pieces))
+    )
+    try:
+        return StudyPlan(
+            study_id=new_ulid(time_ns),
+            seed=seed,
+            repeats=repeats,
+            operators=tuple(operators),
+            pieces=tuple(pieces),
+            order=order,
+        )
+    except ValidationError as error:
+        raise ConfigError(f"the plan cannot be made: {_first(error)}") from error
+
+
+def read_plan(text: str, where: Path | str) -> StudyPlan:
+    """where: named in a refusal. Errors: ConfigError."""
+    try:
+        return StudyPlan.model_validate_json(text)
+    except ValidationError as error:
+        raise ConfigError(
+            f"plan {where} cannot be used: {_first(error)}; `gelgate msa plan` makes one"
+        ) from error
+
+
+def _first(error: ValidationError) -> str:
+    fault = error.errors()[0]
+    where = ".".join(map(str, fault["loc"]))
+    text = str(fault["msg"]).removeprefix("Value error, ")
+    return f"{where}: {text}" if where else text

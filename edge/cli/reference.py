@@ -1,0 +1,189 @@
+"""`gelgate reference`: ask a running station for a reference press, and show the control charts."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from edge.config import Config
+    from edge.core.ports import Clock
+    from edge.core.reference_press.charts import ReferencePress
+    from edge.store.acts import Act
+    from edge.store.press_store import Store
+    from edge.store.reference_presses import PieceKey, ReferenceRequest
+
+__all__ = ["asked", "reference"]
+
+T = TypeVar("T")
+
+reference = typer.Typer(help="Press a master piece, or show its control charts.", no_args_is_help=True)
+
+# A gateway looks for requests twice a second; a busy machine may take longer.
+TAKEN_WITHIN_S: Final = 30.0
+LOOK_S: Final = 0.2
+
+ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
+DatabaseOption = Annotated[
+    Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
+]
+
+
+@reference.command()
+def press(
+    config: ConfigOption = Path("gelgate.toml"),
+    database: DatabaseOption = None,
+    piece: Annotated[str | None, typer.Option(help="The master piece, where there are several.")] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Begin its charts again: the fixture was changed on purpose.")
+    ] = False,
+    timeout: Annotated[float, typer.Option(min=1, help="Wait this long for the press, in seconds.")] = 120.0,
+) -> None:
+    """Make the next press of a running station a reference press.
+
+    It is asked for through the station's database, so on the same machine. Exit code 1 where the press is out of
+    limits, has no score, or does not come."""
+    from edge.cli.gel import user
+    from edge.clock import SystemClock
+    from edge.config import load_config
+    from edge.core.reference_press.charts import Outcome, judge
+    from edge.store.press_store import Store
+    from edge.store.reference_presses import ReferenceRequest
+    from edge.store.ulid import new_ulid
+
+    loaded = None if database is not None else load_config(config)
+    path = _existing(database or load_config(config).store.path)
+    clock = SystemClock()
+    now_ns = clock.time_ns()
+    wish = ReferenceRequest(new_ulid(now_ns), f"{user()}, command line", piece, restart, now_ns)
+    with Store(path) as store:
+        found = judge(asked(store, clock, wish, typer.echo, timeout), _learn(loaded, None))
+    typer.echo("\n".join([found.outcome.value.replace("_", " "), *found.sentences]))
+    if found.outcome in (Outcome.OUT_OF_LIMITS, Outcome.NOT_MEASURED):
+        raise typer.Exit(1)
+
+
+@reference.command()
+def chart(
+    config: ConfigOption = Path("gelgate.toml"),
+    database: DatabaseOption = None,
+    part: Annotated[str | None, typer.Option(help="This part only.")] = None,
+    piece: Annotated[str | None, typer.Option(help="This master piece only.")] = None,
+    count: Annotated[int, typer.Option(help="Print the newest of this number.", min=1)] = 20,
+    learn: Annotated[
+        int | None,
+        typer.Option(help="Presses of which the limits are made; the configured number by default.", min=2),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Write this .csv or .svg file; .svg: of one master piece."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per master piece.")] = False,
+) -> None:
+    """Show the reference presses with their control charts.
+
+    For each measure: limits, and the presses with what they said. The gateway may run meanwhile."""
+    from functools import partial
+
+    from edge.cli.reference_text import json_line, nothing_text, piece_text
+    from edge.config import load_config
+    from edge.store.reference_presses import read_pieces
+
+    loaded = None if database is not None else load_config(config)
+    known = read_pieces(_existing(database or load_config(config).store.path))
+    chosen = {
+        key: presses
+        for key, presses in known.items()
+        if part in (None, key.part) and piece in (None, key.piece)
+    }
+    if not chosen:
+        typer.echo(nothing_text(list(known)))
+    elif output is not None:
+        _write(output, chosen, _learn(loaded, learn))
+    else:
+        for key, presses in chosen.items():
+            show = json_line if as_json else partial(piece_text, count=count)
+            typer.echo(show(key, presses, _learn(loaded, learn)))
+
+
+def asked(
+    store: "Store",
+    clock: "Clock",
+    wish: "ReferenceRequest",
+    say: Callable[[str], None],
+    timeout_s: float,
+) -> "list[ReferencePress]":
+    """Ask for a reference press and wait for it; returns the presses of its piece, of which it is the last.
+
+    say: gets what the person does next. Errors: GelgateError for a request that is not taken or is refused, or a press
+    that does not come; StoreError.
+    """
+    from functools import partial
+
+    from edge.core.errors import GelgateError
+    from edge.store import reference_presses as table
+
+    before = store.read("reading the reference presses", table.newest_number)
+    store.write("asking for a reference press", partial(table.ask, wish=wish))
+
+    def outcome() -> "Act | None":
+        return next((act for act in store.acts() if act.request == wish.request), None)
+
+    act = _waited(clock, TAKEN_WITHIN_S, outcome)
+    if act is None:
+        store.write("withdrawing a request", partial(table.withdraw, request=wish.request))
+        raise GelgateError(
+            f"no gateway took the request within {TAKEN_WITHIN_S:g} s; one must run on database {store.path}"
+        )
+    if act.outcome == "refused":
+        raise GelgateError(str(act.sentence))
+    say(f"press the master piece {wish.piece or ''}".rstrip())
+    doing = "reading the reference presses"
+    found = _waited(clock, timeout_s, lambda: store.read(doing, partial(table.after, number=before)))
+    if found is None:
+        raise GelgateError(f"no reference press came within {timeout_s:g} s; ask again")
+    return found
+
+
+def _waited(clock: "Clock", timeout_s: float, found: Callable[[], T | None]) -> T | None:
+    """The first thing that is found, or None when the time is over."""
+    end_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
+    while (one := found()) is None and clock.monotonic_ns() <= end_ns:
+        clock.sleep(LOOK_S)
+    return one
+
+
+def _existing(path: Path) -> Path:
+    from edge.core.errors import ConfigError
+
+    if not path.is_file():
+        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
+    return path
+
+
+def _learn(loaded: "Config | None", learn: int | None) -> int:
+    from edge.config.reference_table import ReferenceTable
+
+    return learn or (loaded.reference if loaded is not None else ReferenceTable()).learn
+
+
+def _write(output: Path, chosen: "Mapping[PieceKey, list[ReferencePress]]", learn: int) -> None:
+    """Errors: ConfigError for an ending that is no format, and for an .svg of several master pieces."""
+    from edge.cli.reference_text import csv_text
+    from edge.core.errors import ConfigError
+    from edge.core.reference_press.charts import charts
+    from edge.pictures.control_chart import control_charts_svg
+
+    if output.suffix == ".csv":
+        text = csv_text(chosen, learn)
+    elif output.suffix != ".svg":
+        raise ConfigError(f"the ending of {output} names no format; known are .csv, .svg")
+    elif len(chosen) > 1:
+        names = "; ".join(map(str, chosen))
+        raise ConfigError(f"an .svg shows one master piece, found {names}; choose with --piece and --part")
+    else:
+        ((key, presses),) = chosen.items()
+        text = control_charts_svg(charts(presses, learn), str(key))
+    output.write_text(text, encoding="utf-8")
+    typer.echo(f"{sum(map(len, chosen.values()))} reference presses in {output}")

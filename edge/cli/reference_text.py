@@ -1,0 +1,88 @@
+"""Reference presses as text, CSV and JSON."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from edge.core.printable import printable
+from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
+from edge.core.reference_press.measures import MEASURES
+from edge.messaging.payload_base import iso_time
+from edge.messaging.reference_payload import ChartEntry
+from edge.store.reference_presses import PieceKey
+
+__all__ = ["csv_text", "json_line", "nothing_text", "piece_text"]
+
+
+def nothing_text(known: Sequence[PieceKey]) -> str:
+    """For a person whose choice has no press."""
+    if not known:
+        return "no reference press was made yet; ask for one with `gelgate reference press`"
+    return printable(f"no such master piece was pressed; there are {'; '.join(map(str, known))}")
+
+
+def piece_text(key: PieceKey, presses: Sequence[ReferencePress], learn: int, count: int) -> str:
+    """The limits of each measure, then the newest presses, oldest first."""
+    lines = [f"master piece {key}: {len(presses)} presses", ""]
+    lines += [_chart_line(chart) for chart in charts(presses, learn)]
+    shown = range(max(0, len(presses) - count), len(presses))
+    lines += ["", *(_press_line(presses[: number + 1], learn) for number in shown)]
+    return "\n".join(map(printable, lines))
+
+
+def json_line(key: PieceKey, presses: Sequence[ReferencePress], learn: int) -> str:
+    """One object: the piece, its charts, what the newest press says, and the presses."""
+    judgement = judge(presses, learn)
+    return json.dumps(
+        {
+            **key._asdict(),
+            "outcome": judgement.outcome,
+            "sentences": judgement.sentences,
+            "charts": [ChartEntry.of(chart).model_dump(mode="json") for chart in judgement.charts],
+            "presses": [asdict(one) for one in presses],
+        }
+    )
+
+
+def csv_text(chosen: Mapping[PieceKey, Sequence[ReferencePress]], learn: int) -> str:
+    """One row for each press, with what it said when it was made. An empty cell is a missing value."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    names = [measure.name for measure in MEASURES]
+    origin_names = ["press_id", "gel_id", "bundle_id", "expected", "verdict", "outcome", "threshold"]
+    writer.writerow(["time", *PieceKey._fields, *origin_names, *names, "sentences"])
+    for key, presses in chosen.items():
+        for number, one in enumerate(presses, start=1):
+            found = judge(presses[:number], learn)
+            origin = [one.press_id, one.gel_id, one.bundle_id, one.expected, one.verdict, found.outcome.value]
+            values = [one.value(measure) for measure in MEASURES]
+            writer.writerow(
+                [iso_time(one.time_ns), *key, *origin, one.threshold, *values, "; ".join(found.sentences)]
+            )
+    return out.getvalue()
+
+
+def _chart_line(chart: Chart) -> str:
+    name = f"{chart.measure.title} ({chart.measure.unit})" if chart.measure.unit else chart.measure.title
+    limits = chart.limits
+    if limits is None:
+        return f"  {name:18} {chart.values[-1]:10.4g}  limits are learnt: {chart.learnt} of {chart.learn}"
+    said = "  ".join(signal.value.replace("_", " ") for signal in chart.signals)
+    return (
+        f"  {name:18} {chart.values[-1]:10.4g}  limits {limits.low:.4g} to {limits.high:.4g}, centre "
+        f"{limits.centre:.4g}  {said}"
+    ).rstrip()
+
+
+def _press_line(presses: Sequence[ReferencePress], learn: int) -> str:
+    newest, found = presses[-1], judge(presses, learn)
+    score = (
+        ""
+        if newest.score is None or newest.threshold is None
+        else f"  {newest.score:.4f} / {newest.threshold:.4f}"
+    )
+    words = [f"{iso_time(newest.time_ns)[:19]}  {newest.verdict}{score}  gel {newest.gel_id}"]
+    words += [found.outcome.value.replace("_", " "), *found.sentences]
+    return "  ".join(words)

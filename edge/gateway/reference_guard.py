@@ -1,0 +1,245 @@
+"""Reference presses of a running station: who asked for one, when the next is due, and whether parts may be judged."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+from edge.config.reference_table import MasterPieceTable, ReferenceTable
+from edge.core.imaging.quality import Reason, Rejection
+from edge.core.ports import Clock
+from edge.core.press_label import PressLabel, ReferenceLabel
+from edge.core.reference_press.charts import Outcome, ReferencePress, judge
+from edge.core.reference_press.due import why_due
+from edge.core.suggest import suggestion
+from edge.gateway.press_labels import Mounted
+from edge.gateway.status import StationStatus
+from edge.store import reference_presses
+from edge.store.acts import Act
+from edge.store.press_store import Store
+from edge.store.reference_presses import PieceKey, ReferenceRequest
+
+__all__ = ["ReferenceGuard"]
+
+log = logging.getLogger(__name__)
+
+# Requests of the command line are looked for, and what is due is found, this often.
+LOOK_S: Final = 0.5
+# A request of the command line that is older was made while no gateway ran.
+OLDEST_REQUEST_S: Final = 60.0
+
+
+@dataclass(frozen=True)
+class _Armed:
+    """The next press is this one, until the monotonic time."""
+
+    label: ReferenceLabel
+    until_ns: int
+
+
+class ReferenceGuard:
+    """The `PressLabels` of a station. Used by the loop alone."""
+
+    def __init__(self, table: ReferenceTable, store: Store, status: StationStatus, clock: Clock) -> None:
+        self._table = table
+        self._store = store
+        self._status = status
+        self._clock = clock
+        self._mounted: Mounted | None = None
+        self._armed: _Armed | None = None
+        self._presses: dict[str, list[ReferencePress]] = {}
+        self._faults: tuple[str, ...] = ()
+        self._next_look_ns = 0
+        self._said: tuple[bool, str] = (False, "")
+
+    def request(self, piece: str | None, *, is_start: bool = False) -> ReferenceLabel:
+        """The next press is that of this master piece. piece: may be None where there is one. Errors: ValueError."""
+        if self._mounted is None:
+            raise ValueError(
+                "no frame has arrived from a sensor yet, so its gel is not known; try again later"
+            )
+        if self._mounted.has_contact:
+            raise ValueError("something presses the gel; lift it, then ask for the reference press")
+        chosen = self._chosen(piece)
+        label = ReferenceLabel(chosen.name, chosen.verdict, self._table.learn, is_start)
+        self._armed = _Armed(label, self._clock.monotonic_ns() + round(self._table.within_s * 1e9))
+        self._say()
+        return label
+
+    def cancel(self) -> None:
+        """The next press is a part's. Errors: ValueError where no reference press is waited for."""
+        if self._armed is None:
+            raise ValueError("no reference press is waited for")
+        self._armed = None
+        self._say()
+
+    @property
+    def within_s(self) -> float:
+        """How long a press that was asked for is waited for."""
+        return self._table.within_s
+
+    def step(self, mounted: Mounted | None) -> None:
+        now_ns = self._clock.monotonic_ns()
+        has_changed = mounted is not None and not _is_same(mounted, self._mounted)
+        self._mounted = mounted
+        if has_changed:
+            self._armed = None
+            self._read()
+        if not has_changed and now_ns < self._next_look_ns:
+            return
+        self._next_look_ns = now_ns + round(LOOK_S * 1e9)
+        self._take_request()
+        if self._armed is not None and now_ns > self._armed.until_ns:
+            log.warning("the reference press of %s did not come in time", self._armed.label.piece)
+            self._armed = None
+        self._look()
+
+    def begin(self) -> PressLabel | None:
+        armed, self._armed = self._armed, None
+        return None if armed is None else armed.label
+
+    def refusal(self) -> Rejection | None:
+        if self._table.enforce != "refuse" or not self._faults:
+            return None
+        return Rejection(Reason.REFERENCE, "; ".join(self._faults))
+
+    def recorded(self, label: PressLabel) -> None:
+        self._read()
+        self._look()
+
+    def _read(self) -> None:
+        """The earlier presses of what is mounted. Errors: StoreError."""
+        mounted = self._mounted
+        if mounted is None:
+            return
+        self._presses = {
+            piece.name: self._store.read(
+                "reading the reference presses",
+                partial(reference_presses.of_piece, key=PieceKey(mounted.serial, *mounted.part, piece.name)),
+            )
+            for piece in self._pieces()
+        }
+
+    def _pieces(self) -> list[MasterPieceTable]:
+        """Those of the selected part and position."""
+        if self._mounted is None:
+            return []
+        part = self._mounted.part
+        return [
+            piece
+            for piece in self._table.pieces
+            if piece.part in (None, part.part) and piece.position in (None, part.position)
+        ]
+
+    def _chosen(self, name: str | None) -> MasterPieceTable:
+        """Errors: ValueError, which names those known."""
+        known = {piece.name: piece for piece in self._pieces()}
+        part = self._mounted.part if self._mounted else ""
+        if not known:
+            raise ValueError(f"no master piece of {part} is configured; name it under [[reference.pieces]]")
+        if name is None and len(known) == 1:
+            return next(iter(known.values()))
+        if name is None:
+            raise ValueError(f"{part} has several master pieces ({', '.join(known)}); name one of them")
+        if name not in known:
+            raise ValueError(f"no master piece of {part} is named '{name:.64}'; {suggestion(name, known)}")
+        return known[name]
+
+    def _take_request(self) -> None:
+        """One of the command line, and its row in the table of acts. Errors: StoreError."""
+        taken = reference_presses.take(self._store)
+        if taken is None:
+            return
+        act = Act(
+            self._clock.time_ns(),
+            taken.who,
+            "reference_press",
+            taken.request,
+            {"piece": taken.piece, "restart": taken.is_start},
+            outcome="done",
+        )
+        why = self._why_not(taken)
+        if why is not None:
+            log.warning("a reference press was asked for and refused: %s", why)
+            act = replace(act, outcome="refused", sentence=why)
+        self._store.begin_act(act, within_s=0)
+
+    def _why_not(self, taken: ReferenceRequest) -> str | None:
+        """Do it, or say why not."""
+        age_s = (self._clock.time_ns() - taken.time_ns) / 1e9
+        if abs(age_s) > OLDEST_REQUEST_S:
+            return f"it was asked for {age_s:.0f} s ago, while no gateway ran; ask again"
+        try:
+            self.request(taken.piece, is_start=taken.is_start)
+        except ValueError as error:
+            return str(error)
+        return None
+
+    def _look(self) -> None:
+        self._faults = tuple(self._found())
+        self._say()
+
+    def _found(self) -> Iterator[str]:
+        """What is due, or out of limits."""
+        mounted = self._mounted
+        if mounted is None or self._table.enforce == "off":
+            return
+        for name, presses in self._presses.items():
+            scored = [one for one in presses if one.is_scored]
+            last_ns = _newest_with(scored, mounted)
+            why = why_due(last_ns, self._clock.time_ns(), self._table.every_h, self._table.shifts)
+            if why is not None:
+                yield (
+                    f"a reference press of {name} is due: {why}; ask for it (`gelgate reference press`), then press "
+                    f"{name}"
+                )
+            elif (found := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:
+                sentences = "; ".join(found.sentences)
+                yield f"the reference press of {name} is out of limits: {sentences}; then press {name} again"
+
+    def _warnings(self) -> Iterator[str]:
+        """Run rules: they are said, and refuse nothing."""
+        if self._table.enforce == "off":
+            return
+        for name, presses in self._presses.items():
+            if not presses:
+                continue
+            found = judge(presses, self._table.learn)
+            if found.outcome is Outcome.WARNING:
+                sentences = "; ".join(found.sentences)
+                yield f"the reference press of {name} is in its limits, with a warning: {sentences}"
+
+    def _say(self) -> None:
+        """The alarm `reference`; where parts are refused it halts the station."""
+        is_refusing = self._table.enforce == "refuse" and bool(self._faults)
+        waits = [] if self._armed is None else [_waiting(self._armed.label, self._table.within_s)]
+        text = "; ".join([*waits, *self._faults, *self._warnings()])
+        if self._said == (is_refusing, text):
+            return
+        self._said = (is_refusing, text)
+        if is_refusing:
+            if self._status.set_fault("reference", text):
+                log.warning("%s", text)
+            return
+        self._status.clear_fault("reference")
+        if text:
+            self._status.alarm("reference", text, "warning")
+        else:
+            self._status.clear("reference")
+
+
+def _is_same(mounted: Mounted, before: Mounted | None) -> bool:
+    return before is not None and replace(mounted, has_contact=before.has_contact) == before
+
+
+def _newest_with(scored: list[ReferencePress], mounted: Mounted) -> int | None:
+    """When the newest of them was made, if it was made with this gel and bundle."""
+    newest = scored[-1] if scored else None
+    if newest is None or (newest.gel_id, newest.bundle_id) != (mounted.gel_id, mounted.bundle_id):
+        return None
+    return newest.time_ns
+
+
+def _waiting(label: ReferenceLabel, within_s: float) -> str:
+    return f"the next press is the reference press of {label.piece}: press it within {within_s:g} s"

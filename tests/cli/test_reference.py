@@ -1,0 +1,176 @@
+"""`gelgate reference`: the charts as text, JSON, CSV and SVG, and a press that is asked for."""
+
+import csv
+import io
+import json
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+from recorded_presses import T0
+
+from edge.cli.reference import asked
+from edge.core.errors import GelgateError
+from edge.core.reference_press.charts import ReferencePress
+from edge.core.reference_press.measures import Imprint
+from edge.store.acts import Act
+from edge.store.press_store import PressRecord, Store
+from edge.store.reference_presses import PieceKey, ReferenceRequest, ReferenceTable, take
+from edge.store.ulid import new_ulid
+
+KEY = PieceKey("2BNN4ZE7", "bolt", "crest", "M1")
+WOBBLE = (0.0, 1.0, -1.0, 0.5, -0.5)
+
+
+def record(store: Store, number: int, score: float, key: PieceKey = KEY) -> None:
+    """A reference press; the imprint wobbles."""
+    time_ns = T0 + number * 3600 * 10**9
+    press_id = new_ulid(time_ns, lambda k: number.to_bytes(k, "big"))
+    off = WOBBLE[number % 5]
+    imprint = Imprint(2.0 + 0.02 * off, 9.0, 7.0, None, 1.0)
+    one = ReferencePress(press_id, time_ns, "", "b1", "pass", "pass", score, 1.0, imprint)
+    press = PressRecord(press_id, time_ns, key.serial, key.part, "pass", key.position, score, 1.0)
+    store.record_press(press, lambda recorded: [], ReferenceTable(key, one))
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Path:
+    """Seven presses; the last is out of the limits of the first five."""
+    path = tmp_path / "gelgate.db"
+    with Store(path) as store:
+        for number in range(6):
+            record(store, number, 0.4 + 0.01 * WOBBLE[number % 5])
+        record(store, 6, 0.8)
+    return path
+
+
+def test_the_charts_are_printed_with_their_presses(database: Path) -> None:
+    """Limits of each measure, then each press with what it said."""
+    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "--count", "2")
+    lines = done.out.splitlines()
+
+    assert done.code == 0
+    assert lines[0] == "master piece M1 at bolt/crest, sensor 2BNN4ZE7: 7 presses"
+    assert "score                     0.8  limits 0.3" in done.out
+    assert lines[2].endswith("beyond limit")
+    assert [("in limits" in line, "out of limits" in line) for line in lines[-2:]] == [
+        (True, False),
+        (False, True),
+    ]
+    assert len([line for line in lines if line.startswith("2026-")]) == 2
+
+
+def test_json_has_what_the_topic_has(database: Path) -> None:
+    """One object per master piece, with its presses."""
+    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "--json")
+    found = json.loads(done.out)
+
+    assert (found["piece"], found["outcome"], len(found["presses"])) == ("M1", "out_of_limits", 7)
+    assert {chart["measure"]: chart["signals"] for chart in found["charts"]}["score"] == ["beyond_limit"]
+
+
+def test_csv_has_a_row_for_each_press(database: Path, tmp_path: Path) -> None:
+    """With what each said when it was made."""
+    path = tmp_path / "reference.csv"
+    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
+    rows = list(csv.DictReader(io.StringIO(path.read_text())))
+
+    assert done.out == f"7 reference presses in {path}\n"
+    assert [row["outcome"] for row in rows] == ["learning"] * 4 + ["in_limits"] * 2 + ["out_of_limits"]
+    assert (rows[0]["score"], rows[0]["turn_deg"], rows[0]["gel_id"]) == ("0.4", "", "2BNN4ZE7-1")
+
+
+def test_svg_shows_the_value_that_is_out(database: Path, tmp_path: Path) -> None:
+    """A strip for each measure; one red point."""
+    path = tmp_path / "reference.svg"
+    gelgate("reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
+    classes = [one.get("class") for one in ElementTree.parse(path).iter()]
+
+    assert (classes.count("out"), classes.count("line")) == (1, 5)
+    assert classes.count("limit") == 10
+
+
+def test_a_choice_without_a_press_says_what_there_is(database: Path, tmp_path: Path) -> None:
+    """And an empty database what to do."""
+    other = gelgate("reference", "chart", "--database", str(database), "--piece", "M2")
+    Store(tmp_path / "empty.db").close()
+    empty = gelgate("reference", "chart", "--database", str(tmp_path / "empty.db"))
+
+    assert other.out == "no such master piece was pressed; there are M1 at bolt/crest, sensor 2BNN4ZE7\n"
+    assert empty.out == "no reference press was made yet; ask for one with `gelgate reference press`\n"
+
+
+def test_what_cannot_be_written_is_refused(database: Path, tmp_path: Path) -> None:
+    """An ending that is no format; one picture of two pieces; a database that is not there."""
+    with Store(database) as store:
+        record(store, 9, 0.4, KEY._replace(piece="M2"))
+    odd = gelgate("reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.xlsx"))
+    two = gelgate("reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.svg"))
+    none = gelgate("reference", "chart", "--database", str(tmp_path / "none.db"))
+
+    assert (odd.code, "known are .csv, .svg" in odd.err) == (3, True)
+    assert (two.code, "choose with --piece" in two.err) == (3, True)
+    assert (none.code, "does not exist" in none.err) == (3, True)
+
+
+class Gateway:
+    """A clock whose sleep is a gateway's turn: it does what the test gives it, in order."""
+
+    def __init__(self, *turns: Callable[[], object]) -> None:
+        self._turns = list(turns)
+        self._now_ns = 0
+
+    def monotonic_ns(self) -> int:
+        return self._now_ns
+
+    def time_ns(self) -> int:
+        return T0 + self._now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self._now_ns += round(seconds * 1e9)
+        if self._turns:
+            self._turns.pop(0)()
+
+
+def wish(piece: str | None = "M1") -> ReferenceRequest:
+    return ReferenceRequest("r1", "kim", piece, False, T0)
+
+
+def acted(store: Store, outcome: str, sentence: str | None = None) -> None:
+    take(store)
+    act = Act(T0, "kim", "reference_press", "r1", outcome=outcome, sentence=sentence)  # type: ignore[arg-type]
+    store.begin_act(act, within_s=0)
+
+
+def test_a_press_that_is_asked_for_is_waited_for(database: Path) -> None:
+    """The person is asked to press once the gateway waits; the presses of the piece come back."""
+    said: list[str] = []
+    with Store(database) as store:
+        turns = (lambda: None, lambda: acted(store, "done"), lambda: None, lambda: record(store, 7, 0.4))
+        found = asked(store, Gateway(*turns), wish(), said.append, 60)
+
+    assert said == ["press the master piece M1"]
+    assert (len(found), found[-1].score) == (8, 0.4)
+
+
+def test_a_request_that_no_gateway_takes_is_withdrawn(database: Path) -> None:
+    """One sentence; a gateway that starts later does not do it."""
+    with Store(database) as store:
+        with pytest.raises(GelgateError, match=r"no gateway took the request within 30 s; one must run on"):
+            asked(store, Gateway(), wish(), print, 60)
+        assert take(store) is None
+
+
+def test_a_refusal_of_the_gateway_is_the_answer(database: Path) -> None:
+    """Its own sentence."""
+    why = "no master piece of bolt/crest is named 'M9'; known: M1"
+    with Store(database) as store, pytest.raises(GelgateError, match=why):
+        asked(store, Gateway(lambda: acted(store, "refused", why)), wish("M9"), print, 60)
+
+
+def test_a_press_that_does_not_come_is_said(database: Path) -> None:
+    """After the configured time."""
+    with Store(database) as store, pytest.raises(GelgateError, match="no reference press came within 5 s"):
+        asked(store, Gateway(lambda: acted(store, "done")), wish(), print, 5)

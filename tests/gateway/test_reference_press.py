@@ -1,0 +1,360 @@
+"""Reference presses through a station: asked for, judged by their charts, due, and parts refused meanwhile."""
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
+
+from edge.core.verdict import Kind
+from edge.gateway.command_table import station_handlers
+from edge.store import reference_presses
+from edge.store.history import HistoryQuery, read_history
+from edge.store.integrity import check_database
+from edge.store.outbox import Outbox
+from edge.store.reference_presses import ReferenceRequest
+
+LEARN = 5
+TABLE = """
+[reference]
+enforce = "{enforce}"
+every_h = 8
+learn = 5
+within_s = 60
+[[reference.pieces]]
+name = "M1"
+[store]"""
+
+
+@pytest.fixture(scope="session")
+def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Nine presses; those numbered 6 and 7 are dented."""
+    folder = tmp_path_factory.mktemp("reference") / "presses"
+    return press_recording(folder, 9, dented=[6, 7], motion=Motion(hold=8), seed=5)
+
+
+@pytest.fixture
+def config(tmp_path: Path, presses: Path, bundle: Path) -> Callable[[str], Path]:
+    """A station with one master piece."""
+
+    def made(enforce: str = "warn") -> Path:
+        path = station_config(tmp_path, presses, bundle)
+        path.write_text(path.read_text().replace("[store]", TABLE.format(enforce=enforce)))
+        return path
+
+    return made
+
+
+def ask(station: SteppedStation, **arguments: Any) -> dict[str, Any]:
+    """As over MQTT: the request waits for the loop."""
+    handler = station_handlers(_Now(station))["reference_press"]  # type: ignore[arg-type]
+    return dict(handler(arguments).data)
+
+
+class _Now:
+    """Does a call of another thread at once."""
+
+    def __init__(self, station: SteppedStation) -> None:
+        self._station = station
+
+    def ask(self, do: Callable[[Any], Any]) -> Any:
+        return do(self._station.loop)
+
+
+def until_press(station: SteppedStation, number: int) -> None:
+    """Play until this number of presses is recorded, and the gel is free again."""
+    station.play_until(lambda: len(station.reports) == number and not station.loop.session.has_contact)
+
+
+def start(station: SteppedStation) -> None:
+    """Until the free gel is learnt."""
+    station.play_until(lambda: station.loop.has_session)
+
+
+def reference(station: SteppedStation, count: int = 1) -> None:
+    """The next presses are reference presses."""
+    for _ in range(count):
+        ask(station)
+        until_press(station, len(station.reports) + 1)
+
+
+def said(station: SteppedStation) -> dict[str, Any]:
+    """The present state and alarms."""
+    kept = {m.topic: m.payload for m in station.parts.retained_state.all() if m.payload}
+    return {
+        topic: json.loads(payload)
+        for topic, payload in kept.items()
+        if topic == "state" or topic.startswith("alarm/")
+    }
+
+
+def published(config: Path, topic: str) -> list[dict[str, Any]]:
+    """The waiting messages of a topic."""
+    with Outbox(config.parent / "gelgate.db") as outbox:
+        outbox.register(["test"])
+        return [
+            json.loads(row.message.payload)
+            for row in outbox.pending("test", 500)
+            if row.message.topic == topic
+        ]
+
+
+def test_a_reference_press_is_no_result_and_counts_on_the_gel(config: Callable[..., Path]) -> None:
+    """It has its own topic with its charts; the part presses before and after have numbers without a gap."""
+    path = config()
+    with SteppedStation(path) as station:
+        until_press(station, 1)
+        answer = ask(station)
+        until_press(station, 3)
+        gel = station.loop.session.gel.presses
+        verdicts = dict(station.loop.summary.verdicts)
+    (sent,) = published(path, "reference")
+
+    assert answer == {"piece": "M1", "is_waiting": True, "within_s": 60.0}
+    assert gel == 3
+    assert verdicts == {"pass": 2, "reference": 1}
+    assert [one["sequence"] for one in published(path, "result")] == [1, 2]
+    assert [row.number for row in read_history(path.parent / "gelgate.db", HistoryQuery())] == [1, 2]
+    assert (sent["kind"], sent["number"], sent["piece"], sent["gel_presses"]) == ("reference", 1, "M1", 2)
+    assert (sent["outcome"], sent["sentences"]) == ("learning", ["limits are learnt: 1 of 5 presses"])
+    assert check_database(path.parent / "gelgate.db") == []
+
+
+def test_its_measures_are_those_of_the_press(config: Callable[..., Path]) -> None:
+    """The part lies in the middle of the picture; the noise is that of the recording after the view's averaging."""
+    path = config()
+    with SteppedStation(path) as station:
+        start(station)
+        reference(station)
+        size = station.loop.selection.inspector.bundle.profile
+    (sent,) = published(path, "reference")
+    found = {chart["measure"]: chart["values"][0] for chart in sent["charts"]}
+
+    assert found["x_mm"] == pytest.approx(160 * size.mm_per_pixel[0], abs=0.3)
+    assert found["y_mm"] == pytest.approx(120 * size.mm_per_pixel[1], abs=0.3)
+    assert found["score"] == pytest.approx(sent["score"], rel=1e-5)
+    assert found["strength_levels"] > 1
+    assert 0.3 < found["noise_levels"] < 1.5
+
+
+def test_limits_are_learnt_and_a_damaged_piece_is_out_of_them(config: Callable[..., Path]) -> None:
+    """Five presses make the limits, the sixth is in them, the dented seventh is not, and the alarm says what to do."""
+    path = config()
+    with SteppedStation(path) as station:
+        start(station)
+        reference(station, LEARN + 1)
+        calm = said(station)
+        reference(station)
+        raised = said(station)["alarm/reference"]
+    outcomes = [one["outcome"] for one in published(path, "reference")]
+
+    assert "alarm/reference" not in calm
+    assert (raised["severity"], "out of limits: " in raised["text"]) == ("warning", True)
+    assert "score is " in raised["text"]
+    assert "then press M1 again" in raised["text"]
+    assert outcomes[-1] == "out_of_limits"
+
+
+def test_a_missing_reference_press_is_said_and_parts_pass_with_warn(config: Callable[..., Path]) -> None:
+    """From the first frame on."""
+    with SteppedStation(config("warn")) as station:
+        until_press(station, 1)
+        raised = said(station)
+
+    assert raised["alarm/reference"]["text"] == (
+        "a reference press of M1 is due: there was none with this gel and bundle; ask for it (`gelgate reference "
+        "press`), then press M1"
+    )
+    assert raised["state"]["state"] == "ready"
+    assert station.reports[0].result.verdict is Kind.PASS
+
+
+def test_parts_are_rejected_until_the_reference_press_is_good(config: Callable[..., Path]) -> None:
+    """With refuse: due, then good, then out of limits, then good again. A refused press has no score, and counts."""
+    path = config("refuse")
+    with SteppedStation(path) as station:
+        until_press(station, 1)
+        refused, state = station.reports[0].result, said(station)["state"]
+        reference(station, LEARN)
+        good = said(station)["state"]
+        reference(station)  # dented
+        until_press(station, 8)
+        refused_again = station.reports[-1].result
+        reference(station)
+        gel, at_last = station.loop.session.gel.presses, said(station)["state"]
+
+    assert refused.verdict is refused_again.verdict is Kind.REJECTED
+    assert refused.score is None
+    assert str(refused.reason).startswith("reference: a reference press of M1 is due")
+    assert str(refused_again.reason).startswith("reference: the reference press of M1 is out of limits")
+    assert (state["state"], good["state"], at_last["state"]) == ("halted", "ready", "ready")
+    assert state["reason"].startswith("a reference press of M1 is due")
+    assert gel == 9
+
+
+def test_off_says_nothing_and_keeps_the_charts(config: Callable[..., Path]) -> None:
+    """A reference press can still be made."""
+    path = config("off")
+    with SteppedStation(path) as station:
+        start(station)
+        before = said(station)
+        reference(station)
+        after = said(station)
+
+    assert "alarm/reference" not in {**before, **after}
+    assert len(published(path, "reference")) == 1
+
+
+def test_it_is_due_again_after_the_configured_hours(config: Callable[..., Path]) -> None:
+    """Without a press and without a restart."""
+    with SteppedStation(config("refuse")) as station:
+        start(station)
+        reference(station)
+        good = said(station)["state"]["state"]
+        station.clock.sleep(8 * 3600)
+        station.loop.step(None)
+        due = said(station)
+
+    assert (good, due["state"]["state"]) == ("ready", "halted")
+    assert "is due: the last one is more than 8 h old" in due["alarm/reference"]["text"]
+
+
+def test_a_new_gel_is_due_at_once(config: Callable[..., Path]) -> None:
+    """Its charts begin again and say so; the limits of the place remain."""
+    path = config("refuse")
+    with SteppedStation(path) as station:
+        start(station)
+        reference(station, LEARN)
+        station.loop.replace_gel("second", None, "")
+        station.loop.step(None)
+        due = said(station)["alarm/reference"]["text"]
+    with SteppedStation(path) as station:  # the recording again, from its free gel on
+        start(station)
+        reference(station)
+        first = station.reports[-1].sentences
+    newest = published(path, "reference")[-1]
+    limits = {chart["measure"]: chart["low"] for chart in newest["charts"]}
+
+    assert "there was none with this gel and bundle" in due
+    assert any("the first one on gel second: its charts begin again" in one for one in first)
+    assert limits["score"] is None
+    assert limits["x_mm"] is not None
+
+
+def test_what_was_learnt_is_there_after_a_restart(config: Callable[..., Path]) -> None:
+    """Limits and the last press: nothing is due, and the next press is compared."""
+    path = config("refuse")
+    with SteppedStation(path) as station:
+        start(station)
+        reference(station, LEARN)
+    with SteppedStation(path) as station:
+        start(station)
+        state = said(station)["state"]
+        reference(station)
+
+    assert "reference press" not in (state["reason"] or "")
+    assert station.reports[-1].sentences == () or "limits" not in station.reports[-1].sentences[0]
+    assert {chart["learnt"] for chart in published(path, "reference")[-1]["charts"]} == {LEARN}
+
+
+def test_a_press_that_does_not_come_in_time_is_not_waited_for(config: Callable[..., Path]) -> None:
+    """The next press is a part's; the alarm says while it is waited for."""
+    with SteppedStation(config("off")) as station:
+        start(station)
+        ask(station)
+        waiting = said(station)["alarm/reference"]["text"]
+        station.clock.sleep(61)
+        station.loop.step(None)
+        after = said(station)
+        until_press(station, 1)
+
+    assert waiting == "the next press is the reference press of M1: press it within 60 s"
+    assert "alarm/reference" not in after
+    assert station.reports[0].label is None
+
+
+def test_it_can_be_cancelled(config: Callable[..., Path]) -> None:
+    """The next press is a part's; without one that waits it is a sentence."""
+    with SteppedStation(config("off")) as station:
+        start(station)
+        ask(station)
+        assert ask(station, cancel=True) == {"is_waiting": False}
+        until_press(station, 1)
+        with pytest.raises(ValueError, match="no reference press is waited for"):
+            ask(station, cancel=True)
+
+    assert station.reports[0].label is None
+
+
+def test_a_piece_that_is_not_known_is_refused_with_the_nearest(config: Callable[..., Path]) -> None:
+    """And before the sensor is known, and while something presses the gel."""
+    with SteppedStation(config("off")) as station:
+        with pytest.raises(ValueError, match="no frame has arrived from a sensor yet"):
+            ask(station)
+        start(station)
+        with pytest.raises(ValueError, match=r"no master piece of PZ0/pos1 is named 'M2'; known: M1"):
+            ask(station, piece="M2")
+        station.play_until(lambda: station.loop.session.has_contact)
+        station.loop.step(None)
+        with pytest.raises(ValueError, match="something presses the gel; lift it"):
+            ask(station)
+
+
+def test_several_pieces_are_named(config: Callable[..., Path]) -> None:
+    """One that must fail, of this part; one of another part is not pressed here."""
+    path = config("refuse")
+    more = '[[reference.pieces]]\nname = "bad"\npart = "PZ0"\nverdict = "fail"\n[[reference.pieces]]\nname = "other"\n'
+    path.write_text(path.read_text().replace("[store]", more + 'part = "PZ9"\n[store]'))
+    with SteppedStation(path) as station:
+        start(station)
+        due = said(station)["alarm/reference"]["text"]
+        with pytest.raises(ValueError, match=r"PZ0/pos1 has several master pieces \(M1, bad\); name one"):
+            ask(station)
+        ask(station, piece="bad")
+        until_press(station, 1)
+
+    assert ("press of M1 is due" in due, "press of bad is due" in due, "other" in due) == (True, True, False)
+    assert "this master piece must give fail" in station.reports[0].sentences[0]
+
+
+def test_the_command_line_asks_through_the_database(config: Callable[..., Path]) -> None:
+    """Taken once, with its row in the table of acts; one that is old, or cannot be done, is refused there."""
+    with SteppedStation(config("off")) as station:
+        start(station)
+        now_ns = station.clock.time_ns()
+        for request, piece, time_ns in (
+            ("a", None, now_ns),
+            ("b", "M7", now_ns),
+            ("c", None, now_ns - 61 * 10**9),
+        ):
+            wish = ReferenceRequest(request, "kim, command line", piece, False, time_ns)
+            station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
+            station.clock.sleep(1)
+            station.loop.step(None)
+        acts = {act.request: act for act in station.parts.store.acts() if act.verb == "reference_press"}
+        until_press(station, 1)
+
+    assert (acts["a"].outcome, acts["a"].who) == ("done", "kim, command line")
+    assert (acts["b"].outcome, "no master piece" in str(acts["b"].sentence)) == ("refused", True)
+    assert (acts["c"].outcome, "while no gateway ran" in str(acts["c"].sentence)) == ("refused", True)
+    assert station.reports[0].label is not None
+
+
+def test_a_reference_press_waits_for_the_database_as_others_do(config: Callable[..., Path]) -> None:
+    """It is recorded, judged and counted once the database accepts it."""
+    path = config("refuse")
+    with SteppedStation(path) as station:
+        start(station)
+        ask(station)
+        with station.refusing("reference_presses"):
+            station.play_until(lambda: station.loop.is_halted)
+            assert station.reports == []
+        station.loop.step(None)
+        state = said(station)
+
+    assert len(station.reports) == 1
+    assert "alarm/reference" not in state

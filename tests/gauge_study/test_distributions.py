@@ -1,0 +1,48 @@
+"""Probabilities and quantiles against scipy, over the range that gauge studies have."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from calibration.gauge_study import distributions as d
+
+DF = st.floats(0.5, 500)
+
+
+@given(st.floats(0, 1e4), DF, DF)
+def test_the_tail_of_f(value: float, df1: float, df2: float) -> None:
+    """As scipy's survival function."""
+    assert d.f_above(value, df1, df2) == pytest.approx(float(stats.f.sf(value, df1, df2)), rel=1e-7, abs=0)
+
+
+@given(st.floats(-1e3, 1e3), DF)
+def test_the_tails_of_t(value: float, df: float) -> None:
+    """Both together."""
+    assert d.t_two_sided(value, df) == pytest.approx(2 * float(stats.t.sf(abs(value), df)), rel=1e-7, abs=0)
+
+
+@given(st.floats(0.5, 0.999), st.floats(1, 500))
+def test_the_quantile_of_t(probability: float, df: float) -> None:
+    """By bisection."""
+    assert d.t_quantile(probability, df) == pytest.approx(
+        float(stats.t.ppf(probability, df)), rel=1e-6, abs=1e-7
+    )
+
+
+@given(st.integers(0, 200), st.integers(1, 200))
+def test_exact_limits_of_a_share(found: int, more: int) -> None:
+    """Clopper and Pearson, and Wilson."""
+    n = found + more
+    exact = stats.binomtest(found, n).proportion_ci(0.95, "exact")
+    wilson = stats.binomtest(found, n).proportion_ci(0.95, "wilson")
+
+    assert d.clopper_pearson(found, n) == pytest.approx((exact.low, exact.high), abs=1e-9)
+    assert d.wilson(found, n) == pytest.approx((wilson.low, wilson.high), abs=1e-9)
+
+
+def test_nothing_found_and_everything_found() -> None:
+    """The limits end at 0 and 1: 3.7 / n, the rule of three for two sides."""
+    assert d.clopper_pearson(0, 100) == pytest.approx((0.0, 1 - 0.025 ** (1 / 100)))
+    assert d.clopper_pearson(100, 100) == pytest.approx((0.025 ** (1 / 100), 1.0))
+    assert (d.f_above(0, 3, 4), d.f_above(float("inf"), 3, 4), d.t_two_sided(float("inf"), 4)) == (1, 0, 0)
