@@ -72,21 +72,8 @@ def build(
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
     part = _first_part(config, bundles, store)
-    # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
-    lock = PublisherLock(config.store.path)
-    closing.callback(lock.close)
     commands = _commands(config, calls, store, clock)
-    context = _sink_context(config, clock, retained_state, commands)
-    sinks = _open_sinks(config, context, closing)
-    publisher = Publisher(
-        config.store.path,
-        sinks,
-        retained_state,
-        clock,
-        random.Random(),
-        lock=lock,
-        before=_names_before(config),
-    )
+    publisher = _publisher(config, clock, retained_state, commands, closing)
     status = StationStatus(_announcer(config, publisher.announce, closing), clock)
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
@@ -128,6 +115,20 @@ def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock
     handlers = station_handlers(calls)
     policy = policy_of(config, frozenset(handlers))
     return Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
+
+
+def _publisher(
+    config: Config, clock: Clock, retained_state: RetainedState, commands: Commands, closing: ExitStack
+) -> Publisher:
+    """With its sinks, and not yet started. Errors: ConfigError."""
+    # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
+    lock = PublisherLock(config.store.path)
+    closing.callback(lock.close)
+    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
+    before = _names_before(config)
+    return Publisher(
+        config.store.path, sinks, retained_state, clock, random.Random(), lock=lock, before=before
+    )
 
 
 def _retained_state(config: Config) -> RetainedState:
