@@ -24,7 +24,7 @@ from edge.page.changes import Changes
 from edge.page.server import PageServer
 from edge.page.shown import Shown
 
-__all__ = ["SCENES", "Scene", "picture_of"]
+__all__ = ["SCENES", "Scene", "picture_of", "served"]
 
 TOKEN: Final = "correct-horse"
 
@@ -104,7 +104,8 @@ def _answer(verb: str, payload: bytes, why: str | None = None) -> bytes:
 
 
 @contextmanager
-def _served(scene: Scene) -> Iterator[int]:
+def served(scene: Scene) -> Iterator[int]:
+    """The page of the scene; gives its port."""
     clock = SystemClock()
     shown = Shown("plant/line1/press2", scene.away)
     for message in scene.messages:
@@ -120,7 +121,7 @@ def _served(scene: Scene) -> Iterator[int]:
 def picture_of(browser: Any, scene: Scene) -> bytes:
     """PNG with a palette of 256 colours, so that it is small."""
     width, height = scene.size
-    with _served(scene) as port:
+    with served(scene) as port:
         tab = browser.new_page(
             viewport={"width": width, "height": height}, color_scheme="dark" if scene.is_dark else "light"
         )

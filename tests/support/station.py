@@ -54,7 +54,13 @@ def jpeg(frame: NDArray[np.uint8]) -> bytes:
 
 
 def press_recording(
-    folder: Path, presses: int, *, dented: Sequence[int] = (), motion: Motion | None = None, seed: int = 0
+    folder: Path,
+    presses: int,
+    *,
+    dented: Sequence[int] = (),
+    motion: Motion | None = None,
+    seed: int = 0,
+    fps: float = FPS,
 ) -> Path:
     """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them."""
     motion = motion or Motion()
@@ -62,10 +68,10 @@ def press_recording(
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
     for press in range(presses):
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
-    header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
+    header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, fps, profile="cropped_lr")
     with RecordingWriter(folder, header) as writer:
         for number, (depth, press) in enumerate(phases):
-            writer.add(jpeg(gel(rng, depth, press in dented)), round(number * 1e9 / FPS), {"press": press})
+            writer.add(jpeg(gel(rng, depth, press in dented)), round(number * 1e9 / fps), {"press": press})
     return folder
 
 
