@@ -3,6 +3,7 @@
 import json
 import socket
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.page.server import MOST_OF_ONE
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png
 from plugins.sinks.page import PageOptions, PageSink, plugin
@@ -161,6 +163,32 @@ def test_after_the_end_it_is_gone(sink: PageSink) -> None:
 
     with pytest.raises(ConnectionRefusedError):
         ask(sink.port, "/")
+
+
+def test_a_connection_that_a_browser_keeps_open_ends_with_the_page(sink: PageSink) -> None:
+    """Otherwise it would be answered for ever; a page that waits for news on it is answered, and sees the end."""
+    with socket.create_connection(("127.0.0.1", sink.port), timeout=20) as kept:
+        kept.sendall(b"GET /state.json HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert kept.recv(65536).startswith(b"HTTP/1.1 200")
+        sink.close()
+        while kept.recv(65536):
+            pass
+
+
+def test_connections_are_bounded(sink: PageSink) -> None:
+    """One too many is closed at once, without an answer; when another one ends there is room again."""
+    with ExitStack() as opened:
+        first, *_ = [
+            opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=20))
+            for _ in range(MOST_OF_ONE)
+        ]
+        one_more = opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=20))
+        assert one_more.recv(1) == b""
+
+        first.sendall(b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        while first.recv(65536):
+            pass
+        assert ask(sink.port, "/station.json")[0] == 200
 
 
 def test_the_page_is_small_and_loads_nothing_from_elsewhere(sink: PageSink) -> None:
