@@ -29,11 +29,12 @@ _FEWEST_SPOTS, _SPOTS_PX = 8, 16 * 320 * 240
 @dataclass(frozen=True, eq=False)
 class EditedPresses:
     """frames: uint8 (m, h, w, 3). press: which nominal press each was, int64 (m,). near: the damage and its
-    surroundings, bool (m, h, w)."""
+    surroundings, bool (m, h, w). names: kind and size of each damage."""
 
     frames: NDArray[np.uint8]
     press: NDArray[np.int64]
     near: NDArray[np.bool_]
+    names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.press)
@@ -52,7 +53,7 @@ def edited_presses(
     if not shown:
         return None
     turns = [k for _ in range(SPOTS) for k in shown]
-    frames, press, near = [], [], []
+    frames, press, near, names = [], [], [], []
     for number, k in enumerate(islice(turns, _spots(region))):
         spot, kind = _spot(shown[k], rng), list(KINDS)[number % len(KINDS)]
         for share in SIZE_SHARES:
@@ -60,7 +61,8 @@ def edited_presses(
             frames.append(shown[k].damaged(damage))
             press.append(k)
             near.append(surroundings(damage, station.field))
-    return EditedPresses(np.stack(frames), np.array(press), np.stack(near))
+            names.append(f"{kind} of {share * KINDS[kind].largest_mm:.3g} mm")
+    return EditedPresses(np.stack(frames), np.array(press), np.stack(near), tuple(names))
 
 
 def _spots(region: Region) -> int:

@@ -192,6 +192,9 @@ class _Fit:
             head, bank, scores = head_with_limit(head, arrays), bank_with(bank, arrays), chosen.scores
         self.relief = self._timed("threshold", lambda: self._relief(nominal, head))
         head, bank = with_relief(head, bank, self.relief, self._unit(scores))
+        self.again = (
+            {} if scores is None or self.limits is None else self.limits.known_scores(scores, self.choice)
+        )
         self.graphs = Graphs(trunk=self.config.trunk.graph, head=head)
         self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
         self.warnings += self.apart
@@ -352,6 +355,7 @@ class _Fit:
                 "limit": self.choice.facts(),
                 MISSING: self.relief.facts(),
                 **self.pose.facts,
+                **self.again,
                 **{k: v for k, v in bank.facts.items() if k != "repairs"},
             },
             profile=ProfileEntry.of(config.profile),

@@ -64,11 +64,13 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A limit other than the plain one. threshold: at 1. scores: of the nominal presses in its units, float64 (n,)."""
+    """A limit other than the plain one. threshold: at 1. scores: of the nominal presses in its units, float64 (n,).
+    damaged: of those with rendered damage, float64 (m,)."""
 
     limit: MapLimit
     threshold: ThresholdEntry
     scores: Float
+    damaged: Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,15 @@ class _Candidate:
         limit, scores = self.limit(self.spread), self._relative()
         words = f"compared with {self.kind.about}; {self.threshold.method}"
         changed = {"value": 1.0, "method": words, "nominal_scores": tuple(map(float, np.sort(scores)))}
-        return Chosen(limit, self.threshold.model_copy(update=changed), scores)
+        return Chosen(limit, self.threshold.model_copy(update=changed), scores, self._damaged())
+
+    def _damaged(self) -> Float:
+        """The scores of presses with rendered damage, in units of the limit without the press, float64 (m,)."""
+        edited, scores = self.evidence.edited, np.empty(len(self.evidence.edited))
+        for held, spread in zip(self.evidence.folds, self.without, strict=True):
+            rows = np.flatnonzero(np.isin(edited.press, held))
+            scores[rows] = _highest(self.limit(spread).relative(self.evidence.held_out.edited.maps[rows]))
+        return scores
 
     def _relative(self) -> Float:
         """The nominal presses' scores in units of the limit, the higher of two each."""

@@ -1,6 +1,7 @@
 """The out-of-fold scores of a fit, and the choice of a limit from what they show."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,14 @@ from calibration.fitting.folds import Folds
 from calibration.fitting.held_out import HeldOut, Learner, ScoredPresses, held_out
 from calibration.fitting.limit_choice import Choice, Evidence, choose_limit
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.threshold import pieces_of
 from calibration.map_limits.head_limit import can_extend
 from calibration.map_limits.kinds import KINDS, PLAIN
 from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.press_again import KnownScores
+from edge.model.press_again_facts import PRESS_AGAIN, known_facts
 
 __all__ = ["LimitStep"]
 
@@ -87,6 +91,22 @@ class LimitStep:
             ),
             self._kinds,
         )
+
+    def known_scores(self, scores: NDArray[np.float64], choice: Choice) -> dict[str, Any]:
+        """What a station needs to know whether one more press pays, for the manifest's facts; empty without rendered
+        damage. scores: of the nominal presses, in units of the bundle's score."""
+        if self._edited is None or self._held_out is None:
+            return {}
+        damaged = choice.chosen.damaged if choice.chosen else self._held_out.edited.scores
+        names = tuple(dict.fromkeys(self._edited.names))
+        of = np.array([names.index(name) for name in self._edited.names])
+        groups = tuple(tuple(damaged[of == k].tolist()) for k in range(len(names)))
+        keys = pieces_of(self._specimens)
+        sound = tuple(
+            tuple(float(score) for score, key in zip(scores, keys, strict=True) if key == piece)
+            for piece in dict.fromkeys(keys)
+        )
+        return {PRESS_AGAIN: known_facts(KnownScores(sound, groups), names)}
 
     def _black(self, bank: Bank) -> ScoredPresses | None:
         """A black frame, scored; None where the gateway refuses it for its colours."""

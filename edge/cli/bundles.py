@@ -53,6 +53,7 @@ def inspect(
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     from edge.model.limit_facts import limit_sentence, missing_sentence
+    from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
     from edge.model.promise import promise
 
     limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
@@ -101,6 +102,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ("limit", limit_sentence(manifest.facts) or "plain"),
         ("missing relief", missing_sentence(manifest.facts) or "not checked"),
         ("false alarms", promise(limit)),
+        ("press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))),
         ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
          f"relative {manifest.tolerance.relative:.2g}"),
         ("golden frames", f"{len(manifest.golden)}: " + ", ".join(f"{g.what} {g.score:.4g}" for g in manifest.golden)),

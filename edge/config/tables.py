@@ -20,6 +20,7 @@ __all__ = [
     "Config",
     "ContactTable",
     "InspectionTable",
+    "PressAgainTable",
     "StationTable",
 ]
 
@@ -92,6 +93,12 @@ class InspectionTable(Table):
     trigger: Literal["automatic", "command"] = Field(
         default="automatic",
         description="automatic: every press is scored; command: only one that `cmd/trigger` or a pedal asks for",
+    )
+
+    press_again: Literal["never", "unsure"] = Field(
+        default="never",
+        description="unsure: a press a little above the threshold asks for a second one of the same piece, where the "
+        "costs of [press_again] say that it pays; see press_again.md",
     )
 
     @model_validator(mode="after")
@@ -203,6 +210,25 @@ class StoreTable(Table):
     )
 
 
+class PressAgainTable(Table):
+    """What presses and wrong verdicts cost, in any one unit: by that, and by the scores of the fit, a station decides
+    when one more press of a piece pays. See press_again.md.
+    """
+
+    missed_defect: float = Field(
+        default=1000, ge=0, le=1e12, description="cost of a damaged piece that passes"
+    )
+    false_alarm: float = Field(default=100, ge=0, le=1e12, description="cost of a sound piece that fails")
+    press: float = Field(default=1, ge=0, le=1e12, description="cost of one more press, in time and gel")
+    defect_rate: float = Field(default=0.01, ge=0, le=1, description="share of damaged pieces")
+    within_s: float = Field(
+        default=30,
+        ge=0.5,
+        le=3600,
+        description="a second press that does not come within this time is an alarm",
+    )
+
+
 class ArchiveTable(Table):
     """What verdicts were made from, so that `gelgate replay` makes them again: see black_box.md.
 
@@ -271,6 +297,7 @@ class Config(Table):
     reference: ReferenceTable = ReferenceTable()
     store: StoreTable = StoreTable()
     archive: ArchiveTable = ArchiveTable()
+    press_again: PressAgainTable = PressAgainTable()
     commands: CommandTable = CommandTable()
     metrics: MetricsTable = MetricsTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")

@@ -64,6 +64,8 @@ class BlackBox:
             score=press.score,
             threshold=press.threshold,
             score_map=score_map[0] if score_map else None,
+            asked_up_to=inspection.again.bound if inspection.again else None,
+            first_score=inspection.again.first_score if inspection.again else None,
             map_shape=None if inspection.score_map is None else _shape(inspection.score_map),
         )
         kept = (frame, machine, reference, score_map)

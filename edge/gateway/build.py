@@ -15,6 +15,7 @@ from edge.config import Config, sink_names
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device, Message, Sink
+from edge.core.press_again import Costs
 from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
 from edge.gateway.acquisition import Acquisition
 from edge.gateway.black_box import BlackBox
@@ -32,6 +33,7 @@ from edge.gateway.opening import BundleOpener, Opened, device_opener, overview_o
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
+from edge.gateway.press_again import AgainRule, PressAgain
 from edge.gateway.press_labels import PressLabels
 from edge.gateway.reference_guard import ReferenceGuard
 from edge.gateway.snapshots import Snapshots
@@ -106,6 +108,7 @@ def build(
         black_box=_black_box(config),
         reference=reference,
         labels=labels or reference,
+        press_again=_press_again(config, status, clock),
         overview=overview,
         stats_s=table.stats_s,
     )
@@ -232,6 +235,13 @@ def _black_box(config: Config) -> BlackBox:
         _free_space(config).check,
     )
     return BlackBox(archive, str(_place(config)), config.inspection.threads)
+
+
+def _press_again(config: Config, status: StationStatus, clock: Clock) -> PressAgain:
+    table = config.press_again
+    costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
+    rule = AgainRule(config.inspection.press_again == "unsure", costs, table.within_s)
+    return PressAgain(rule, clock, status.press_again)
 
 
 def _place(config: Config) -> Place:

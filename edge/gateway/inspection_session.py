@@ -25,6 +25,7 @@ from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.press_again import PressAgain
 from edge.gateway.press_labels import Mounted, PressLabels
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
@@ -67,8 +68,12 @@ class InspectionSession:
         on_judged: Callable[[Inspection], None] = lambda inspection: None,
         admission: Admission | None = None,
         labels: PressLabels | None = None,
+        press_again: PressAgain | None = None,
     ) -> None:
         self.gel = gel
+        self._again = press_again
+        if press_again is not None:
+            press_again.use(inspector.bundle)
         self._on_judged = on_judged
         self._references = references
         self._recorder = recorder
@@ -112,6 +117,8 @@ class InspectionSession:
 
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
+        if self._again is not None:
+            self._again.turn()
         while self._unrecorded:
             with about_press(self._unrecorded[0].press.press_id):
                 report = self._recorder.record(self._unrecorded[0])
@@ -138,6 +145,8 @@ class InspectionSession:
         just begun."""
         self._inspector = inspector
         self._pipeline.use(inspector)
+        if self._again is not None:
+            self._again.use(inspector.bundle)
         self._recorder.use(inspector)
         self._at_fit = inspector.bundle.free_reference
 
@@ -153,13 +162,18 @@ class InspectionSession:
         if is_other:
             self._status.gel(gel)
             self._recorder.wear_index = None
+            if self._again is not None:
+                self._again.drop("the gel was replaced")
             self.relearn()
 
     def _add(self, inspections: list[Inspection]) -> None:
-        for inspection in inspections:
+        for judged in inspections:
+            inspection = judged if self._again is None else self._again.judged(judged)
             self._on_judged(inspection)
             if len(self._unrecorded) < MOST_WAITING:
                 self._unrecorded.append(self._recorder.prepare(inspection))
+                if self._again is not None:
+                    self._again.recorded(self._unrecorded[-1].press.press_id)
             else:
                 self._uncounted += 1
 

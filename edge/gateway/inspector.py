@@ -29,7 +29,7 @@ from edge.core.verdict import Verdict
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
 
-__all__ = ["Inspection", "Inspector", "JudgedFrame"]
+__all__ = ["Again", "Inspection", "Inspector", "JudgedFrame"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,18 @@ class JudgedFrame:
 
 
 @dataclass(frozen=True)
+class Again:
+    """One more press of the same piece. reason: one sentence. is_asked: it is asked for. second_of, first_score: of the
+    first press, where this is the second. bound: up to this score a second press is asked for."""
+
+    reason: str
+    is_asked: bool
+    second_of: str | None = None
+    first_score: float | None = None
+    bound: float | None = None
+
+
+@dataclass(frozen=True)
 class Inspection:
     """The result of one frame: a verdict, or an error and then no verdict.
 
@@ -51,6 +63,7 @@ class Inspection:
     overview: the look before the press, None without such a camera. registered: how the press was brought to the bank's
     pose, None where it was scored as it lies. judged: what it was judged by, None where no frame was. label: what the
     press is for, None for a part's. imprint: what is measured of it where it is a master piece's.
+    again: what it has to do with another press of the same piece, None for nothing.
     """
 
     verdict: Verdict | None
@@ -64,6 +77,7 @@ class Inspection:
     judged: JudgedFrame | None = None
     label: PressLabel | None = None
     imprint: Imprint | None = None
+    again: Again | None = None
 
     @property
     def word(self) -> str:

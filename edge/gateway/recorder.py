@@ -15,6 +15,7 @@ from edge.gateway.inspector import Inspection, Inspector
 from edge.gateway.labelled_presses import LabelledTable, labelled_table
 from edge.messaging.defect_place import DefectPlace
 from edge.messaging.pose_payload import PosePlace
+from edge.messaging.press_again_payload import PressAgainPart
 from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_messages
 from edge.model.bundle import Bundle
 from edge.store.gel_ledger import GelRecord
@@ -104,6 +105,7 @@ class Recorder:
             **self._defects(inspection),
             **_overview(inspection),
             **self._pose(inspection),
+            **_again(inspection),
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
             "overview_topic": f"overview/{press.press_id}" if still else None,
         }
@@ -152,11 +154,12 @@ class Recorder:
             score=verdict.score if verdict else None,
             threshold=manifest.threshold.value,
             wear_index=self.wear_index,
+            second_of=(inspection.again.second_of or None) if inspection.again else None,
         )
 
     def _archived(self, press: PressRecord, inspection: Inspection) -> PressRecord:
-        """The same with what is kept of it."""
-        if self._black_box is None:
+        """The same with what is kept of it; presses of master pieces and of studies are not archived."""
+        if self._black_box is None or inspection.label is not None:
             return press
         return replace(press, evidence=self._black_box.keep(press, inspection, self._inspector))
 
@@ -227,6 +230,20 @@ def _overview(inspection: Inspection) -> dict[str, Any]:
     if view is None:
         return {}
     return {"part_codes": [code.text for code in view.codes], "part_present": view.is_present}
+
+
+def _again(inspection: Inspection) -> dict[str, Any]:
+    """The field `press_again`; none for a press that has nothing to do with another one."""
+    again = inspection.again
+    if again is None:
+        return {}
+    part = PressAgainPart(
+        is_asked=again.is_asked,
+        second_of=again.second_of or None,
+        first_score=again.first_score,
+        reason=again.reason,
+    )
+    return {"press_again": part}
 
 
 def _ratio(press: PressRecord) -> float | None:

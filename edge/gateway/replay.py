@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from edge.core.contact.mask import Touch
 from edge.core.errors import ArchiveError, BundleError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
+from edge.core.press_again import is_asked, second_verdict, unsure
 from edge.gateway.black_box import MAP_DTYPE, map_bytes
 from edge.gateway.inspector import Inspection, Inspector
 from edge.model.archive import MANIFEST, open_archive
@@ -76,8 +77,23 @@ def replayed(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector)
     """Judge it again with this inspector, and compare. Errors: ArchiveError for what is gone or damaged."""
     frame = archive.read(press.frame, f"the judged frame of press {press.press_id}")
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
+    if inspector.bundle.digest == press.bundle_id:
+        now = _with_the_other_press(press, now, inspector)
     differences = tuple(_differences(press, now, archive))
     return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
+
+
+def _with_the_other_press(press: ArchivedPress, now: Inspection, inspector: Inspector) -> Inspection:
+    """The verdict of a press that asked for a second one, or is the second one, by the same rule as then."""
+    verdict = now.verdict
+    if verdict is None or verdict.score is None:
+        return now
+    if is_asked(verdict, press.asked_up_to):
+        return replace(now, verdict=unsure(verdict))
+    if press.first_score is None:
+        return now
+    lower = inspector.bundle.manifest.decide(min(press.first_score, verdict.score))
+    return replace(now, verdict=second_verdict(press.first_score, verdict, lower))
 
 
 def _differences(press: ArchivedPress, now: Inspection, archive: ArchiveFolder) -> Iterator[str]:

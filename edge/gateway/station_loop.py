@@ -329,6 +329,7 @@ class StationLoop:
             self._judged,
             self._admission(),
             parts.labels,
+            parts.press_again,
         )
         return self._session
 

@@ -14,6 +14,7 @@ from edge.gateway.free_space import FreeSpace
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
+from edge.gateway.press_again import PressAgain
 from edge.gateway.press_labels import PressLabels
 from edge.gateway.reference_guard import ReferenceGuard
 from edge.gateway.snapshots import Snapshots
@@ -52,5 +53,6 @@ class Parts:
     black_box: BlackBox
     reference: ReferenceGuard
     labels: PressLabels
+    press_again: PressAgain
     overview: Overview | None = None
     stats_s: float = 10.0

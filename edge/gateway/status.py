@@ -227,6 +227,13 @@ class StationStatus:
         else:
             self.alarm("archive", f"presses are judged and not archived: {fault}", "warning")
 
+    def press_again(self, sentence: str | None) -> None:
+        """An alarm while a second press of a piece is missing."""
+        if sentence is None:
+            self.clear("press_again")
+        else:
+            self.alarm("press_again", sentence, "warning")
+
     def io_alarm(self, alarm: str, text: str | None) -> None:
         """Raise or clear an alarm of the digital inputs and outputs. Called from their threads."""
         with self._lock:

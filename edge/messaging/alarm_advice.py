@@ -28,6 +28,7 @@ ADVICE: Final[Mapping[str, str]] = {
     "overview": "check its cable; `gelgate overview` takes a still; presses are refused meanwhile where it must see "
     "the part",
     "overload": "end other programs; use a faster bundle (`gelgate tradeoff`); check presses against parts made",
+    "press_again": "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     "gel": "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate gel "
     "replace`",
     "reference": "`gelgate reference press`, then press the master piece; where it is out of limits, the text names "

@@ -24,6 +24,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "golden": "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
     "overview": "the overview camera gives no pictures: presses are refused where it must see the part",
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
+    "press_again": "a second press of a piece was asked for and did not come; the piece has no verdict",
     "gel": "the gel is due or must be replaced",
     "reference": "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
     "trigger_device": "a pedal or button cannot be used",

@@ -11,13 +11,16 @@ docs/mqtt.md is printed from these models.
 import datetime
 import json
 from dataclasses import replace
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.ports import Message
 
-__all__ = ["Payload", "as_replayed", "iso_time"]
+__all__ = ["Payload", "PressId", "as_replayed", "iso_time"]
+
+PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
+"""A ULID."""
 
 
 def iso_time(time_ns: int) -> str:

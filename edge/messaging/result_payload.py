@@ -1,25 +1,24 @@
 """The result of a press, with its pictures: payload and messages."""
 
 from collections.abc import Sequence
-from typing import Annotated, Final, Self
+from typing import Final, Self
 
-from pydantic import ConfigDict, Field, StringConstraints, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.messaging.defect_place import DefectPlace, Pair
 from edge.messaging.gel_payload import GelPayload, gel_message
-from edge.messaging.payload_base import Payload
+from edge.messaging.payload_base import Payload, PressId
 from edge.messaging.pose_payload import PosePlace
+from edge.messaging.press_again_payload import PressAgainPart
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["MOST_DEFECTS", "ResultPayload", "heatmap_message", "overview_message", "press_messages"]
 
 # Parts of one score map that a result describes; the rest is counted in the area alone.
 MOST_DEFECTS: Final = 8
-
-PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25}$")]
 
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)
 
@@ -101,6 +100,9 @@ class ResultPayload(Payload):
     )
 
     pose: PosePlace | None = Field(default=None, description="where the part lay; null where none is sought")
+    press_again: PressAgainPart | None = Field(
+        default=None, description="one more press of the same piece: asked for, or this one; null for neither"
+    )
     ledger_head: str | None = Field(
         default=None,
         description="the newest link of the ledger, with this press: `gelgate db check` compares it with the ledger",

@@ -36,6 +36,7 @@ class ArchivedPress(BaseModel):
     station: site/line/station. touch: area and centroid, as `edge.core.contact.mask.Touch`. frame: the camera's bytes.
     reference: the free gel, .npy float32 (h, w, 3). score_map: raw bytes, float32 little-endian of map_shape, row by
     row. machine: JSON, see `edge.model.machine`. reason, error: as published.
+    asked_up_to: the bound, for a press that a second one was asked for. first_score: of the first press, for a second.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -61,6 +62,8 @@ class ArchivedPress(BaseModel):
     threshold: float | None
     score_map: Digest | None
     map_shape: tuple[int, int] | None
+    asked_up_to: float | None = None
+    first_score: float | None = None
 
     @property
     def objects(self) -> tuple[Digest, ...]:

@@ -50,6 +50,7 @@ def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, run
         "running_ns": running_ns,
         "cause": press.cause,
         "evidence": press.evidence,
+        "second_of": press.second_of,
     }
     number = connection.execute(
         f"INSERT INTO presses ({', '.join(columns)}, gel_presses) VALUES ({', '.join('?' * len(columns))}, "

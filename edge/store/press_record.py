@@ -17,7 +17,7 @@ class PressRecord:
     press_id: a ULID. time_ns: wall clock. serial: of the sensor. verdict: pass, fail, unsure, rejected, or error for
     a press that could not be scored. wear_index: optical wear just before this press, None if not measured. cause: of a
     fail or unsure, where it is known: part, gel or unsure. evidence: SHA-256 of its record in the archive, None where
-    it has none.
+    it has none. second_of: id of the first press of the same piece, where this one was asked for.
     """
 
     press_id: str
@@ -31,6 +31,7 @@ class PressRecord:
     wear_index: float | None = None
     cause: str | None = None
     evidence: bytes | None = None
+    second_of: str | None = None
 
     def __post_init__(self) -> None:
         if not is_ulid(self.press_id):

@@ -221,5 +221,10 @@ ALTER TABLE presses ADD COLUMN gel_presses INTEGER;
 ALTER TABLE presses ADD COLUMN evidence BLOB;
 """
 
-MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5, _VERSION_6)
+# `second_of`: the first press of the same piece, where this one was asked for.
+_VERSION_7: Final = """
+ALTER TABLE presses ADD COLUMN second_of TEXT;
+"""
+
+MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5, _VERSION_6, _VERSION_7)
 SCHEMA_VERSION: Final = len(MIGRATIONS)

@@ -24,7 +24,9 @@ def plan() -> StudyPlan:
 def rows_of() -> Rows:
     """The presses of a plan in its order: each piece has its score, with noise."""
 
-    def made(plan: StudyPlan, noise: float = 0.05, skip: Sequence[int] = (), **changes: object) -> list[StudyPress]:
+    def made(
+        plan: StudyPlan, noise: float = 0.05, skip: Sequence[int] = (), **changes: object
+    ) -> list[StudyPress]:
         rng = np.random.default_rng(1)
         known = {piece.name: piece.known for piece in plan.pieces}
         rows = []

@@ -13,13 +13,17 @@ DF = st.floats(0.5, 500)
 @given(st.floats(0, 1e4), DF, DF)
 def test_the_tail_of_f(value: float, df1: float, df2: float) -> None:
     """As scipy's survival function."""
-    assert d.f_above(value, df1, df2) == pytest.approx(float(stats.f.sf(value, df1, df2)), rel=1e-7, abs=1e-290)
+    assert d.f_above(value, df1, df2) == pytest.approx(
+        float(stats.f.sf(value, df1, df2)), rel=1e-7, abs=1e-290
+    )
 
 
 @given(st.floats(-1e3, 1e3), DF)
 def test_the_tails_of_t(value: float, df: float) -> None:
     """Both together."""
-    assert d.t_two_sided(value, df) == pytest.approx(2 * float(stats.t.sf(abs(value), df)), rel=1e-7, abs=1e-290)
+    assert d.t_two_sided(value, df) == pytest.approx(
+        2 * float(stats.t.sf(abs(value), df)), rel=1e-7, abs=1e-290
+    )
 
 
 @given(st.floats(0.5, 0.999), st.floats(1, 500))

@@ -1,0 +1,220 @@
+"""Whether one more press of a piece pays, and what two presses say together.
+
+A press whose score lies a little above the threshold is `unsure`, and the same piece is pressed once more, shifted. The
+lower of the two scores is decided. So a piece fails only if both presses lie above the threshold: every piece that
+fails would have failed by its first press alone. The false-alarm rate that the threshold promises therefore holds for
+two presses as well, whatever they have in common (the larger of two p-values is a p-value under any dependence: Vovk
+and Wang, Combining p-values via averaging, Biometrika 107 (2020), section 1). What is risked is damage that the first
+press shows and the second does not.
+
+How far above the threshold a second press is asked for is the bound at which the expected cost of a piece is smallest:
+
+    cost = (1 - d) F P(sound fails) + d M P(damaged passes) + p (expected presses - 1)
+
+with d the share of damaged pieces, and F, M, p the costs of a false alarm, of missed damage and of a press.
+
+Sound presses above the threshold are rare, so their tail is taken as exponential beyond it (Pickands 1975, Balkema and
+de Haan 1974), with the promised rate at the threshold and the mean excess of the highest nominal scores. Two presses of
+a sound piece have a Gaussian copula with the correlation of the nominal presses of one piece. Two presses of a damaged
+piece are two draws from the scores of the same kind and size of rendered damage.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.verdict import Kind, Verdict
+
+__all__ = ["Costs", "KnownScores", "Plan", "is_asked", "plan", "second_verdict", "unsure"]
+
+Float = NDArray[np.float64]
+
+# The highest share of the nominal scores gives the tail's scale, from at least this number of them.
+_TAIL_SHARE: Final = 0.25
+_TAIL_FEWEST: Final = 4
+# Bounds that are tried, evenly over the damaged scores above the threshold.
+_BOUNDS: Final = 40
+# Steps of the integral over the first press of a sound piece.
+_STEPS: Final = 100
+_MOST_CORRELATED: Final = 0.999
+
+_NORMAL: Final = NormalDist()
+
+
+@dataclass(frozen=True)
+class Costs:
+    """In any one unit. missed: a damaged piece that passes. false_alarm: a sound piece that fails. press: one more
+    press, in time and gel. defect_rate: the share of damaged pieces."""
+
+    missed: float
+    false_alarm: float
+    press: float
+    defect_rate: float
+
+    def __post_init__(self) -> None:
+        if min(self.missed, self.false_alarm, self.press) < 0 or not 0 <= self.defect_rate <= 1:
+            raise ValueError(f"costs are not negative and a share lies in [0, 1], found {self}")
+
+
+@dataclass(frozen=True)
+class KnownScores:
+    """What `fit` knows. sound: scores of nominal presses by banks without them, piece by piece. damaged: of presses
+    with rendered damage, for each kind and size."""
+
+    sound: tuple[tuple[float, ...], ...]
+    damaged: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one more press is expected to bring.
+
+    bound: it is asked for from the threshold up to this score; None where it never pays, and `why` says so. presses: of
+    a piece, expected. false_alarms, misses: shares of sound and of damaged pieces, with one press and as planned.
+    """
+
+    why: str
+    bound: float | None = None
+    presses: float = 1.0
+    false_alarms: tuple[float, float] = (0.0, 0.0)
+    misses: tuple[float, float] = (0.0, 0.0)
+
+
+def is_asked(verdict: Verdict, bound: float | None) -> bool:
+    """Whether a first press asks for a second one: it does not pass, and its score is not above the bound."""
+    does_not_pass = verdict.kind in (Kind.FAIL, Kind.UNSURE)
+    return bound is not None and does_not_pass and verdict.score is not None and verdict.score <= bound
+
+
+def unsure(verdict: Verdict) -> Verdict:
+    """The verdict on a first press that asks for a second one."""
+    return Verdict(Kind.UNSURE, verdict.score, verdict.threshold, verdict.tolerance)
+
+
+def second_verdict(first: float, second: Verdict, lower: Verdict) -> Verdict:
+    """The verdict on a second press, with its own score. lower: the verdict on the lower of the two scores.
+
+    Errors: ValueError for a press without a score, and for another score than the lower.
+    """
+    if second.score is None or lower.score != min(first, second.score):
+        raise ValueError(f"the lower of {first} and {second.score} is decided, found {lower.score}")
+    return Verdict(lower.kind, second.score, second.threshold, second.tolerance)
+
+
+def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Plan:
+    """The bound with the smallest expected cost. rate: of sound presses above the threshold, as promised.
+
+    Errors: ValueError for a rate that is none.
+    """
+    if not 0 < rate < 1:
+        raise ValueError(f"the rate of false alarms lies between 0 and 1, found {rate}")
+    correlation = _correlation(known.sound)
+    if correlation is None:
+        return Plan("no piece was pressed twice at the fit, so what a second press adds is not known")
+    damaged = [np.asarray(scores, np.float64) for scores in known.damaged if scores]
+    above = [scores[scores > threshold] for scores in damaged]
+    if not any(len(scores) for scores in above):
+        return Plan("no rendered damage of the fit lies above the threshold, so what is risked is not known")
+    sound = _Tail(threshold, rate, _scale(known.sound, threshold), correlation)
+    highest = max(float(scores.max()) for scores in above if len(scores))
+    bounds = np.linspace(threshold, highest, _BOUNDS + 1)
+    plans = [_at(bound, sound, damaged, costs) for bound in bounds]
+    spent = [_cost(one, costs) for one in plans]
+    best = int(np.argmin(spent))
+    if best == 0:
+        return Plan(
+            "at these costs a second press costs more than the false alarms that it saves",
+            None,
+            1.0,
+            plans[0].false_alarms,
+            plans[0].misses,
+        )
+    return plans[best]
+
+
+@dataclass(frozen=True)
+class _Tail:
+    """Scores of sound presses above the threshold: their share, an exponential scale, and the correlation of two
+    presses of one piece."""
+
+    threshold: float
+    rate: float
+    scale: float
+    correlation: float
+
+    def above(self, bound: float) -> float:
+        """The share of sound presses above a bound that is not below the threshold."""
+        return self.rate * math.exp(-(bound - self.threshold) / self.scale) if self.scale > 0 else 0.0
+
+    def both(self, bound: float) -> float:
+        """The share of sound pieces whose first press lies between threshold and bound, and the second above the
+        threshold."""
+        low, high = self.rate, self.above(bound)
+        shares = high + (np.arange(_STEPS) + 0.5) / _STEPS * (low - high)
+        edge, rest = -_NORMAL.inv_cdf(self.rate), math.sqrt(1 - self.correlation**2)
+        second = [
+            _NORMAL.cdf((-self.correlation * _NORMAL.inv_cdf(share) - edge) / rest)
+            for share in shares.tolist()
+        ]
+        return float(np.mean(second)) * (low - high)
+
+
+def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> Plan:
+    """What is expected with this bound."""
+    asked = sound.rate - sound.above(bound)
+    false_alarms = sound.above(bound) + sound.both(bound)
+    shares = [_of_group(scores, sound.threshold, bound) for scores in damaged]
+    missed, asked_again, missed_again = np.mean(shares, axis=0).tolist()
+    rate = costs.defect_rate
+    return Plan(
+        "",
+        float(bound),
+        1 + (1 - rate) * asked + rate * asked_again,
+        (sound.rate, false_alarms),
+        (missed, missed + missed_again),
+    )
+
+
+def _of_group(scores: Float, threshold: float, bound: float) -> tuple[float, float, float]:
+    """Of pieces with one kind of damage: the share that the first press misses, that is pressed again, and that is then
+    missed by the second."""
+    missed = float(np.mean(scores <= threshold))
+    asked = float(np.mean((scores > threshold) & (scores <= bound)))
+    return missed, asked, asked * missed
+
+
+def _cost(one: Plan, costs: Costs) -> float:
+    rate = costs.defect_rate
+    wrong = (1 - rate) * costs.false_alarm * one.false_alarms[1] + rate * costs.missed * one.misses[1]
+    return wrong + costs.press * (one.presses - 1)
+
+
+def _scale(sound: Sequence[Sequence[float]], threshold: float) -> float:
+    """The mean excess of the highest nominal scores over the next one below."""
+    ordered = np.sort(np.concatenate([np.asarray(scores, np.float64) for scores in sound]))[::-1]
+    count = min(max(_TAIL_FEWEST, math.ceil(_TAIL_SHARE * len(ordered))), len(ordered) - 1)
+    return float(np.mean(ordered[:count]) - ordered[count])
+
+
+def _correlation(sound: Sequence[Sequence[float]]) -> float | None:
+    """Of two presses of one piece: the intraclass correlation of normal scores, between 0 and 1; None where no piece
+    was pressed twice, or all presses are of one piece."""
+    pieces = (
+        np.concatenate([np.full(len(scores), k) for k, scores in enumerate(sound)]) if sound else np.empty(0)
+    )
+    several = [k for k, scores in enumerate(sound) if len(scores) > 1]
+    if not several or len(sound) < 2:
+        return None
+    values = np.concatenate([np.asarray(scores, np.float64) for scores in sound])
+    ranks = np.argsort(np.argsort(values, kind="stable"), kind="stable")
+    normal = np.array([_NORMAL.inv_cdf((rank + 0.5) / len(values)) for rank in ranks.tolist()])
+    within = float(
+        np.mean([np.var(normal[pieces == k], ddof=1) for k in several])  # unbiased for each piece
+    )
+    total = float(np.var(normal, ddof=1))
+    return min(max(1 - within / total, 0.0), _MOST_CORRELATED) if total > 0 else None

@@ -1,0 +1,64 @@
+"""The scores by which a station decides whether one more press pays: an entry of the manifest's `facts`."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from edge.core.press_again import Costs, KnownScores, Plan, plan
+from edge.model.manifest import Manifest
+
+__all__ = ["DEFAULT_COSTS", "PRESS_AGAIN", "again_sentence", "known_facts", "plan_for"]
+
+PRESS_AGAIN: Final = "press_again"
+"""The entry's name among the manifest's facts."""
+
+DEFAULT_COSTS: Final = Costs(missed=1000, false_alarm=100, press=1, defect_rate=0.01)
+"""In presses: a damaged piece that passes costs a thousand of them, a sound piece that fails a hundred."""
+
+
+class _Entry(BaseModel):
+    """sound: scores of nominal presses by banks without them, piece by piece. damaged: kind and size of rendered damage
+    to the scores of presses with it. All in units of the bundle's score."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    sound: tuple[tuple[float, ...], ...] = Field(min_length=1)
+    damaged: dict[str, tuple[float, ...]]
+
+
+def known_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
+    """For the manifest. names: of the kinds of damage, in order."""
+    damaged = dict(zip(names, known.damaged, strict=True))
+    return _Entry(sound=known.sound, damaged=damaged).model_dump(mode="json")
+
+
+def plan_for(manifest: Manifest, costs: Costs) -> Plan:
+    """What one more press is expected to bring with this bundle; a bundle without such scores is `never`, no error."""
+    found = manifest.facts.get(PRESS_AGAIN)
+    if not isinstance(found, Mapping):
+        return Plan("the bundle has no scores of damaged presses and of pieces pressed twice; fit it again")
+    try:
+        entry = _Entry.model_validate(found)
+    except ValidationError as error:
+        return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
+    limit = manifest.threshold
+    if not limit.n:
+        return Plan("the threshold was given, so no rate of false alarms is promised")
+    rate = max(limit.alpha, limit.alpha_floor)
+    return plan(KnownScores(entry.sound, tuple(entry.damaged.values())), limit.value, rate, costs)
+
+
+def again_sentence(found: Plan) -> str:
+    """For `inspect`, `check` and the log."""
+    if found.bound is None:
+        return f"never: {found.why}"
+    return (
+        f"pays up to a score of {found.bound:.4g}: {found.presses:.3f} presses a piece, false alarms at most "
+        f"{_shares(found.false_alarms)}, rendered damage missed {_shares(found.misses)}"
+    )
+
+
+def _shares(shares: tuple[float, float]) -> str:
+    before, after = shares
+    return f"{100 * before:.3g} % -> {100 * after:.3g} %"

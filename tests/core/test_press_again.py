@@ -1,0 +1,225 @@
+"""Press again: when a second press pays, what two presses say together, and that the promise holds."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from calibration.fitting.threshold import conformal_threshold
+from edge.core.press_again import Costs, KnownScores, Plan, is_asked, plan, second_verdict, unsure
+from edge.core.verdict import Kind, decide
+
+COSTS = Costs(missed=1000, false_alarm=200, press=1, defect_rate=0.01)
+ALPHA = 0.05
+Scores = NDArray[np.float64]
+SIZES = (1.0, 2.5, 4.0)
+
+
+def sound_scores(rng: np.random.Generator, pieces: int, presses: int, correlation: float) -> Scores:
+    """Normal scores, (pieces, presses): presses of one piece have this correlation."""
+    piece = rng.standard_normal((pieces, 1))
+    own = rng.standard_normal((pieces, presses))
+    return math.sqrt(correlation) * piece + math.sqrt(1 - correlation) * own
+
+
+def damaged_scores(rng: np.random.Generator, count: int) -> tuple[tuple[float, ...], ...]:
+    """Of each size, shifted normal scores."""
+    return tuple(tuple((rng.standard_normal(count) + size).tolist()) for size in SIZES)
+
+
+def known(rng: np.random.Generator, pieces: int = 60, correlation: float = 0.3) -> KnownScores:
+    sound = sound_scores(rng, pieces, 2, correlation)
+    return KnownScores(tuple(map(tuple, sound.tolist())), damaged_scores(rng, 40))
+
+
+def planned(rng: np.random.Generator, costs: Costs = COSTS, correlation: float = 0.3) -> tuple[float, Plan]:
+    """(threshold, plan) of a bundle that was fitted on random pieces."""
+    found = known(rng, correlation=correlation)
+    threshold = limit(found.sound)
+    return threshold, plan(found, threshold, ALPHA, costs)
+
+
+def limit(sound: tuple[tuple[float, ...], ...]) -> float:
+    """As `fit` finds it."""
+    pieces = [str(k) for k, scores in enumerate(sound) for _ in scores]
+    return conformal_threshold(np.concatenate(list(map(np.asarray, sound))), ALPHA, specimens=pieces).value
+
+
+def two_presses(threshold: float, bound: float, first: Scores, second: Scores) -> tuple[Scores, Scores]:
+    """(fails, presses) of each piece, as the station decides them: see `test_the_simulation_decides_as_the_station`."""
+    asked = (first > threshold) & (first <= bound)
+    fails = np.where(asked, np.minimum(first, second), first) > threshold
+    return fails.astype(np.float64), 1.0 + asked
+
+
+def test_the_simulation_decides_as_the_station() -> None:
+    """Piece by piece."""
+    rng = np.random.default_rng(0)
+    first, second = rng.standard_normal((2, 50)) + 0.8
+    fails, presses = two_presses(1.0, 1.5, first, second)
+    for one, two, is_fail, count in zip(first.tolist(), second.tolist(), fails, presses, strict=True):
+        verdict = decide(one, 1.0)
+        is_second = is_asked(verdict, 1.5)
+        if is_second:
+            verdict = second_verdict(one, decide(two, 1.0), decide(min(one, two), 1.0))
+        assert ((verdict.kind is Kind.FAIL), 1 + is_second) == (bool(is_fail), count)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.95])
+def test_the_promised_rate_of_false_alarms_holds_for_two_presses(correlation: float) -> None:
+    """Over many fits, sound pieces fail at most as often as promised, whatever two presses have in common."""
+    rng = np.random.default_rng(1)
+    alarms = []
+    for _ in range(40):
+        threshold = limit(known(rng, correlation=correlation).sound)
+        new = sound_scores(rng, 400, 2, correlation)
+        fails, _ = two_presses(threshold, threshold + 0.7, new[:, 0], new[:, 1])
+        alarms.append(float(np.mean(fails)))
+        assert not fails[new[:, 0] <= threshold].any()
+    assert float(np.mean(alarms)) <= ALPHA
+
+
+def test_what_is_planned_comes_true() -> None:
+    """Presses a piece, false alarms and misses on new pieces are those that the plan states, on average over fits."""
+    rng = np.random.default_rng(2)
+    stated, seen = [], []
+    for _ in range(40):
+        threshold, found = planned(rng)
+        if found.bound is None:
+            continue
+        sound = sound_scores(rng, 4000, 2, 0.3)
+        fails, presses = two_presses(threshold, found.bound, sound[:, 0], sound[:, 1])
+        size = rng.choice(SIZES, 4000)
+        damaged = rng.standard_normal((4000, 2)) + size[:, None]
+        found_damaged, presses_damaged = two_presses(threshold, found.bound, damaged[:, 0], damaged[:, 1])
+        stated.append((found.presses, found.false_alarms[1], found.misses[1]))
+        mixed = 0.99 * presses.mean() + 0.01 * presses_damaged.mean()
+        seen.append((mixed, fails.mean(), 1 - found_damaged.mean()))
+    planned_rates, true_rates = np.mean(stated, axis=0), np.mean(seen, axis=0)
+
+    assert len(stated) > 20
+    assert planned_rates[0] == pytest.approx(true_rates[0], abs=0.02)
+    assert planned_rates[1] == pytest.approx(true_rates[1], abs=0.012)
+    assert planned_rates[2] == pytest.approx(true_rates[2], abs=0.03)
+
+
+def test_a_second_press_saves_false_alarms_for_few_presses() -> None:
+    """Where presses of a piece differ, false alarms fall to less than half for a few per cent more presses."""
+    _, found = planned(np.random.default_rng(3), replace(COSTS, missed=100), correlation=0.1)
+
+    assert found.bound is not None
+    assert found.false_alarms[1] < 0.5 * found.false_alarms[0]
+    assert 1 < found.presses < 1.06
+    assert found.misses[1] >= found.misses[0]
+
+
+@pytest.mark.parametrize(
+    "costs",
+    [
+        replace(COSTS, press=1e6),
+        replace(COSTS, missed=1e9),
+        replace(COSTS, false_alarm=0),
+    ],
+)
+def test_it_is_never_asked_for_where_it_does_not_pay(costs: Costs) -> None:
+    """Dear presses, dear misses, or false alarms that cost nothing."""
+    _, found = planned(np.random.default_rng(4), costs)
+
+    assert found.bound is None
+    assert "costs more than the false alarms that it saves" in found.why
+    assert found.presses == 1
+
+
+def test_the_bound_rises_with_the_cost_of_a_false_alarm() -> None:
+    """The dearer a false alarm, the more presses are worth it."""
+    bounds = []
+    for cost in (20.0, 200.0, 2000.0):
+        _, found = planned(np.random.default_rng(5), replace(COSTS, false_alarm=cost))
+        bounds.append(-math.inf if found.bound is None else found.bound)
+
+    assert bounds == sorted(bounds)
+    assert bounds[-1] > bounds[0]
+
+
+def test_without_a_piece_that_was_pressed_twice_it_is_never_asked_for() -> None:
+    """What a second press adds is not known then."""
+    rng = np.random.default_rng(6)
+    alone = KnownScores(
+        tuple((score,) for score in rng.standard_normal(30).tolist()), damaged_scores(rng, 20)
+    )
+
+    assert plan(alone, 2.0, ALPHA, COSTS).why.startswith("no piece was pressed twice")
+    assert plan(replace(alone, sound=((1.0, 2.0),)), 2.0, ALPHA, COSTS).bound is None
+
+
+def test_without_damage_above_the_threshold_it_is_never_asked_for() -> None:
+    """What is risked is not known then."""
+    found = replace(known(np.random.default_rng(7)), damaged=((0.1, 0.2), ()))
+
+    assert plan(found, 2.0, ALPHA, COSTS).why.startswith("no rendered damage")
+
+
+def test_a_second_press_saves_little_where_presses_of_a_piece_are_alike() -> None:
+    """A second press of the same piece would say what the first said."""
+    rng = np.random.default_rng(8)
+    found = replace(known(rng), sound=tuple((s, s + 1e-12) for s in rng.standard_normal(60).tolist()))
+    done = plan(found, 1.7, ALPHA, replace(COSTS, missed=10))
+
+    assert done.false_alarms[1] == pytest.approx(done.false_alarms[0], rel=0.1)
+
+
+def test_scores_without_spread_are_no_fault() -> None:
+    """The smallest test detectors have such."""
+    found = KnownScores(((1.0, 1.0), (1.0, 1.0)), ((3.0, 3.0),))
+
+    assert plan(found, 2.0, ALPHA, COSTS).bound is None
+
+
+@pytest.mark.parametrize(
+    ("score", "bound", "expected"),
+    [(0.5, 2.0, False), (1.5, 2.0, True), (2.5, 2.0, False), (1.5, None, False)],
+)
+def test_only_a_press_a_little_above_the_threshold_asks(
+    score: float, bound: float | None, expected: bool
+) -> None:
+    """A pass stays a pass, and what is far above fails at once."""
+    assert is_asked(decide(score, 1.0), bound) is expected
+
+
+def test_a_press_that_asks_is_unsure() -> None:
+    """With its own numbers."""
+    verdict = unsure(decide(1.5, 1.0, 0.01))
+
+    assert (verdict.kind, verdict.score, verdict.threshold, verdict.tolerance) == (
+        Kind.UNSURE,
+        1.5,
+        1.0,
+        0.01,
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [(1.5, 0.9, Kind.PASS), (1.5, 1.3, Kind.FAIL), (1.5, 9.0, Kind.FAIL), (1.5, 1.005, Kind.UNSURE)],
+)
+def test_the_lower_of_two_scores_is_decided(first: float, second: float, expected: Kind) -> None:
+    """The verdict keeps the second press's own score."""
+    verdict = second_verdict(first, decide(second, 1.0, 0.01), decide(min(first, second), 1.0, 0.01))
+
+    assert (verdict.kind, verdict.score) == (expected, second)
+
+
+def test_another_score_than_the_lower_is_refused() -> None:
+    """So that no caller decides by the higher one."""
+    with pytest.raises(ValueError, match="the lower of"):
+        second_verdict(1.5, decide(0.9, 1.0), decide(1.5, 1.0))
+
+
+def test_costs_that_cannot_be_are_refused() -> None:
+    """With what was found."""
+    with pytest.raises(ValueError, match="not negative"):
+        replace(COSTS, press=-1)
+    with pytest.raises(ValueError, match="a share"):
+        replace(COSTS, defect_rate=2)
