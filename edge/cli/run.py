@@ -49,6 +49,12 @@ outbox_mb = 512               # unsent messages: heatmaps are dropped first, the
 outbox_days = 30
 free_mb = 500                 # less room on the disk is an alarm
 
+[press_again]                 # with inspection.press_again = "unsure": what a second press has to pay for
+missed_defect = 1000          # costs, in any one unit; here in presses
+false_alarm = 100
+press = 1
+defect_rate = 0.01
+
 [archive]                     # what verdicts were made from, for `gelgate replay`
 presses = 1000
 mb = 1000
