@@ -19,7 +19,7 @@ from edge.core.ports import Clock
 from edge.core.printable import printable
 from edge.core.rate import Rate
 
-__all__ = ["Access", "Network", "Refused", "TokenGate", "change_refusal"]
+__all__ = ["READ_ONLY", "Access", "Network", "Refused", "TokenGate", "change_refusal"]
 
 Network = IPv4Network | IPv6Network
 
@@ -28,6 +28,8 @@ WRONG_PER_MINUTE: Final = 10
 
 # Addresses whose wrong tokens are counted; of more the oldest is forgotten.
 MOST_ADDRESSES: Final = 256
+
+READ_ONLY: Final = "this page only shows: no token is configured for it"
 
 _LONGEST_SHOWN: Final = 80
 
@@ -102,7 +104,7 @@ class TokenGate:
             )
         kind, _, given = authorization.partition(" ")
         if self._digest is None:
-            return self._counted(client, 403, "this page only shows: no token is configured for it")
+            return self._counted(client, 403, READ_ONLY)
         if kind.lower() != "bearer" or not given.strip():
             return self._counted(client, 401, "a change needs the token of this page")
         if not hmac.compare_digest(_digest(given.strip().encode()), self._digest):

@@ -7,14 +7,12 @@ from typing import Any, Final
 from edge.core.ports import Clock
 from edge.core.sink_context import PageRequests
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, CommandResponse
-from edge.page.access import Refused, TokenGate, change_refusal
+from edge.page.access import READ_ONLY, Refused, TokenGate, change_refusal
 
-__all__ = ["READ_ONLY", "UNLOCK", "Changes", "is_verb"]
+__all__ = ["UNLOCK", "Changes", "is_verb"]
 
 # Asks for nothing but whether the token is right.
 UNLOCK: Final = "unlock"
-
-READ_ONLY: Final = "this page only shows: no token is configured for it"
 
 _VERB: Final = re.compile(r"[a-z_]{1,64}")
 

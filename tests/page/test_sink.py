@@ -1,5 +1,6 @@
 """The sink `page`: what it serves, and to whom."""
 
+import http.client
 import json
 import socket
 from concurrent.futures import ThreadPoolExecutor
@@ -8,6 +9,7 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pytest
 from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, state, stats
+from small_recordings import FakeClock
 
 from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel import GelState
@@ -137,6 +139,54 @@ def test_only_this_machine_reaches_it(sink: PageSink) -> None:
         pass
 
 
+def own_address() -> str:
+    """Of this machine in a network; no packet is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            pytest.skip("SKIPPED, NOT TESTED: this machine has no network")
+        return str(probe.getsockname()[0])
+
+
+def test_another_machine_sees_it_where_it_is_named() -> None:
+    """By its address; a refusal says where to name it, and the page does not get into it."""
+    address = own_address()
+    for allowed, status in (("203.0.113.77", 403), (address, 200)):
+        options = PageOptions(bind="0.0.0.0", allow_from=(allowed,))
+        sink = PageSink(options, Station(ROOT, "press2"), FakeClock(), port=0)
+        connection = http.client.HTTPConnection(address, sink.port, timeout=20)
+        connection.request("GET", "/state.json")
+        answer = connection.getresponse()
+        said = answer.read().decode()
+        connection.close()
+        sink.close()
+
+        assert answer.status == status
+        assert said == (
+            "null"
+            if status == 200
+            else f"this page is not shown to {address}; name its address in allow_from of "
+            "the page on the gateway\n"
+        )
+
+
+@pytest.mark.parametrize("path", ["/", "/station.json", "/other"])
+def test_every_answer_forbids_what_the_page_does_not_need(sink: PageSink, path: str) -> None:
+    """Scripts and frames of others, a guess at the type, a copy in a cache, and the name of the server's language."""
+    connection = http.client.HTTPConnection("127.0.0.1", sink.port, timeout=20)
+    connection.request("GET", path)
+    headers = connection.getresponse().headers
+    connection.close()
+
+    assert headers["Content-Security-Policy"].startswith("default-src 'self';")
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert headers["Cache-Control"] == "no-store"
+    assert headers["Server"].strip() == "gelgate"
+
+
 def test_what_cannot_be_shown_is_refused_and_ends_nothing(sink: PageSink) -> None:
     """No JSON, or no object; pictures and topics that it does not show are done at once."""
     for payload in (b"[", b"[1]", b"\xff"):
@@ -188,9 +238,12 @@ def test_connections_are_bounded(sink: PageSink) -> None:
             for _ in range(MOST_OF_ONE)
         ]
         one_more = opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=20))
-        assert one_more.recv(1) == b""
+        request = b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+        with suppress(ConnectionError):
+            one_more.sendall(request)
+            assert one_more.recv(1) == b""
 
-        first.sendall(b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        first.sendall(request)
         while first.recv(65536):
             pass
         assert ask(sink.port, "/station.json")[0] == 200

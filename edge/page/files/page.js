@@ -6,6 +6,7 @@ const word = (press) => press.verdict || "error";
 const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
 
 let shown = null; // the newest answer of live.json
+let shownPress = null; // whose verdict is large
 let key = null; // { token, by } while this page is unlocked; it is kept nowhere else
 let lockTimer = 0;
 const drawn = new Map(); // what each list shows, so that one which stays is left alone: somebody may have the focus in it
@@ -120,6 +121,10 @@ function showPresses(presses) {
   put("verdict", word(last));
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
   put("why", last.reason || last.error || "");
+  if (shownPress !== null && shownPress !== last.press_id && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
+    at("verdict").animate([{ opacity: 0.2 }, { opacity: 1 }], 400); // two passes in a row are two
+  }
+  shownPress = last.press_id;
   const picture = last.has_picture ? `pictures/${last.press_id}.png` : "";
   at("frame").hidden = !picture;
   at("picture").alt = `the press, and its scores: ${word(last)}, ${at("facts").textContent}`;
@@ -218,7 +223,7 @@ async function look() {
     const answer = await fetch(shown === null ? "live.json" : `live.json?after=${shown.version}`);
     if (!answer.ok) { throw new Error(await answer.text()); }
     shown = await answer.json();
-    document.body.className = shown.away ? "gone" : "";
+    document.body.className = shown.away || ["lost", "stopped"].includes((shown.state || {}).state) ? "gone" : "";
     show();
     setTimeout(look, 0);
   } catch {
