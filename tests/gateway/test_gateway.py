@@ -65,7 +65,8 @@ def test_a_press_publishes_result_heatmap_last_and_gel(finished: tuple[Path, lis
     topics = Counter(str(line["topic"]).split("/")[0] for line in published(config))
 
     assert topics["result"] == topics["heatmap"] == 3
-    assert topics["last"] == 9  # `last`, `last/press` and `last/heatmap`
+    # `last`, `last/press` and `last/heatmap`: a slow sink sees the newest alone.
+    assert 3 <= topics["last"] <= 9
     for report in reports:
         assert (config.parent / "out" / f"heatmap/{report.result.press_id}.png").is_file()
 
