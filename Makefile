@@ -77,6 +77,7 @@ lint: $(VENV)/.test
 # Pages that are printed from the program; the tests compare them.
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
+	$(BIN)/python docs/msa_example.py
 
 # The detectors' graphs that ship, after a change to a detector or to its settings; the tests compare them.
 heads: $(VENV)/.test

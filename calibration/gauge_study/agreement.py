@@ -132,9 +132,9 @@ def fleiss_kappa(decisions: Sequence[Sequence[str]]) -> Kappa:
     observed = math.fsum(sum(k * (k - 1) for k in one.values()) / (m * (m - 1)) for one in counts) / n
     shares = [sum(one[word] for one in counts) / (n * m) for word in words]
     expected = math.fsum(p * p for p in shares)
-    cubes = math.fsum(p**3 for p in shares)
-    # Fleiss 1971, equation 12: the variance where there is no agreement beyond chance.
-    variance = 2 * (expected - (2 * m - 3) * expected**2 + 2 * (m - 2) * cubes) / (m * (m - 1))
+    # Fleiss, Nee and Landis, Psychological Bulletin 86 (1979): the error of 1971 was too large.
+    skew = math.fsum(p * (1 - p) * (1 - 2 * p) for p in shares)
+    variance = 2 * ((1 - expected) ** 2 - skew) / (m * (m - 1))
     return _kappa(observed, expected, variance, n)
 
 

@@ -31,6 +31,7 @@ POOLED_ABOVE: Final = 0.25
 # sqrt(2), as AIAG rounds it.
 NDC_FACTOR: Final = 1.41
 DRAWS: Final = 100_000
+_LARGE: Final = 1e12
 # The intervals of one study are the same at every report.
 _SEED: Final = 4
 
@@ -213,8 +214,8 @@ def _ratio_of_variance(part: F64, whole: F64) -> F64:
 
 
 def _ratio(pv: F64, grr: F64) -> F64:
-    """Of the standard deviations; infinite where nothing varies but the pieces."""
-    return np.sqrt(np.divide(pv, grr, out=np.full_like(pv, np.inf), where=grr > 0))
+    """Of the standard deviations; very large where nothing varies but the pieces."""
+    return np.sqrt(np.divide(pv, grr, out=np.full_like(pv, _LARGE), where=grr > 0))
 
 
 def _whole(ndc: float) -> int:

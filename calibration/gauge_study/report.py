@@ -130,7 +130,7 @@ def _variance(found: Gauge) -> Section:
             str(row.df),
             f"{row.ms:.6g}",
             _optional(row.f, ".3f"),
-            _optional(row.p, ".4f"),
+            _probability(row.p),
         )
         for row in found.rows
     )
@@ -258,6 +258,12 @@ def _share(one: Share | None) -> tuple[str, str]:
 
 def _optional(value: float | None, how: str) -> str:
     return "" if value is None else format(value, how)
+
+
+def _probability(p: float | None) -> str:
+    if p is None:
+        return ""
+    return f"{p:.4f}" if p >= 0.00005 else "< 0.0001"
 
 
 def _number(value: float | None) -> str:

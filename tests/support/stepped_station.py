@@ -12,6 +12,7 @@ from small_recordings import FakeClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
 from edge.gateway.build import build
+from edge.gateway.press_labels import PressLabels
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 
@@ -19,14 +20,20 @@ from edge.gateway.station_loop import StationLoop
 class SteppedStation:
     """`read` is the reader's thread, `look` is the loop's; the clock moves as the recording is read."""
 
-    def __init__(self, config: Path, read_again: Callable[[], Config] | None = None) -> None:
+    def __init__(
+        self,
+        config: Path,
+        read_again: Callable[[], Config] | None = None,
+        labels: PressLabels | None = None,
+        on_press: Callable[[PressReport], None] = lambda report: None,
+    ) -> None:
         self.clock = FakeClock()
         self.reports: list[PressReport] = []
         self.has_ended = False
         with ExitStack() as closing:
-            self.parts = build(load_config(config), self.clock, closing, read_again=read_again)
+            self.parts = build(load_config(config), self.clock, closing, read_again=read_again, labels=labels)
             self._closing = closing.pop_all()
-        self.loop = StationLoop(self.parts, self.reports.append)
+        self.loop = StationLoop(self.parts, lambda report: (self.reports.append(report), on_press(report))[1])
 
     def read(self, steps: int) -> None:
         """This number of steps of the reader: the first opens the sensor, each other one reads a frame."""
