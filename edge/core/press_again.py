@@ -86,9 +86,13 @@ class Plan:
 
 
 def is_asked(verdict: Verdict, bound: float | None) -> bool:
-    """Whether a first press asks for a second one: it does not pass, and its score is not above the bound."""
-    does_not_pass = verdict.kind in (Kind.FAIL, Kind.UNSURE)
-    return bound is not None and does_not_pass and verdict.score is not None and verdict.score <= bound
+    """Whether a first press asks for a second one: its score does not pass, and is not above the bound."""
+    if bound is None or verdict.kind not in (Kind.FAIL, Kind.UNSURE):
+        return False
+    score, threshold, tolerance = verdict.score, verdict.threshold, verdict.tolerance
+    if score is None or threshold is None or tolerance is None:
+        return False
+    return threshold - tolerance <= score <= bound
 
 
 def unsure(verdict: Verdict) -> Verdict:
@@ -99,11 +103,13 @@ def unsure(verdict: Verdict) -> Verdict:
 def second_verdict(first: float, second: Verdict, lower: Verdict) -> Verdict:
     """The verdict on a second press, with its own score. lower: the verdict on the lower of the two scores.
 
-    Errors: ValueError for a press without a score, and for another score than the lower.
+    A second press that does not pass for another reason than its score does not pass by this. Errors: ValueError for a
+    press without a score, and for another score than the lower.
     """
     if second.score is None or lower.score != min(first, second.score):
         raise ValueError(f"the lower of {first} and {second.score} is decided, found {lower.score}")
-    return Verdict(lower.kind, second.score, second.threshold, second.tolerance)
+    kind = second.kind if lower.kind is Kind.PASS else lower.kind
+    return Verdict(kind, second.score, second.threshold, second.tolerance)
 
 
 def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Plan:

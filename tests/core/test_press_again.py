@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.threshold import conformal_threshold
 from edge.core.press_again import Costs, KnownScores, Plan, is_asked, plan, second_verdict, unsure
-from edge.core.verdict import Kind, decide
+from edge.core.verdict import Kind, Verdict, decide
 
 COSTS = Costs(missed=1000, false_alarm=200, press=1, defect_rate=0.01)
 ALPHA = 0.05
@@ -209,6 +209,14 @@ def test_the_lower_of_two_scores_is_decided(first: float, second: float, expecte
     verdict = second_verdict(first, decide(second, 1.0, 0.01), decide(min(first, second), 1.0, 0.01))
 
     assert (verdict.kind, verdict.score) == (expected, second)
+
+
+def test_a_press_that_does_not_pass_for_another_reason_does_not_pass_by_the_rule() -> None:
+    """Where too much of a press is not judged, its low score is no pass, and a second press would not help."""
+    blind = Verdict(Kind.UNSURE, 0.5, 1.0, 0.01)
+
+    assert not is_asked(blind, 2.0)
+    assert second_verdict(1.5, blind, decide(0.5, 1.0, 0.01)).kind is Kind.UNSURE
 
 
 def test_another_score_than_the_lower_is_refused() -> None:

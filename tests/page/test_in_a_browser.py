@@ -12,6 +12,7 @@ from edge.core.gel import GelState
 from edge.core.verdict import Kind
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_message
+from edge.messaging.press_again_payload import PressAgainPart
 from plugins.sinks.page import PageSink
 
 # Of each text: its words, and the contrast to the nearest background that covers. Ref: WCAG 2.2, relative luminance.
@@ -92,6 +93,16 @@ def test_a_press_without_a_score_is_an_error_on_the_page(tab: Any, sink: PageSin
     tab.wait_for_selector("#verdict.error")
     assert tab.inner_text("#why") == "saturated"
     assert tab.locator("#picture").is_hidden()
+
+
+def test_a_press_that_asks_for_a_second_one_says_so_on_the_page(tab: Any, sink: PageSink) -> None:
+    """Where the reason of a verdict is."""
+    asked = PressAgainPart(is_asked=True, reason="press the same piece again, a little shifted")
+    for message in press(1, verdict=Kind.UNSURE, press_again=asked):
+        sink.send(message)
+
+    tab.wait_for_selector("#verdict.unsure")
+    assert tab.inner_text("#why") == "press the same piece again, a little shifted"
 
 
 @pytest.mark.parametrize("width", [320, 390, 768, 1000])

@@ -120,7 +120,7 @@ function showPresses(presses) {
   if (!last) { put("verdict", "no press yet"); return; }
   put("verdict", word(last));
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
-  put("why", last.reason || last.error || "");
+  put("why", last.reason || last.error || (last.press_again || {}).reason || "");
   if (shownPress !== null && shownPress !== last.press_id && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
     at("verdict").animate([{ opacity: 0.2 }, { opacity: 1 }], 400); // two passes in a row are two
   }
