@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.gel_payload import GelPayload
 from edge.messaging.payload_base import Payload
+from edge.messaging.reference_payload import ReferencePayload
 from edge.messaging.result_payload import ResultPayload
 from edge.messaging.status_payloads import InfoPayload, StatePayload, StatsPayload
 
@@ -25,6 +26,7 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "state": StatePayload,
     "info": InfoPayload,
     "gel": GelPayload,
+    "reference": ReferencePayload,
     "stats": StatsPayload,
     "alarm": AlarmPayload,
     "result": ResultPayload,

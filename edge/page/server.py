@@ -2,8 +2,8 @@
 
     /                            the page; one file each of HTML, CSS and JavaScript, no other is loaded
     /live.json?after=<version>   everything that is shown; answered when there is another version, or after a while
-    /station.json                state, info, gel, stats, alarms with what to do, and what may be changed
-    /state.json, /info.json, /gel.json, /stats.json, /alarms.json    one of these
+    /station.json                state, info, gel, reference, stats, alarms with what to do, and what may be changed
+    /state.json, /info.json, /gel.json, /reference.json, /stats.json, /alarms.json    one of these
     /presses.json                the newest results, newest first
     /pictures/<press id>.png
     POST /requests/<verb>        a request as on `cmd/<verb>`, with `Authorization: Bearer <token>`
@@ -49,7 +49,7 @@ _FILES: Final = {
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
 
-_PARTS: Final = ("state", "info", "gel", "stats", "alarms")
+_PARTS: Final = ("state", "info", "gel", "reference", "stats", "alarms")
 
 _TEXT: Final = "text/plain; charset=utf-8"
 

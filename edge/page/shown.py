@@ -17,7 +17,7 @@ MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
 LARGEST_PICTURE_BYTES: Final = 4 << 20
 
-_STATUS: Final = ("state", "info", "gel", "stats")
+_STATUS: Final = ("state", "info", "gel", "reference", "stats")
 
 
 class Shown:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from page_messages import gel, info, press, state, stats
+from page_messages import gel, info, press, reference, state, stats
 
 from edge.core.gel import GelState
 from edge.core.ports import Message
@@ -19,6 +19,7 @@ OWN = {
     "info": info(),
     "gel": gel(5, GelState.GOOD),
     "stats": stats(mqtt="up"),
+    "reference": reference(),
     "result": press(1)[0],
 }
 JSON = st.recursive(

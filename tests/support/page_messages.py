@@ -7,8 +7,10 @@ from typing import Any
 
 from edge.core.gel import GelState
 from edge.core.ports import Message
+from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
 from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.reference_payload import ReferencePayload, reference_message
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.messaging.status_payloads import (
     InfoPayload,
@@ -103,3 +105,23 @@ def ask(
 def asked(port: int, path: str) -> Any:
     """The JSON at a path."""
     return json.loads(ask(port, path)[1])
+
+
+def reference() -> Message:
+    """The seventh reference press of a master piece, in its limits."""
+    presses = [
+        ReferencePress(str(n), 1 + n, "g", "b", "pass", "pass", 0.5 + 0.01 * (n % 3), 1.0) for n in range(7)
+    ]
+    result = ResultPayload(
+        time_ns=7,
+        press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",
+        part="bolt",
+        verdict=Kind.PASS,
+        score=0.5,
+        threshold=1.0,
+        sensor_serial="2BNN4ZE7",
+        gel_id="g",
+        gel_presses=7,
+        gel_limit_presses=1000,
+    )
+    return reference_message(ReferencePayload.of(result, 7, "M1", "pass", judge(presses, 5)))
