@@ -90,7 +90,7 @@ def _test(
     every = found.test(nominal, taps)
     chosen = np.concatenate([np.arange(len(nominal)), len(nominal) + defective - found.presses.nominal])
     return TestPresses(
-        {tap: maps[chosen] for tap, maps in every.features.items()},
+        {tap: [maps[number] for number in chosen] for tap, maps in every.features.items()},
         every.masks[chosen],
         every.is_defective[chosen],
     )

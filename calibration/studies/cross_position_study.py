@@ -120,7 +120,7 @@ def _nominal_of_both(
 
 def _test_of_both(source: TestPresses, target: TestPresses) -> TestPresses:
     return TestPresses(
-        {tap: np.concatenate([maps, target.features[tap]]) for tap, maps in source.features.items()},
+        {tap: [*maps, *target.features[tap]] for tap, maps in source.features.items()},
         np.concatenate([source.masks, target.masks]),
         np.concatenate([source.is_defective, target.is_defective]),
     )

@@ -42,6 +42,12 @@ class Taken:
         """The maps of some presses, for some taps, in memory."""
         return {tap: np.asarray(self.features[tap][np.asarray(rows)]) for tap in taps}
 
+    def each(
+        self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]
+    ) -> dict[str, list[NDArray[np.float32]]]:
+        """The map (1, c, h, w) of each press, for some taps, in the file: read when it is used."""
+        return {tap: [self.features[tap][row : row + 1] for row in rows] for tap in taps}
+
     def grid_of(self, taps: Sequence[str]) -> Grid:
         """The geometry of some taps."""
         grid = self.grid

@@ -49,7 +49,7 @@ class Material:
         """Some nominal presses and all defective ones."""
         rows = np.concatenate([nominal, self.presses.defective])
         return TestPresses(
-            self.taken.of(rows, taps),
+            self.taken.each(rows, taps),
             np.concatenate([np.zeros((len(nominal), *self.masks.shape[1:]), np.bool_), self.masks]),
             rows >= self.presses.nominal,
         )

@@ -2,7 +2,7 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +17,7 @@ from calibration.fitting.heads import head_of
 from calibration.metrics import auroc
 from calibration.metrics.pooled import pooled_measures
 from calibration.threads import one_blas_thread
-from edge.core.detector import Bank, Detector, Features, Grid, Mode, Nominal
+from edge.core.detector import Bank, Detector, Grid, Mode, Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.model.packing import Packed, pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
@@ -34,11 +34,14 @@ _FALSE_ALARMS = 0.01
 
 @dataclass(frozen=True)
 class TestPresses:
-    """What is scored. features: tap to (n, c, h, w). masks: bool (n, h, w). is_defective: bool (n,)."""
+    """What is scored. features: tap to a map (1, c, h, w) of each press, in memory or in a file.
+
+    masks: bool (n, h, w). is_defective: bool (n,).
+    """
 
     __test__ = False  # no test case of pytest
 
-    features: Features
+    features: Mapping[str, Sequence[NDArray[np.float32]]]
     masks: NDArray[np.bool_]
     is_defective: NDArray[np.bool_]
 
@@ -127,7 +130,9 @@ def scored(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, n
     bank = {key: array for key, array in arrays.items() if key in wanted}
     maps, scores, took = [], [], []
     for k in range(len(test)):
-        taps = {tap: np.ascontiguousarray(m[k : k + 1]) for tap, m in test.features.items() if tap in wanted}
+        taps = {
+            tap: np.ascontiguousarray(maps_of[k]) for tap, maps_of in test.features.items() if tap in wanted
+        }
         start = time.perf_counter()
         try:
             score_map, score = session.run(["score_map", "score"], {**taps, **bank})

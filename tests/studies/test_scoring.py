@@ -19,7 +19,8 @@ def maps(values: list[float]) -> dict[str, np.ndarray]:
 def test_presses(values: list[float], is_defective: list[bool]) -> TestPresses:
     masks = np.zeros((len(values), 32, 32), np.bool_)
     masks[np.array(is_defective), 8:16, 16:24] = True
-    return TestPresses(maps(values), masks, np.array(is_defective))
+    layer = maps(values)["layer1"]
+    return TestPresses({"layer1": np.split(layer, len(layer))}, masks, np.array(is_defective))
 
 
 test_presses.__test__ = False  # type: ignore[attr-defined]
@@ -63,7 +64,7 @@ def test_a_parameter_is_changed() -> None:
 def test_a_press_that_the_head_cannot_take_is_a_refusal() -> None:
     """With the detector's name, not an error of the runtime."""
     test = TestPresses(
-        {"layer1": np.zeros((2, 3, 5, 5), np.float32)},
+        {"layer1": [np.zeros((1, 3, 5, 5), np.float32)] * 2},
         np.zeros((2, 32, 32), np.bool_),
         np.array([False, True]),
     )

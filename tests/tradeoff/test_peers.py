@@ -2,10 +2,12 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from calibration.tradeoff.peers import require_models
+from calibration.tradeoff.peers import CORESET, learn, require_models
 from edge.core.errors import ConfigError
 
 
@@ -31,3 +33,35 @@ def test_a_torchvision_of_another_build_is_a_sentence(
         require_models()
     assert said in str(refusal.value)
     assert "install torch and torchvision of the same build" in str(refusal.value)
+
+
+class Recorded:
+    """A model that notes whether gradients are kept in each of its steps."""
+
+    def __init__(self) -> None:
+        self.steps: list[tuple[str, bool]] = []
+        self.feature_extractor = SimpleNamespace(eval=lambda: self.note("extractor"))
+
+    def note(self, step: str) -> None:
+        import torch
+
+        self.steps.append((step, torch.is_grad_enabled()))
+
+    def __getattr__(self, step: str) -> Any:
+        return lambda *given: self.note(f"{step}{given}")
+
+    def __call__(self, planes: str) -> None:
+        self.note(planes)
+
+
+@pytest.mark.parametrize(
+    ("method", "last"), [("padim", "fit()"), ("patchcore", f"subsample_embedding({CORESET},)")]
+)
+def test_a_peer_learns_without_gradients(method: str, last: str) -> None:
+    """With them the selection of PatchCore takes 20 GB and more."""
+    pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: the extra `train` brings torch")
+    model = Recorded()
+    learn(method, model, ["first", "second"])
+
+    assert model.steps[2:5] == [("first", False), ("second", False), (last, False)]
+    assert model.steps[5] == ("eval()", True)
