@@ -52,7 +52,9 @@ demo-import: $(VENV)/.test $(VENV)-importers/.made
 # From a station to a verdict in Node-RED, step by step, and Home Assistant's own check of the discovery message. Needs node,
 # and for Home Assistant a Python that it supports (HOME_ASSISTANT_PYTHON); what is absent is skipped with a message.
 HOME_ASSISTANT_PYTHON ?= python3.13
-NODE_RED ?= node-red@5
+# Node-RED 5 needs Node 22.9 or later.
+NODE_RED ?= $(shell node -e 'const [a, b] = process.versions.node.split("."); \
+  console.log(+a > 22 || (+a === 22 && +b >= 9) ? "node-red@5" : "node-red@4")' 2>/dev/null || echo node-red@4)
 test-subscribers: $(VENV)/.test $(VENV)-subscribers/.made
 	GELGATE_SUBSCRIBERS=$(VENV)-subscribers $(BIN)/pytest tests/subscribers -m subscribers -s
 

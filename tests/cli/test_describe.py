@@ -1,6 +1,7 @@
 """`gelgate describe`: each format from a configuration alone, as the running station describes itself."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,11 @@ import pytest
 from edge.cli.describe import Format, describe, described_text
 from edge.config import load_config
 from edge.core.errors import ConfigError
+from edge.gateway.description import described
+from edge.messaging.descriptions.asyncapi import asyncapi_message
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_connection import Connection
 
 CONFIG = """
 version = 1
@@ -102,3 +108,49 @@ def test_a_missing_configuration_is_a_refusal(tmp_path: Path) -> None:
     """One sentence with the file."""
     with pytest.raises(ConfigError, match=r"gone\.toml"):
         describe(tmp_path / "gone.toml")
+
+
+@pytest.fixture
+def broker() -> Iterator[LocalBroker]:
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
+    with LocalBroker("mosquitto") as running:
+        yield running
+
+
+def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
+    """A client leaves this as the description of a station."""
+    connection = Connection.open(Broker(broker.host, broker.port, "leaves"))
+    connection.publish(Outgoing(f"{root}/asyncapi", payload, 1, retain=True))
+    connection.close()
+
+
+@pytest.mark.parametrize("form", ["asyncapi", "homeassistant", "node-red"])
+def test_the_address_of_the_broker_is_enough(
+    config: Path, broker: LocalBroker, form: str, tmp_path: Path
+) -> None:
+    """The same file as from the configuration of the station, with the broker that was named."""
+    address = f'host = "{broker.host}", port = {broker.port}, '
+    config.write_text(CONFIG.replace('host = "broker.plant", tls = {}, ', address), encoding="utf-8")
+    station = described(load_config(config))
+    leaves(broker, station.root, asyncapi_message(station).payload)
+    leaves(broker, station.root.replace("press2", "press3"), b"{")
+
+    describe(form=Format(form), host=broker.host, port=broker.port, output=tmp_path / "made")
+
+    assert (tmp_path / "made").read_text(encoding="utf-8") == text(config, form)
+
+
+def test_a_broker_without_one_station_is_refused_in_a_sentence(config: Path, broker: LocalBroker) -> None:
+    """None, or several: then their names."""
+    station = described(load_config(config))
+    with pytest.raises(ConfigError, match="has no station that describes itself below gelgate/\\+"):
+        describe(host=broker.host, port=broker.port)
+    for name in ("press2", "press3"):
+        leaves(broker, station.root.replace("press2", name), asyncapi_message(station).payload)
+    with pytest.raises(
+        ConfigError, match="has several stations: plant/line/press2, plant/line/press3; name one"
+    ):
+        describe(host=broker.host, port=broker.port)
+    with pytest.raises(ConfigError, match="give the station's --config"):
+        describe(host=broker.host, port=broker.port, form=Format.MOSQUITTO)

@@ -1,0 +1,59 @@
+"""A station as it describes itself at a broker: all that is needed is the broker's address."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from edge.core.errors import ConfigError
+from edge.core.printable import printable
+from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.subscriber import received
+
+__all__ = ["station_at"]
+
+# Retained messages come at once; a broker far away takes longer.
+WAIT_S: Final = 2.0
+
+_SHOWN: Final = 8
+
+
+def station_at(
+    broker: Broker, topic_filter: str, wait_s: float = WAIT_S
+) -> tuple[DescribedStation, Mapping[str, Any]]:
+    """The one station with these topics, and its AsyncAPI document.
+
+    topic_filter: as of `station_filter`. Errors: SinkUnavailable without a broker; ConfigError where no station
+    describes itself there, or several do.
+    """
+    found: dict[str, Mapping[str, Any]] = {}
+    for message in received(broker, topic_filter.removesuffix("#") + "asyncapi", wait_s):
+        if (document := _document(message.payload)) is not None:
+            found[message.topic.removesuffix("/asyncapi")] = document
+    if len(found) != 1:
+        raise ConfigError(_not_one(broker, topic_filter, sorted(found)))
+    root, document = found.popitem()
+    info = document.get("info")
+    version = info.get("version") if isinstance(info, dict) else None
+    return replace(DescribedStation.of_root(root), version=str(version)), document
+
+
+def _document(payload: bytes) -> Mapping[str, Any] | None:
+    """None for what is no AsyncAPI document; anybody may publish."""
+    try:
+        content = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) and "asyncapi" in content else None
+
+
+def _not_one(broker: Broker, topic_filter: str, roots: list[str]) -> str:
+    if not roots:
+        return (
+            f"broker {broker} has no station that describes itself below {topic_filter}; check the names, and that its "
+            "gateway has run with this broker"
+        )
+    places = ", ".join(printable("/".join(root.split("/")[1:-2])) for root in roots[:_SHOWN])
+    more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
+    return f"broker {broker} has several stations: {places}{more}; name one with --site, --line and --station"
