@@ -51,7 +51,11 @@ class EditedPress:
         picture changes by the difference between the light on the two surfaces, so noise, grain, dust and marks stay.
         Where the picture was compressed, it is compressed again.
         """
-        return self._shown(self.surface + self._pressed(damage) - self._sound)
+        return self.with_relief(damage.relief(*grids(self.station.field)))
+
+    def with_relief(self, relief_mm: F32) -> U8:
+        """The press of an object with this much more height where it touches, mm, float32 (h, w)."""
+        return self._shown(self.surface + self._pressed_with(relief_mm) - self._sound)
 
     def smoothed(self, sigma_mm: float) -> U8:
         """The press of an object that is smoother by this much, uint8 (h, w, 3): relief finer than that is missing.
@@ -74,10 +78,9 @@ class EditedPress:
         region = self.station.region
         return uncompressed(self.rgb, region) if is_compressed(self.rgb, region) else self.rgb
 
-    def _pressed(self, damage: Damage) -> F32:
-        field = self.station.field
-        part = self._part + np.where(self.contact, damage.relief(*grids(field)), np.float32(0))
-        return gel.deformation(np.asarray(np.maximum(part, 0), np.float32), field)
+    def _pressed_with(self, relief_mm: F32) -> F32:
+        part = self._part + np.where(self.contact, relief_mm, np.float32(0))
+        return gel.deformation(np.asarray(np.maximum(part, 0), np.float32), self.station.field)
 
     @cached_property
     def _part(self) -> F32:

@@ -16,7 +16,7 @@ from calibration.simulator.field_of_view import F32
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau, ramp, rotate
 
-__all__ = ["RandomPart", "random_part"]
+__all__ = ["RandomPart", "Relief", "random_part"]
 
 Relief = Callable[[F32, F32], F32]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
 
+from calibration.benchmark.wrong_objects import answers, without_relief
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.folds import held_out_folds
@@ -46,10 +47,12 @@ class Presses:
         self.lighter = np.stack([self.of(pillow, k, 0.75) for k in numbers])
 
     def of(self, part: HeightField, number: int, depth: float = 1.0) -> np.ndarray:
+        return np.ascontiguousarray(REGION.crop(self.picture(part, number, depth)))
+
+    def picture(self, part: HeightField, number: int, depth: float = 1.0) -> np.ndarray:
         gel, placed = self.bench.gel, self.bench.placed(number)
         imprint = gel.imprint(sample(part, placed, LR), depth * DEPTH_MM * placed.depth_factor)
-        rgb = gel.expose(gel.light(gel.surface(imprint)), ("press", number), Exposure())
-        return np.ascontiguousarray(REGION.crop(rgb))
+        return gel.expose(gel.light(gel.surface(imprint)), ("press", number), Exposure())
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +138,16 @@ def test_a_smooth_part_can_lack_little(presses: Presses, take: Taken) -> None:
     assert "little can be missing" in found.why
 
 
+def test_a_check_by_which_a_learnt_press_would_fail_is_left_out(presses: Presses, take: Taken) -> None:
+    """One of the learnt presses shows the free gel: then no contact is too weak."""
+    assert presses.learnt.no_contact is not None
+    frames = presses.learnt.frames.copy()
+    frames[0] = presses.learnt.no_contact[0]
+    found = chosen(replace(presses.learnt, frames=frames), take)
+    assert found.relief is None
+    assert found.why == "its own nominal presses would fail by it"
+
+
 def test_nothing_is_learnt_without_the_free_gel(presses: Presses) -> None:
     """Without it no object can be made smoother."""
     without = replace(presses.learnt, no_contact=None)
@@ -151,7 +164,7 @@ def test_the_finest_tap_is_the_one_with_the_most_cells() -> None:
 
 @pytest.fixture(scope="module")
 def fitted(presses: Presses) -> Fitted:
-    detector = registry.detector("padim")
+    detector = registry.detector("subspace")
     trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
     config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
     return fit_files(presses.learnt, config, created="")
@@ -175,3 +188,21 @@ def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, pr
         assert found.anomaly_score > threshold.value
     known = [scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames]
     assert max(known) <= max(threshold.nominal_scores) * (1 + 1e-4)
+
+
+def test_the_gateway_fails_a_smoother_object(fitted: Fitted, presses: Presses) -> None:
+    """From the frame to the verdict. Its score is higher than the method's own; a sound press has the method's own."""
+    free, bundle = presses.bench.free(), fitted.bundle()
+    with reproducible_opencv():
+        smooth, sound = (
+            [presses.picture(part, k) for k in range(LEARNT, LEARNT + 4)] for part in (smooth_dome, pillow)
+        )
+    assert set(answers(bundle, free, smooth)) == {"fail"}
+    assert set(answers(bundle, free, sound)) == {"pass"}
+    both, own = Scorer(bundle, 1), Scorer(without_relief(bundle), 1)
+    with_check, without = (
+        np.mean([scorer.score(rgb).anomaly_score for rgb in presses.smooth]) for scorer in (both, own)
+    )
+    assert with_check > 1.1 * without
+    for rgb in presses.sound:
+        assert both.score(rgb).anomaly_score == own.score(rgb).anomaly_score
