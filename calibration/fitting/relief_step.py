@@ -40,6 +40,8 @@ USEFUL = 0.6
 _LEVEL_SHARE, _HIGHEST = 0.35, 0.995
 # A contact of less than this share of the weakest nominal one shows no relief to judge by.
 _WEAKEST_SHARE = 0.25
+# A learnt press with less than this share of the usual contact has none: some cells of any free gel differ.
+_LEAST_SHARE = 0.05
 # Presses whose contact is weaker than this share of the usual one say little of the features of a contact.
 _USUAL_SHARE = 0.3
 # Fisher's within-class scatter: what conditions change counts this many times, and the scatter of single cells by this
@@ -107,6 +109,9 @@ def choose_relief(
 ) -> ReliefChoice:
     """What tells a smoother press, from nominal presses (with features of the free gel) and changed ones."""
     evidence = _Evidence.of(nominal, changed, take, tap)
+    contact = evidence.nominal.contact
+    if contact.min() <= _LEAST_SHARE * np.median(contact):
+        return ReliefChoice("a learnt press hardly touches")
     held_out = evidence.held_out(folds)
     if held_out.limit >= 0:
         return ReliefChoice("the nominal presses differ more than smoother ones do from them")
@@ -122,9 +127,6 @@ def choose_relief(
     relief = replace(
         evidence.blank(tap, grid), weights=weights / limit, middle=middle / limit, weakest=evidence.weakest
     )
-    highest = float(relief.missing_of(evidence.nominal).max())
-    if highest >= 1:
-        return ReliefChoice("its own nominal presses would fail by it", None, found)
     return ReliefChoice(f"{words} are found, {_of_conditions(held_out)}", relief, found)
 
 
@@ -135,7 +137,8 @@ def _of_conditions(held_out: "_HeldOut") -> str:
 
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
-    """Roughness by directions learnt without the press, 0 in the middle. nominal: (n,); same, smoother: (kinds, m)."""
+    """Roughness by directions learnt without the press, 0 in the middle; of nominal ones the lower of that and of the
+    final direction's, which knows them. nominal: float64 (n,); same, smoother: float64 (kinds, m)."""
 
     nominal: Float
     same: Float
@@ -188,7 +191,7 @@ class _Evidence:
 
     @property
     def weakest(self) -> float:
-        return max(_WEAKEST_SHARE * float(self.nominal.contact.min()), 1.0)
+        return _WEAKEST_SHARE * float(self.nominal.contact.min())
 
     def blank(self, tap: str, grid: Grid) -> MissingRelief:
         """With everything but a direction and its limit."""
@@ -216,7 +219,8 @@ class _Evidence:
             rows = np.isin(self.press, held)
             for values, kinds in ((same, self.same), (smoother, self.smoother)):
                 values[:, rows] = [self.roughness(kind[rows], direction) for kind in kinds]
-        return _HeldOut(nominal, same, smoother)
+        known = self.roughness(self.nominal, self.direction(np.arange(len(nominal))))
+        return _HeldOut(np.minimum(nominal, known), same, smoother)
 
     def roughness(self, presses: Pooled, direction: tuple[Float, float]) -> Float:
         weights, middle = direction
