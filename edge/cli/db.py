@@ -80,7 +80,7 @@ def migrate(database: Database = None, config: Config = None) -> None:
     The backup is next to the file. A start of the gateway does the same without one."""
     from edge.messaging.publisher_lock import PublisherLock
     from edge.store.backup import migrate as migrate_file
-    from edge.store.schema import SCHEMA_VERSION
+    from edge.store.schema import CHAINED_SINCE, SCHEMA_VERSION
 
     path = _path(database, config)
     lock = PublisherLock(path)  # an older gateway must not write meanwhile
@@ -92,6 +92,8 @@ def migrate(database: Database = None, config: Config = None) -> None:
         typer.echo(f"{path} has version {before}; nothing to do")
     else:
         typer.echo(f"{path} migrated from version {before} to {SCHEMA_VERSION}; as it was: {copy}")
+        if before < CHAINED_SINCE:
+            typer.echo("its ledger is chained from here on; the presses and acts from before are not covered")
 
 
 def _head(text: str) -> "Head":

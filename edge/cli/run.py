@@ -260,6 +260,8 @@ def press_line(report: "PressReport") -> str:
         found = result.error or result.reason or ""
     else:
         found = f"score {result.score:8.4f} / {result.threshold:.4f}"
+    if result.press_again is not None and result.press_again.is_asked:
+        found += "  PRESS AGAIN"
     stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
     total = result.latency_ms.get("total", 0.0)
     verdict = (result.verdict or "error").upper()

@@ -6,7 +6,7 @@ A new column of a table that is chained (edge.store.ledger_chain) is NULL in the
 
 from typing import Final
 
-__all__ = ["MIGRATIONS", "SCHEMA_VERSION"]
+__all__ = ["CHAINED_SINCE", "MIGRATIONS", "SCHEMA_VERSION"]
 
 _VERSION_1: Final = """
 CREATE TABLE gels (
@@ -228,3 +228,6 @@ ALTER TABLE presses ADD COLUMN second_of TEXT;
 
 MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5, _VERSION_6, _VERSION_7)
 SCHEMA_VERSION: Final = len(MIGRATIONS)
+
+CHAINED_SINCE: Final = 6
+"""The first version whose ledger is chained by hash."""

@@ -78,6 +78,7 @@ def test_migrate_says_what_was_done(tmp_path: Path) -> None:
 
     assert first.out == (
         f"{path} migrated from version 1 to {SCHEMA_VERSION}; as it was: {tmp_path / 'gelgate.version1.db'}\n"
+        "its ledger is chained from here on; the presses and acts from before are not covered\n"
     )
     assert second.out == f"{path} has version {SCHEMA_VERSION}; nothing to do\n"
 

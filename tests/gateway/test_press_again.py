@@ -14,6 +14,7 @@ from command_line import gelgate
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from edge.cli.run import press_line
 from edge.store.integrity import check_database
 
 KNOWN = {
@@ -144,6 +145,15 @@ def test_where_it_does_not_pay_a_press_fails_at_once(tmp_path: Path, again_bundl
     results, _, _ = played(configured(tmp_path, again_bundle, [0], extra=extra))
 
     assert [one["verdict"] for one in results] == ["fail", "pass", "pass"]
+
+
+def test_the_line_of_a_press_says_that_it_asks(tmp_path: Path, again_bundle: Path) -> None:
+    """For the person at the terminal."""
+    with SteppedStation(configured(tmp_path, again_bundle, [0], presses=2)) as station:
+        station.play()
+        lines = [press_line(report) for report in station.reports]
+
+    assert ["PRESS AGAIN" in line for line in lines] == [True, False]
 
 
 def test_a_press_that_waits_is_dropped_with_a_gel_change(tmp_path: Path, again_bundle: Path) -> None:
