@@ -31,7 +31,7 @@ test: $(VENV)/.test debian lint
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_fuzz.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py
+	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_fuzz.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
 
 # 400 damaged files of each kind through the readers of `gelgate export`; the tests try twelve.
 test-fuzz: $(VENV)/.train
