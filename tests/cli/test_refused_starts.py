@@ -129,7 +129,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     ),
     "no database": (garbage, 1, ("garbage.db", "file is not a database", "name another file")),
     "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),
-    "a newer database": (newer, 1, ("newer.db has schema version 99", "this program knows up to", "use the newer gelgate")),
+    "a newer database": (newer, 1, ("newer.db has schema version 99", "knows up to", "use the newer gelgate")),
     "another program's database": (foreign, 1, ("foreign.db belongs to another program", "name another file")),
     "no such host": (
         mqtt('host = "broker.invalid"'), 3, ("'broker.invalid' is not known", "correct sinks.0.options.host"),

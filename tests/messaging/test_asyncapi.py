@@ -83,9 +83,9 @@ def test_the_published_schema_finds_faults() -> None:
 
 def test_every_reference_leads_somewhere(described: dict[str, Any]) -> None:
     """Schemas, messages and channels alike."""
-    for reference in references(described):
+    for place in references(described):
         found: Any = described
-        for level in reference.removeprefix("#/").split("/"):
+        for level in place.removeprefix("#/").split("/"):
             found = found[level]
 
 
