@@ -161,7 +161,7 @@ class ContactTable(Table):
 
 
 class GelTable(Table):
-    """When the gel is due."""
+    """When the gel is due, and what its scars mean for a press: see gel-scars.md."""
 
     limit_presses: int = Field(
         default=DEFAULT_LIMIT_PRESSES,
@@ -174,6 +174,17 @@ class GelTable(Table):
         gt=0,
         le=1,
         description="part of the limit at which a new gel should be ordered",
+    )
+    scars: Literal["masked", "named"] = Field(
+        default="masked",
+        description="masked: places of known scars are not judged, and each result states their area; named: they are "
+        "judged, and a result that they fail has the cause `gel`",
+    )
+    most_blind_share: float = Field(
+        default=0.05,
+        ge=0,
+        le=1,
+        description="with more of a contact under masked scars no press passes, and a new gel is asked for",
     )
 
 

@@ -14,7 +14,7 @@ from edge.model.machine import fingerprint, fingerprint_bytes
 from edge.store.press_archive import ArchivedPress, PressArchive
 from edge.store.press_store import PressRecord
 
-__all__ = ["BlackBox", "map_bytes"]
+__all__ = ["BlackBox", "map_bytes", "mask_bytes", "read_mask"]
 
 MAP_DTYPE: Final = np.dtype("<f4")
 
@@ -43,6 +43,8 @@ class BlackBox:
         frame, machine = _named(judged.frame.payload), self._machine_now()
         reference = None if judged.reference is None else self._reference_now(judged.reference)
         score_map = None if inspection.score_map is None else _named(map_bytes(inspection.score_map))
+        scars = inspection.scars
+        masked = None if scars is None or scars.masked is None else _named(mask_bytes(scars.masked))
         manifest = inspector.bundle.manifest
         record = ArchivedPress(
             press_id=press.press_id,
@@ -67,8 +69,10 @@ class BlackBox:
             asked_up_to=inspection.again.bound if inspection.again else None,
             first_score=inspection.again.first_score if inspection.again else None,
             map_shape=None if inspection.score_map is None else _shape(inspection.score_map),
+            masked=masked[0] if masked else None,
+            is_too_blind=scars is not None and scars.is_too_blind,
         )
-        kept = (frame, machine, reference, score_map)
+        kept = (frame, machine, reference, score_map, masked)
         return self._archive.keep(record, dict(one for one in kept if one is not None))
 
     def _machine_now(self) -> tuple[str, bytes]:
@@ -88,6 +92,17 @@ class BlackBox:
 def map_bytes(score_map: NDArray[np.float32]) -> bytes:
     """A score map as it is archived: float32 little-endian, row by row."""
     return np.ascontiguousarray(score_map, MAP_DTYPE).tobytes()
+
+
+def mask_bytes(masked: NDArray[np.bool_]) -> bytes:
+    """Places as they are archived: one bit each, row by row."""
+    return np.packbits(masked).tobytes()
+
+
+def read_mask(data: bytes, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The same again, bool of this shape. Errors: ValueError for another number of bytes."""
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=shape[0] * shape[1])
+    return bits.reshape(shape).astype(np.bool_)
 
 
 def _is_late(rejection: Rejection | None) -> bool:

@@ -36,6 +36,7 @@ from edge.gateway.preflight import Preflight
 from edge.gateway.press_again import AgainRule, PressAgain
 from edge.gateway.press_labels import PressLabels
 from edge.gateway.reference_guard import ReferenceGuard
+from edge.gateway.scar_watch import ScarSettings
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
@@ -87,7 +88,6 @@ def build(
     closing.callback(acquisition.close)
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
-    overview = _overview(config, clock, status, closing)
     reference = ReferenceGuard(config.reference, store, status, clock)
     return Parts(
         selection=PartSelection(bundles, part, stage, store, status, clock),
@@ -109,7 +109,8 @@ def build(
         reference=reference,
         labels=labels or reference,
         press_again=_press_again(config, status, clock),
-        overview=overview,
+        scars=ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share),
+        overview=_overview(config, clock, status, closing),
         stats_s=table.stats_s,
     )
 

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.registration.registrar import Registered
 from edge.gateway.inspector import Inspection
 from edge.messaging.payload_base import iso_time
 from edge.model.bundle import Bundle
@@ -27,11 +26,15 @@ def heatmap_png(press: PressRecord, inspection: Inspection, bundle: Bundle, stat
         part="/".join(word for word in (press.part, press.position) if word),
         time=iso_time(press.time_ns),
     )
-    return press_png(_dimmed(inspection.rgb, inspection.registered), inspection.score_map, caption)
+    return press_png(_dimmed(inspection.rgb, inspection), inspection.score_map, caption)
 
 
-def _dimmed(rgb: NDArray[np.uint8], registered: Registered | None) -> NDArray[np.uint8]:
+def _dimmed(rgb: NDArray[np.uint8], inspection: Inspection) -> NDArray[np.uint8]:
     """The press with the places that were not judged at half their light."""
-    if registered is None:
-        return rgb
-    return np.where(registered.unseen_in_press[..., None], rgb // 2, rgb)
+    registered, scars = inspection.registered, inspection.scars
+    unseen = None if registered is None else registered.unseen_in_press
+    masked = None if scars is None else scars.masked
+    for unjudged in (unseen, masked):
+        if unjudged is not None:
+            rgb = np.where(unjudged[..., None], rgb // 2, rgb)
+    return rgb

@@ -25,10 +25,12 @@ from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.masking import blinded
 from edge.gateway.press_again import PressAgain
 from edge.gateway.press_labels import Mounted, PressLabels
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
+from edge.gateway.scar_watch import ScarWatch
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.store.gel_ledger import GelRecord
@@ -69,6 +71,7 @@ class InspectionSession:
         admission: Admission | None = None,
         labels: PressLabels | None = None,
         press_again: PressAgain | None = None,
+        scars: ScarWatch | None = None,
     ) -> None:
         self.gel = gel
         self._again = press_again
@@ -84,7 +87,10 @@ class InspectionSession:
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
         self._inspector = inspector
-        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission, labels)
+        self._scars = scars
+        if scars is not None:
+            scars.mount(gel.gel_id)
+        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission, labels, scars)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
@@ -153,6 +159,8 @@ class InspectionSession:
     def relearn(self) -> None:
         """Learn the free gel again."""
         self._status.set_waiting_for(FREE_GEL)
+        if self._scars is not None:
+            self._scars.forget_free()
         self._add(self._pipeline.relearn())
 
     def see_gel(self, gel: GelRecord) -> None:
@@ -164,11 +172,14 @@ class InspectionSession:
             self._recorder.wear_index = None
             if self._again is not None:
                 self._again.drop("the gel was replaced")
+            if self._scars is not None:
+                self._scars.mount(gel.gel_id)
+                self._status.gel_scars(None)
             self.relearn()
 
     def _add(self, inspections: list[Inspection]) -> None:
         for judged in inspections:
-            inspection = judged if self._again is None else self._again.judged(judged)
+            inspection = judged if self._again is None else blinded(self._again.judged(judged))
             self._on_judged(inspection)
             if len(self._unrecorded) < MOST_WAITING:
                 self._unrecorded.append(self._recorder.prepare(inspection))
@@ -176,6 +187,9 @@ class InspectionSession:
                     self._again.recorded(self._unrecorded[-1].press.press_id)
             else:
                 self._uncounted += 1
+        if inspections and self._scars is not None:
+            self._status.gel_scars(self._scars.blind)
+            self._scars.save()
 
     def _see(self, event: Event) -> None:
         log.debug("%s", event)
@@ -188,6 +202,8 @@ class InspectionSession:
                 self._status.set_fault("free_gel", DOUBTED)
             case ReferenceCorrected():
                 self._references.forget(self.gel.serial, self.gel.gel_id)
+                if self._scars is not None:
+                    self._scars.forget()
             case ReferenceReady():
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
@@ -211,5 +227,7 @@ class InspectionSession:
         serial, gel_id = self.gel.serial, self.gel.gel_id
         self._references.save(serial, gel_id, reference)
         first = self._references.load(serial, gel_id, "first")
+        if self._scars is not None:
+            self._scars.see_first(None if first is None else first.view)
         if first is not None and first.view.shape == reference.view.shape:
             self._recorder.wear_index = wear(first.view, reference.view).index

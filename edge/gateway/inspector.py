@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
+from edge.core.gel_scars.causes import Blame
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import (
@@ -25,11 +26,11 @@ from edge.core.ports import Clock
 from edge.core.press_label import PressLabel
 from edge.core.reference_press.measures import Imprint
 from edge.core.registration.registrar import Registered
-from edge.core.verdict import Verdict
+from edge.core.verdict import Kind, Verdict
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
 
-__all__ = ["Again", "Inspection", "Inspector", "JudgedFrame"]
+__all__ = ["Again", "Inspection", "Inspector", "JudgedFrame", "ScarFindings"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,23 @@ class JudgedFrame:
     frame: CameraFrame
     touch: Touch
     reference: View | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ScarFindings:
+    """A press and the scars of its gel.
+
+    blame: why it is not passed, should it not be. masked: bool (h, w) of the region, places that were not judged, None
+    for none. blind_mm2, blind_share: their area within the contact, and its share of it. is_too_blind: more than is
+    accepted. score: with those places.
+    """
+
+    blame: Blame
+    masked: NDArray[np.bool_] | None = None
+    blind_mm2: float = 0.0
+    blind_share: float = 0.0
+    is_too_blind: bool = False
+    score: float | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +81,8 @@ class Inspection:
     overview: the look before the press, None without such a camera. registered: how the press was brought to the bank's
     pose, None where it was scored as it lies. judged: what it was judged by, None where no frame was. label: what the
     press is for, None for a part's. imprint: what is measured of it where it is a master piece's.
-    again: what it has to do with another press of the same piece, None for nothing.
+    again: what it has to do with another press of the same piece, None for nothing. scars:
+    what is known of the gel's scars, None where nothing was scored.
     """
 
     verdict: Verdict | None
@@ -78,6 +97,13 @@ class Inspection:
     label: PressLabel | None = None
     imprint: Imprint | None = None
     again: Again | None = None
+    scars: ScarFindings | None = None
+
+    @property
+    def blame(self) -> Blame | None:
+        """Of a fail or unsure: part, gel or unsure, and why."""
+        is_blamed = self.verdict is not None and self.verdict.kind in (Kind.FAIL, Kind.UNSURE)
+        return self.scars.blame if self.scars is not None and is_blamed else None
 
     @property
     def word(self) -> str:

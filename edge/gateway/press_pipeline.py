@@ -23,13 +23,15 @@ from edge.core.verdict import Verdict
 from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspection, Inspector, JudgedFrame
 from edge.gateway.press_labels import PressLabels
+from edge.gateway.scar_watch import ScarWatch
 
 __all__ = ["PressPipeline"]
 
 
 class PressPipeline:
     """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera. labels:
-    which presses are no part's; the overview camera is not asked about these."""
+    which presses are no part's; the overview camera is not asked about these. scars: of the mounted gel; None leaves
+    them out."""
 
     def __init__(
         self,
@@ -39,6 +41,7 @@ class PressPipeline:
         on_event: Callable[[Event], None] = lambda event: None,
         admission: Admission | None = None,
         labels: PressLabels | None = None,
+        scars: ScarWatch | None = None,
     ) -> None:
         self.detector = detector
         self._inspector = inspector
@@ -47,6 +50,7 @@ class PressPipeline:
         self._admission = admission
         self._labels = labels
         self._label: PressLabel | None = None
+        self._scars = scars
 
     @property
     def tracker(self) -> ContactTracker:
@@ -54,7 +58,11 @@ class PressPipeline:
 
     def feed(self, frame: CameraFrame) -> list[Inspection]:
         """One camera frame; returns an inspection for each press that it completes (at most one)."""
-        return self._inspections_for(self.detector.feed(frame))
+        looked_at = self.detector.looked_at
+        inspections = self._inspections_for(self.detector.feed(frame))
+        if self._scars is not None and self.detector.looked_at > looked_at:
+            self._scars.see(self.tracker)
+        return inspections
 
     def use(self, inspector: Inspector) -> None:
         """Judge with this one from now on; the learnt picture of the free gel stays."""
@@ -144,6 +152,8 @@ class PressPipeline:
         if frame is None:
             return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)
+        if self._scars is not None:
+            inspection = self._scars.judge(inspection, self._inspector.bundle, self.tracker)
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
         # A frame that was made on demand has its recorded time.
         judged_ns = started_ns if frame.is_on_demand else frame.timestamp_ns

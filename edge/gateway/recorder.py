@@ -106,6 +106,7 @@ class Recorder:
             **_overview(inspection),
             **self._pose(inspection),
             **_again(inspection),
+            **_scars(inspection),
             "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
             "overview_topic": f"overview/{press.press_id}" if still else None,
         }
@@ -155,6 +156,7 @@ class Recorder:
             threshold=manifest.threshold.value,
             wear_index=self.wear_index,
             second_of=(inspection.again.second_of or None) if inspection.again else None,
+            cause=inspection.blame.cause.value if inspection.blame else None,
         )
 
     def _archived(self, press: PressRecord, inspection: Inspection) -> PressRecord:
@@ -194,6 +196,21 @@ class Recorder:
             "defects": [_defect_place(defect, x_mm, y_mm) for defect in found[:MOST_DEFECTS]],
             "defect_area_mm2": round(sum(defect.area_px for defect in found) * x_mm * y_mm, 4),
         }
+
+
+def _scars(inspection: Inspection) -> dict[str, Any]:
+    """Fields of a result that say whether gel or part is the cause, and what the gel hides."""
+    scars = inspection.scars
+    if scars is None:
+        return {}
+    blame = inspection.blame
+    return {
+        "cause": blame.cause if blame else None,
+        "cause_text": blame.why if blame else None,
+        "blind_area_mm2": round(scars.blind_mm2, 4),
+        "blind_share": round(scars.blind_share, 4),
+        "unmasked_score": scars.score,
+    }
 
 
 def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:

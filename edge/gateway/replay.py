@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.errors import ArchiveError, BundleError
+from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press_again import is_asked, second_verdict, unsure
-from edge.gateway.black_box import MAP_DTYPE, map_bytes
-from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.black_box import MAP_DTYPE, map_bytes, read_mask
+from edge.gateway.inspector import Inspection, Inspector, ScarFindings
+from edge.gateway.masking import blinded, masked
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.machine import fingerprint, how_they_differ
@@ -24,6 +26,10 @@ from edge.model.scorer import Scorer
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
 __all__ = ["Bundles", "Replayed", "replayed"]
+
+
+# The cause depends on the presses before; the ledger has it.
+_AS_THEN = Blame(Cause.UNSURE, "see the recorded result")
 
 
 @dataclass(frozen=True)
@@ -77,10 +83,22 @@ def replayed(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector)
     """Judge it again with this inspector, and compare. Errors: ArchiveError for what is gone or damaged."""
     frame = archive.read(press.frame, f"the judged frame of press {press.press_id}")
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
+    now = _without_scars(press, now, archive, inspector)
     if inspector.bundle.digest == press.bundle_id:
-        now = _with_the_other_press(press, now, inspector)
+        now = blinded(_with_the_other_press(press, now, inspector))
     differences = tuple(_differences(press, now, archive))
     return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
+
+
+def _without_scars(
+    press: ArchivedPress, now: Inspection, archive: ArchiveFolder, inspector: Inspector
+) -> Inspection:
+    """The places that were not judged then are not judged now."""
+    if press.masked is None or now.score_map is None or press.map_shape != now.score_map.shape:
+        return now
+    data = archive.read(press.masked, f"the places under scars of press {press.press_id}")
+    places = read_mask(data, now.score_map.shape)
+    return masked(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
 
 
 def _with_the_other_press(press: ArchivedPress, now: Inspection, inspector: Inspector) -> Inspection:

@@ -24,11 +24,13 @@ from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
+from edge.gateway.scar_watch import ScarWatch
 from edge.gateway.station_parts import Parts
 from edge.gateway.summary import Summary
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.sink_worker import SinkCounters
 from edge.store.acts import Act
+from edge.store.scar_files import ScarFolder
 
 __all__ = ["OnPress", "StationLoop"]
 
@@ -330,6 +332,7 @@ class StationLoop:
             self._admission(),
             parts.labels,
             parts.press_again,
+            ScarWatch(ScarFolder(parts.references.folder), parts.scars, identity.serial),
         )
         return self._session
 

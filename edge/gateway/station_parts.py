@@ -17,6 +17,7 @@ from edge.gateway.part_selection import PartSelection
 from edge.gateway.press_again import PressAgain
 from edge.gateway.press_labels import PressLabels
 from edge.gateway.reference_guard import ReferenceGuard
+from edge.gateway.scar_watch import ScarSettings
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
@@ -54,5 +55,6 @@ class Parts:
     reference: ReferenceGuard
     labels: PressLabels
     press_again: PressAgain
+    scars: ScarSettings
     overview: Overview | None = None
     stats_s: float = 10.0

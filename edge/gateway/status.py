@@ -150,6 +150,13 @@ class StationStatus:
         text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
         self.alarm("gel", text, "warning" if gel.state is GelState.DUE else "error")
 
+    def gel_scars(self, sentence: str | None) -> None:
+        """An alarm while scars of the gel hide too much of what is pressed."""
+        if sentence is not None:
+            self.alarm("gel_scar", sentence)
+        elif "gel_scar" in self._raised:
+            self.clear("gel_scar")
+
     def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
         """The installed software and the connected sensor. parts: that can be selected."""
         manifest = bundle.manifest

@@ -27,6 +27,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "press_again": "a second press of a piece was asked for and did not come; the piece has no verdict",
     "gel": "the gel is due or must be replaced",
     "reference": "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
+    "gel_scar": "scars of the gel hide more of what is pressed than is accepted; presses do not pass",
     "trigger_device": "a pedal or button cannot be used",
     "actuator": "a light or relay cannot be used, or its watchdog has put it into its safe state",
     "pulse": "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",

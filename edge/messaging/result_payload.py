@@ -5,6 +5,7 @@ from typing import Final, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from edge.core.gel_scars.causes import Cause
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.verdict import Kind
@@ -77,6 +78,22 @@ class ResultPayload(Payload):
         description="all of the map above the threshold, also the parts that `defects` omits",
     )
     mm_per_pixel: Pair | None = Field(default=None, description="x, y of the picture")
+    cause: Cause | None = Field(
+        default=None,
+        description="of a fail or unsure: part, gel (a scar or something on it), or unsure; null for other verdicts",
+    )
+    cause_text: str | None = Field(default=None, description="why this cause, one sentence")
+    blind_area_mm2: float | None = Field(
+        default=None,
+        ge=0,
+        description="of the contact, lies under known scars of the gel and was not judged; null without a score",
+    )
+    blind_share: float | None = Field(
+        default=None, ge=0, le=1, description="the same as a share of the contact"
+    )
+    unmasked_score: float | None = Field(
+        default=None, description="the score with the places under scars; null where none was left out"
+    )
     method: str | None = None
     bundle_id: str | None = None
     sensor_serial: str

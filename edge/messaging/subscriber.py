@@ -105,7 +105,7 @@ def received(
 
 
 def describe(result: Mapping[str, Any], station: str) -> str:
-    """A result as one line: time, station, verdict, score, gel, latency."""
+    """A result as one line: time, station, verdict, score, cause, gel, latency."""
     verdict, score, threshold = result.get("verdict"), result.get("score"), result.get("threshold")
     words = [str(result.get("time", "?")), station, str(result.get("part", "?"))]
     if result.get("position"):
@@ -114,6 +114,8 @@ def describe(result: Mapping[str, Any], station: str) -> str:
     if score is not None and threshold is not None:
         words.append(f"score {score:.4g} {'>' if score > threshold else '<='} {threshold:.4g}")
     words += [str(result[key]) for key in ("reason", "error") if result.get(key)]
+    if result.get("cause"):
+        words.append(f"cause {result['cause']}: {result.get('cause_text') or '?'}")
     words.append(f"gel {result.get('gel_presses', '?')}/{result.get('gel_limit_presses', '?')}")
     total = (result.get("latency_ms") or {}).get("total")
     if total is not None:

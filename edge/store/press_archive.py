@@ -37,6 +37,8 @@ class ArchivedPress(BaseModel):
     reference: the free gel, .npy float32 (h, w, 3). score_map: raw bytes, float32 little-endian of map_shape, row by
     row. machine: JSON, see `edge.model.machine`. reason, error: as published.
     asked_up_to: the bound, for a press that a second one was asked for. first_score: of the first press, for a second.
+    masked: places under scars that were not judged, one bit each, row by row; is_too_blind: they were more than was
+    accepted, and a pass was unsure.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
@@ -64,11 +66,14 @@ class ArchivedPress(BaseModel):
     map_shape: tuple[int, int] | None
     asked_up_to: float | None = None
     first_score: float | None = None
+    masked: Digest | None = None
+    is_too_blind: bool = False
 
     @property
     def objects(self) -> tuple[Digest, ...]:
         """Everything that it needs."""
-        return tuple(one for one in (self.frame, self.reference, self.score_map, self.machine) if one)
+        named = (self.frame, self.reference, self.score_map, self.machine, self.masked)
+        return tuple(one for one in named if one)
 
     def encode(self) -> bytes:
         """The record's file."""

@@ -13,7 +13,7 @@ import numpy as np
 from edge.core.contact.reference import Reference
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["KEPT_GELS", "ReferenceFolder"]
+__all__ = ["KEPT_GELS", "ReferenceFolder", "as_name"]
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ class ReferenceFolder:
     """A folder of `<serial>/<gel id>.<first|last>.npy`: float32 (h, w, 3), RGB."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self.folder = folder
 
     def load(self, serial: str, gel_id: str, which: Which) -> Reference | None:
         """The picture, or None when there is none or it cannot be read."""
@@ -68,16 +68,17 @@ class ReferenceFolder:
                 )
 
     def _path(self, serial: str, gel_id: str, which: Which) -> Path:
-        return self._folder / _as_name(serial) / f"{_as_name(gel_id)}.{which}.npy"
+        return self.folder / as_name(serial) / f"{as_name(gel_id)}.{which}.npy"
 
     def _remove_old(self, serial: str) -> None:
         """Of gels that were replaced long ago: nothing is compared with them any more."""
         lasts = sorted(
-            (self._folder / _as_name(serial)).glob("*.last.npy"), key=lambda path: path.stat().st_mtime_ns
+            (self.folder / as_name(serial)).glob("*.last.npy"), key=lambda path: path.stat().st_mtime_ns
         )
         for last in lasts[:-KEPT_GELS]:
             last.unlink(missing_ok=True)
-            last.with_name(last.name.replace(".last.npy", ".first.npy")).unlink(missing_ok=True)
+            for other in (".first.npy", ".scars.npy"):
+                last.with_name(last.name.replace(".last.npy", other)).unlink(missing_ok=True)
 
     def _write(self, path: Path, reference: Reference) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,6 +88,6 @@ class ReferenceFolder:
         os.replace(part, path)
 
 
-def _as_name(text: str) -> str:
+def as_name(text: str) -> str:
     """A file name for any id: a character that is not a letter, a digit, `-` or `_` is replaced by its code."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else f"%{ord(c):x}" for c in text)

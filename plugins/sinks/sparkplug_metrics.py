@@ -35,6 +35,8 @@ _FIELDS: Final[Mapping[str, tuple[tuple[str, DataType, str], ...]]] = {
         ("Press/Threshold", _D, "threshold"),
         ("Press/Score Ratio", _D, "score_ratio"),
         ("Press/Defect Area mm2", _D, "defect_area_mm2"),
+        ("Press/Cause", _S, "cause"),
+        ("Press/Blind Area mm2", _D, "blind_area_mm2"),
     ),
     "gel": (
         ("Gel/Id", _S, "gel_id"),

@@ -153,6 +153,14 @@ def test_a_malformed_result_does_not_end_the_watch(broker: LocalBroker, fields: 
     assert len([sentence for sentence in messages if "cannot be read" in sentence]) == 2
 
 
+def test_the_cause_of_a_fail_is_in_its_line() -> None:
+    """Gel or part is the first question; a pass has none."""
+    failed = json.loads(result(0, verdict="fail", cause="gel", cause_text="the free gel shows a mark there"))
+
+    assert "cause gel: the free gel shows a mark there" in describe(failed, "s")
+    assert "cause" not in describe(json.loads(result(0)), "s")
+
+
 def test_terminal_escapes_in_a_payload_are_shown_and_not_obeyed() -> None:
     """A reason that clears the screen or sets the title."""
     from edge.core.printable import printable

@@ -11,6 +11,7 @@ import jinja2
 import pytest
 
 from edge.core.gel import GelState
+from edge.core.gel_scars.causes import Cause
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
@@ -37,7 +38,9 @@ def result(**outcome: Any) -> list[Message]:
     return list(press_messages(payload, GelRecord("S", "S-1", 801, 1000, 0.8, 0)))
 
 
-FAILED = result(verdict=Kind.FAIL, score=2.5, threshold=1.0, score_ratio=2.5)
+FAILED = result(
+    verdict=Kind.FAIL, score=2.5, threshold=1.0, score_ratio=2.5, cause=Cause.GEL, blind_share=0.02
+)
 PASSED = result(verdict=Kind.PASS, score=0.5, threshold=1.0, score_ratio=0.5)
 NO_SCORE = result(error="saturated")
 WORN = [
@@ -71,6 +74,9 @@ def stats(**more: Any) -> list[Message]:
         ("failed", PASSED, "OFF"),
         ("score_ratio", FAILED, "2.5"),
         ("score_ratio", NO_SCORE, "None"),
+        ("cause", FAILED, "gel"),
+        ("cause", PASSED, "none"),
+        ("blind_share", FAILED, "0.02"),
         ("time", FAILED, "2001-09-09T01:46:40.000000Z"),
         ("state", HALTED, "halted"),
         ("gel_state", WORN, "replace"),

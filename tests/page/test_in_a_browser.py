@@ -9,6 +9,7 @@ from chromium import BROWSER_MS, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
 from edge.core.gel import GelState
+from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_message
@@ -103,6 +104,15 @@ def test_a_press_that_asks_for_a_second_one_says_so_on_the_page(tab: Any, sink: 
 
     tab.wait_for_selector("#verdict.unsure")
     assert tab.inner_text("#why") == "press the same piece again, a little shifted"
+
+
+def test_the_cause_of_a_fail_is_shown(tab: Any, sink: PageSink) -> None:
+    """Gel or part, and why: it says whether to wipe the gel or to put the part aside."""
+    for message in press(1, verdict=Kind.FAIL, cause=Cause.GEL, cause_text="the free gel shows a mark there"):
+        sink.send(message)
+
+    tab.wait_for_selector("#verdict.fail")
+    assert tab.inner_text("#why") == "cause: gel; the free gel shows a mark there"
 
 
 @pytest.mark.parametrize("width", [320, 390, 768, 1000])

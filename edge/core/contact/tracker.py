@@ -148,6 +148,18 @@ class ContactTracker:
         return with_relief(chosen.mask, chosen.relief, self.settings.on_area)
 
     @property
+    def level(self) -> View | None:
+        """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
+        return self._last
+
+    @property
+    def chosen_imprint(self) -> View | None:
+        """What the press adds to the free gel in the frame that the last `PressSettled` names, levels, (h, w, 3)."""
+        if self._chosen is None or self._reference is None:
+            return None
+        return np.asarray(self._chosen.level - self._reference.view, np.float32)
+
+    @property
     def chosen_relief(self) -> Relief | None:
         """The fine structure of that frame."""
         return None if self._chosen is None else self._chosen.relief

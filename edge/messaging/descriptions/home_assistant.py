@@ -7,6 +7,7 @@ Ref: home-assistant.io, MQTT integration, "Device discovery payload" (since 2024
 from typing import Any, Final
 
 from edge.core.gel import GelState
+from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
 from edge.messaging.descriptions.station import DescribedStation
 
@@ -63,6 +64,11 @@ def _components(root: str) -> dict[str, dict[str, Any]]:
             "content_type": "image/png",
         },
         "score_ratio": _measured(_sensor("Score / threshold", press, "value_json.score_ratio")),
+        "cause": {
+            **_sensor("Cause", press, "value_json.cause or 'none'"),
+            **_words(*(cause.value for cause in Cause), "none"),
+        },
+        "blind_share": _measured(_sensor("Contact under scars of the gel", press, "value_json.blind_share")),
         "time": {**_sensor("Time of the last press", press, "value_json.time"), "device_class": "timestamp"},
         "state": {
             **_sensor("State", f"{root}/state", "value_json.state"),

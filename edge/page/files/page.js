@@ -120,7 +120,8 @@ function showPresses(presses) {
   if (!last) { put("verdict", "no press yet"); return; }
   put("verdict", word(last));
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
-  put("why", last.reason || last.error || (last.press_again || {}).reason || "");
+  const why = last.reason || last.error || (last.press_again || {}).reason;
+  put("why", [why, last.cause && `cause: ${last.cause}; ${last.cause_text}`].filter(Boolean).join(" · "));
   if (shownPress !== null && shownPress !== last.press_id && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
     at("verdict").animate([{ opacity: 0.2 }, { opacity: 1 }], 400); // two passes in a row are two
   }

@@ -1,0 +1,104 @@
+"""What has changed on the free gel since its first picture: the marks that it will show under every part.
+
+Light and shading are taken out, and the imprint that the last press has left behind.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.reference import View, fit_levels
+
+__all__ = ["free_change", "marks"]
+
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# Lengths are in pixels of the 160x120 view, 0.127 mm each on a GelSight Mini, and scale with the view.
+_PIXELS_ACROSS = 160
+# Wider changes are shading: 2 mm (sigma). Worn coat is up to 2.5 mm across.
+_SHADING_SIGMA = 16.0
+# Averages the noise of single pixels.
+_NOISE_SIGMA = 0.7
+# 5 to 25 % of a press's signal is still there half a second after its release (docs/simulator.md).
+_MOST_LEFT = 0.3
+# Light is not linear in the slope: of what the last press has left, this share may remain when it is taken out.
+_LEFT_DOUBT = 0.6
+# A marker dot or a dark rim moves by a fraction of a pixel between presses: what such a move would change is no mark.
+_MOVES_PX = 0.25
+# A change of this many levels is a mark, or of this many times the median change where the pictures are noisier. Chosen
+# on simulated gels (docs/gel-scars.md): every scar that makes a sound part fail has more.
+_MARK_LEVELS = 1.2
+_MARK_TIMES = 5.0
+
+
+def free_change(first: View, now: View, left: View | None = None) -> F32:
+    """How far the free gel has changed at each place, in levels, float32 (h, w); shading, light and `left` taken out.
+
+    first, now: pictures of the free gel, means of several frames. left: what the press before added to it, whose rest
+    may still be there. All float32 (h, w, 3). Errors: ValueError for two shapes.
+    """
+    if first.shape != now.shape or first.ndim != 3 or first.shape[2] != 3:
+        raise ValueError(
+            f"two free-gel pictures have one shape (h, w, 3), found {first.shape} and {now.shape}"
+        )
+    detail = _detail(fit_levels(now, first).applied(now) - first)
+    doubtful = _moved(first)
+    if left is not None:
+        rest = _left_behind(detail, _detail(left))
+        detail = detail - rest
+        doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
+    seen = np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))).max(axis=2)
+    return np.asarray(np.maximum(seen - doubtful, 0), np.float32)
+
+
+def marks(change: F32) -> Mask | None:
+    """Where the free gel is marked, bool (h, w); single pixels are noise. None where it has changed all
+    over: the camera was moved, or another gel is mounted.
+
+    change: of `free_change`.
+    """
+    typical = float(np.median(change))
+    if typical > _MARK_LEVELS:
+        return None
+    far = (change > max(_MARK_LEVELS, _MARK_TIMES * typical)).astype(np.uint8)
+    neighbours = cv2.boxFilter(far, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray((far > 0) & (neighbours >= 2))
+
+
+def _moved(first: View) -> F32:
+    """What would seem to change if the gel moved a little, levels, float32 (h, w)."""
+    scale = _scale(first)
+    across, down = (cv2.Sobel(first, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.float32(_MOVES_PX * scale) * _widest(
+        np.maximum(np.abs(across), np.abs(down)), max(1, round(scale))
+    )
+
+
+def _widest(view: View, reach: int) -> F32:
+    """The largest of all colours within this many pixels, float32 (h, w)."""
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return np.asarray(cv2.dilate(np.abs(view).max(axis=2), kernel), np.float32)
+
+
+def _left_behind(detail: View, left: View) -> View:
+    """The share of the last press that explains most of the change, by least squares, times that press."""
+    energy = float(np.vdot(left, left))
+    if energy <= 0:
+        return np.zeros_like(left)
+    share = min(max(float(np.vdot(detail, left)) / energy, 0.0), _MOST_LEFT)
+    return np.asarray(np.float32(share) * left, np.float32)
+
+
+def _detail(view: View) -> View:
+    sigma = _SHADING_SIGMA * _scale(view)
+    # A small kernel on a quarter of the pixels: shading has no detail.
+    small = cv2.resize(view, (view.shape[1] // 4, view.shape[0] // 4), interpolation=cv2.INTER_AREA)
+    shading = cv2.GaussianBlur(small, (0, 0), sigma / 4, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(
+        view - cv2.resize(shading, (view.shape[1], view.shape[0]), interpolation=cv2.INTER_LINEAR), np.float32
+    )
+
+
+def _scale(view: View) -> float:
+    return float(view.shape[1] / _PIXELS_ACROSS)

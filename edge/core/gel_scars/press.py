@@ -1,0 +1,62 @@
+"""A scored press in the pixels of the contact view, where the places of a gel are kept."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.imaging.decode import VIEW_SIZE
+from edge.core.imaging.region import Region, touched_in
+
+__all__ = ["ScoredPress"]
+
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredPress:
+    """One press as it was scored.
+
+    score_map: float32 (h, w) of the region, raw. limit: places above it are found. region: in the picture of `size`
+    (width, height), of `mm_per_pixel` (x, y). contact: bool (120, 160) of the view, None where it is not known. unseen:
+    bool (h, w), places that were not judged. place_mm: where the part lay, None where it is not known.
+    """
+
+    score_map: F32
+    limit: float
+    region: Region
+    size: tuple[int, int]
+    mm_per_pixel: tuple[float, float]
+    contact: Mask | None = None
+    unseen: Mask | None = None
+    place_mm: tuple[float, float] | None = None
+
+    def excess(self) -> F32:
+        """How far each pixel of the view is above the limit, float32 (120, 160); 0 outside the region."""
+        return self.in_view(np.maximum(self.score_map - np.float32(self.limit), 0))
+
+    def shown(self) -> Mask:
+        """The pixels of the view that were judged, bool (120, 160)."""
+        judged = np.ones(self.score_map.shape, bool) if self.unseen is None else ~self.unseen
+        return np.asarray(self.in_view(judged.astype(np.float32)) > 0)
+
+    def in_view(self, values: F32) -> F32:
+        """The largest value in each pixel of the view, float32 (120, 160). values: (h, w) of the region, >= 0."""
+        width, height = self.size
+        picture = np.zeros((height, width), np.float32)
+        self.region.crop(picture)[:] = values
+        kernel = np.ones((math.ceil(height / VIEW_SIZE[1]), math.ceil(width / VIEW_SIZE[0])), np.uint8)
+        rows = np.minimum((np.arange(VIEW_SIZE[1]) + 0.5) * height / VIEW_SIZE[1], height - 1).astype(int)
+        columns = np.minimum((np.arange(VIEW_SIZE[0]) + 0.5) * width / VIEW_SIZE[0], width - 1).astype(int)
+        return np.asarray(cv2.dilate(picture, kernel)[np.ix_(rows, columns)], np.float32)
+
+    def in_map(self, places: Mask) -> Mask:
+        """Places of the view in the map, bool (h, w)."""
+        return touched_in(places, self.size, self.region)
+
+    def area_mm2(self, places: Mask) -> float:
+        """Of places of the map."""
+        return float(places.sum()) * self.mm_per_pixel[0] * self.mm_per_pixel[1]

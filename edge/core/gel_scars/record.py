@@ -1,0 +1,110 @@
+"""The decaying record of one gel: where presses exceeded their limit, where the part lay then, and what is masked.
+
+All places are those of the gel: pixels of the contact view. The record has one size for ever, whatever is pressed.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PLANES", "Repeats", "ScarRecord"]
+
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+PLANES: Final = 8
+# What each plane holds: presses that exceeded here, those that did not, the weight of the mask; of the presses that
+# exceeded with a known place of the part, their number, the sums of x and y and of x * x + y * y in mm; and the largest
+# change of the free gel, in levels, with which a press was quiet.
+_HITS, _QUIET, _MASK, _PLACED, _X, _Y, _SQUARES, _HARMLESS = range(PLANES)
+
+# Older presses count less: half after 44 presses.
+_KEPT = 1 - 1 / 64
+# A masked place that is pressed and quiet loses this share of its weight: after 18 such presses in a row it is judged
+# again, as when a hair was wiped off.
+_QUIET_KEEPS = 7 / 8
+_FORGOTTEN = 0.1
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How often a place of the gel exceeded the limit before. hits: presses, decayed. rate: of the presses that showed
+    it. spread_mm: standard deviation of the part's place in those; 0 where it is not known."""
+
+    hits: float = 0.0
+    rate: float = 0.0
+    spread_mm: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ScarRecord:
+    """planes: float32 (8, h, w), finite and, but for x and y, not negative."""
+
+    planes: F32
+
+    def __post_init__(self) -> None:
+        if self.planes.ndim != 3 or len(self.planes) != PLANES or self.planes.dtype != np.float32:
+            raise ValueError(f"a record is float32 (8, h, w), found {self.planes.dtype} {self.planes.shape}")
+        if not np.isfinite(self.planes).all() or self.planes[[_HITS, _QUIET, _MASK, _PLACED]].min() < 0:
+            raise ValueError("a record has finite values, and numbers of presses of 0 or more")
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Self:
+        """Of a new gel. shape: (h, w) of the view."""
+        return cls(np.zeros((PLANES, *shape), np.float32))
+
+    @property
+    def masked(self) -> Mask:
+        """The places that are not judged, bool (h, w)."""
+        return np.asarray(self.planes[_MASK] > 0)
+
+    def repeats(self, places: Mask) -> Repeats:
+        """At the place, of these, that exceeded most often. places: bool (h, w)."""
+        if not places.any():
+            return Repeats()
+        at = int(np.where(places, self.planes[_HITS], -1).argmax())
+        hits, quiet, _, placed, x, y, squares, _ = self.planes.reshape(PLANES, -1)[:, at].tolist()
+        variance = squares / placed - (x * x + y * y) / placed**2 if placed > 1 else 0.0
+        rate = hits / (hits + quiet) if hits > 0 else 0.0
+        return Repeats(float(hits), float(rate), float(np.sqrt(max(variance, 0.0))))
+
+    @property
+    def harmless(self) -> F32:
+        """The change of the free gel that did not make a press fail, levels, float32 (h, w)."""
+        return np.asarray(self.planes[_HARMLESS])
+
+    def often(self, least: float) -> Mask:
+        """Where at least this number of presses, decayed, exceeded: bool (h, w)."""
+        return np.asarray(self.planes[_HITS] >= least)
+
+    def after(
+        self,
+        exceeds: Mask,
+        shown: Mask,
+        scars: Mask,
+        place_mm: tuple[float, float] | None,
+        harmless: F32 | None = None,
+    ) -> "ScarRecord":
+        """With one more press. All masks: bool (h, w).
+
+        exceeds: above the limit. shown: what the press shows of the gel. scars: to be masked from now on. place_mm:
+        where the part lay, None where it is not known. harmless: the change of the free gel where the press touched it
+        and was quiet, levels, float32 (h, w), 0 elsewhere.
+        """
+        planes = self.planes * np.float32(_KEPT)
+        quiet = shown & ~exceeds
+        planes[_HITS] += exceeds
+        planes[_QUIET] += quiet
+        if place_mm is not None:
+            x, y = place_mm
+            for plane, value in ((_PLACED, 1.0), (_X, x), (_Y, y), (_SQUARES, x * x + y * y)):
+                planes[plane] += np.float32(value) * exceeds
+        weight = np.where(quiet, self.planes[_MASK] * np.float32(_QUIET_KEEPS), self.planes[_MASK])
+        weight[weight < _FORGOTTEN] = 0
+        weight[scars | (exceeds & self.masked)] = 1
+        planes[_MASK] = weight
+        if harmless is not None:
+            planes[_HARMLESS] = np.maximum(planes[_HARMLESS], harmless)
+        return ScarRecord(planes)

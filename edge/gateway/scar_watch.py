@@ -1,0 +1,140 @@
+"""The scars of the mounted gel: each press is judged with them, and they are kept across restarts."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from edge.core.contact.reference import View
+from edge.core.contact.tracker import ContactTracker
+from edge.core.gel_scars.causes import Blame, Cause
+from edge.core.gel_scars.free_views import FreeViews
+from edge.core.gel_scars.gel_scars import GelScars, Judged
+from edge.core.gel_scars.press import ScoredPress
+from edge.gateway.inspector import Inspection, ScarFindings
+from edge.gateway.masking import masked
+from edge.model.bundle import Bundle
+from edge.store.scar_files import ScarFolder
+
+__all__ = ["ScarSettings", "ScarWatch"]
+
+# A new scar is kept at once, everything else of the record after this number of presses.
+_KEPT_EVERY: Final = 16
+# Rounding of a score that is the highest value of its map.
+_SAME: Final = 1e-4
+
+_NOWHERE: Final = Blame(
+    Cause.UNSURE, "no place of the score map is above the limit, so no place of the gel can be looked at"
+)
+
+
+@dataclass(frozen=True)
+class ScarSettings:
+    """is_masking: known scars are not judged. most_blind_share: of the contact, above which no press passes."""
+
+    is_masking: bool = True
+    most_blind_share: float = 0.05
+
+
+class ScarWatch:
+    """Used by the loop alone. blind: what to do about the gel, a sentence, while too much of it is scarred; None until
+    a press shows that."""
+
+    def __init__(self, folder: ScarFolder, settings: ScarSettings, serial: str) -> None:
+        self._folder, self._settings, self._serial = folder, settings, serial
+        self._free = FreeViews()
+        self._left: View | None = None
+        self._scars, self._gel_id, self._unsaved = GelScars(), "", 0
+        self.blind: str | None = None
+
+    def mount(self, gel_id: str) -> None:
+        """This gel is pressed from now on: its record is read, an unknown gel has none."""
+        self._gel_id, self.blind = gel_id, None
+        self._scars = GelScars(self._folder.load(self._serial, gel_id))
+        self.forget_free()
+
+    def forget_free(self) -> None:
+        """The free gel is learnt again."""
+        self._free.clear()
+        self._left = None
+
+    def forget(self) -> None:
+        """The first picture of this gel proved to be none: what was found with it is not known any more."""
+        self._folder.forget(self._serial, self._gel_id)
+        self.mount(self._gel_id)
+
+    def see_first(self, first: View | None) -> None:
+        """The first picture of this gel."""
+        self._scars.first = first
+
+    def see(self, tracker: ContactTracker) -> None:
+        """After each view that was looked at."""
+        self._free.see(tracker.state, tracker.level)
+
+    def judge(self, inspection: Inspection, bundle: Bundle, tracker: ContactTracker) -> Inspection:
+        """The same with its cause, and without the places that are known to be scarred."""
+        left, self._left = self._left, tracker.chosen_imprint
+        press = _scored(inspection, bundle, tracker)
+        if press is None:
+            return inspection
+        is_masking = self._settings.is_masking and _is_highest(inspection)
+        judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
+        self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
+        return masked(inspection, self._findings(inspection, judged), bundle)
+
+    def save(self) -> None:
+        """Keep the record where it is due. Never raises."""
+        if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
+            self._folder.save(self._serial, self._gel_id, self._scars.record)
+            self._unsaved = 0
+
+    def _findings(self, inspection: Inspection, judged: Judged) -> ScarFindings:
+        """What the scars hide, and why the press is not passed, should it not be."""
+        if not self._scars.record.masked.any():
+            self.blind = None
+        if not judged.masked.any() or inspection.verdict is None:
+            return ScarFindings(judged.blame or _NOWHERE)
+        is_too_blind = judged.blind_share > self._settings.most_blind_share
+        if is_too_blind:
+            self.blind = _too_blind(self._gel_id, judged, self._settings)
+        return ScarFindings(
+            judged.blame or (Blame(Cause.GEL, self.blind) if is_too_blind and self.blind else _NOWHERE),
+            judged.masked,
+            judged.blind_mm2,
+            judged.blind_share,
+            is_too_blind,
+            inspection.verdict.score,
+        )
+
+
+def _is_highest(inspection: Inspection) -> bool:
+    """Whether the score is the highest value of its map, so that places can be left out of it."""
+    verdict, score_map = inspection.verdict, inspection.score_map
+    if verdict is None or verdict.score is None or score_map is None:
+        return False
+    return math.isclose(float(score_map.max()), verdict.score, rel_tol=_SAME)
+
+
+def _too_blind(gel_id: str, judged: Judged, settings: ScarSettings) -> str:
+    return (
+        f"{judged.blind_mm2:.1f} mm2 of the contact, {judged.blind_share:.0%} of it, lie under scars of gel "
+        f"{gel_id} and are not judged, at most {settings.most_blind_share:.0%} are accepted; wipe the gel, or mount a "
+        "new one and run `gelgate gel replace`"
+    )
+
+
+def _scored(inspection: Inspection, bundle: Bundle, tracker: ContactTracker) -> ScoredPress | None:
+    """None for a press without a score."""
+    verdict, found = inspection.verdict, inspection.registered
+    if inspection.score_map is None or verdict is None or verdict.threshold is None:
+        return None
+    x_mm, y_mm = bundle.profile.mm_per_pixel
+    return ScoredPress(
+        inspection.score_map,
+        verdict.threshold - (verdict.tolerance or 0.0),
+        bundle.region,
+        bundle.profile.size,
+        (x_mm, y_mm),
+        tracker.chosen_mask,
+        None if found is None else found.unseen_in_press,
+        None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+    )

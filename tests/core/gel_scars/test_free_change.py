@@ -1,0 +1,97 @@
+"""What has changed on the free gel: marks are found; light, shading, small movements and the last imprint are not."""
+
+import cv2
+import numpy as np
+import pytest
+
+from edge.core.gel_scars.free_change import free_change, marks
+
+SHAPE = (120, 160)
+RNG = np.random.default_rng(4)
+Y, X = np.mgrid[:120, :160].astype(np.float32)
+
+
+def gel(seed: int = 0) -> np.ndarray:
+    """A smooth gel with the noise of a mean of ten frames."""
+    rng = np.random.default_rng(seed)
+    clean = np.stack([120 + 0.2 * Y, 130 - 0.1 * X, 110 + 0.1 * X], axis=2)
+    return np.asarray(clean + 0.35 * rng.standard_normal((*SHAPE, 3)), np.float32)
+
+
+def marked(view: np.ndarray, levels: float = 8.0) -> np.ndarray:
+    """With a scratch 20 pixels long and two wide."""
+    view = view.copy()
+    view[60:62, 70:90] -= np.float32(levels)
+    return view
+
+
+def found(first: np.ndarray, now: np.ndarray, left: np.ndarray | None = None) -> np.ndarray:
+    places = marks(free_change(first, now, left))
+    assert places is not None
+    return places
+
+
+def test_an_unchanged_gel_has_no_marks() -> None:
+    """Two pictures of it differ by their noise alone."""
+    assert found(gel(1), gel(2)).mean() < 0.001
+
+
+def test_a_scratch_is_found_where_it_is() -> None:
+    """And nothing far from it."""
+    places = found(gel(1), marked(gel(2)))
+    near = np.zeros(SHAPE, bool)
+    near[57:65, 67:93] = True
+
+    assert places[60:62, 70:90].mean() > 0.9
+    assert (places & ~near).mean() < 0.001
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.2])
+def test_light_is_no_mark(gain: float) -> None:
+    """Automatic exposure moves the level by a fifth."""
+    assert found(gel(1), gel(2) * np.float32(gain)).mean() < 0.001
+
+
+def test_shading_is_no_mark() -> None:
+    """A lamp that has become weaker on one side."""
+    shaded = gel(2) + (12 * X / 160)[..., None]
+
+    assert found(gel(1), np.asarray(shaded, np.float32)).mean() < 0.001
+
+
+def test_what_the_last_press_has_left_is_no_mark_and_a_scratch_in_it_is() -> None:
+    """A tenth of a ribbed imprint is still there."""
+    ribs = np.where((X - 80) ** 2 + (Y - 60) ** 2 < 40**2, 50 * np.sin(Y / 2), 0).astype(np.float32)
+    imprint = np.asarray(ribs[..., None] * np.array([1, 0.5, -1]), np.float32)
+    rest = np.float32(0.1) * imprint
+
+    assert found(gel(1), gel(2) + rest).mean() > 0.05  # it would be taken for marks
+    assert found(gel(1), gel(2) + rest, imprint).mean() < 0.001
+    assert found(gel(1), marked(gel(2), 15) + rest, imprint)[60:62, 70:90].mean() > 0.9
+
+
+def test_dots_that_move_a_little_are_no_marks() -> None:
+    """A marker gel creeps by a hundredth of a millimetre between presses."""
+    dots = np.ones(SHAPE, np.float32)
+    for x in range(12, 160, 20):
+        for y in range(10, 120, 20):
+            cv2.circle(dots, (x, y), 3, 0.3, -1, cv2.LINE_AA)
+    soft = cv2.GaussianBlur(dots, (0, 0), 1.0)
+    moved = cv2.warpAffine(
+        soft, np.array([[1, 0, 0.1], [0, 1, 0.05]]), (160, 120), borderMode=cv2.BORDER_REPLICATE
+    )
+
+    assert found(gel(1) * soft[..., None], gel(2) * moved[..., None]).mean() < 0.002
+
+
+def test_a_gel_that_has_changed_all_over_has_no_known_marks() -> None:
+    """The camera was moved, or another gel is mounted: no place explains anything."""
+    other = gel(2) + np.asarray(20 * np.sin(X / 2)[..., None] * np.sin(Y / 2)[..., None], np.float32)
+
+    assert marks(free_change(gel(1), other)) is None
+
+
+def test_pictures_of_two_sizes_are_refused() -> None:
+    """They show nothing of each other."""
+    with pytest.raises(ValueError, match="one shape"):
+        free_change(gel(1), gel(2)[:60])
