@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import page_messages
 import pytest
-from page_messages import reference
 
 from edge.core.gel import GelState
 from edge.core.verdict import Kind
@@ -123,7 +123,7 @@ MESSAGES = [
     availability_message(is_online=True),
     info_message(InfoPayload(time_ns=1, gelgate_version="0.2.0", warnings=("an outlier",))),
     gel_message(GelPayload(time_ns=1, sensor_serial="a", gel_id="b", presses=1, limit_presses=2, state=GelState.DUE)),
-    reference(),
+    page_messages.reference(),
     alarm_message(AlarmPayload(time_ns=1, alarm="gel", text="due")),
     alarm_cleared("disk"),
     stats_message(

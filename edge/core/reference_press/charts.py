@@ -121,9 +121,8 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
 
 
 def _chart(measure: Measure, presses: Sequence[ReferencePress], learn: int) -> Chart:
-    measured = [
-        (one, value) for one in _in_scope(measure, presses) if (value := one.value(measure)) is not None
-    ]
+    found = [(one, one.value(measure)) for one in _in_scope(measure, presses)]
+    measured = _without_turns([(one, value) for one, value in found if value is not None], measure.unit)
     base = [(one, value) for one, value in measured if one.is_as_expected][:learn]
     limits = None
     if len(base) == learn:
@@ -143,6 +142,16 @@ def _chart(measure: Measure, presses: Sequence[ReferencePress], learn: int) -> C
         limits,
         signals(values, limits) if limits is not None and is_later else (),
     )
+
+
+def _without_turns(
+    measured: list[tuple[ReferencePress, float]], unit: str
+) -> list[tuple[ReferencePress, float]]:
+    """Angles without whole turns, so that -179 degrees are next to 179: as near to the first one as they can be."""
+    if unit != "deg" or not measured:
+        return measured
+    first = measured[0][1]
+    return [(one, value + 360 * round((first - value) / 360)) for one, value in measured]
 
 
 def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[ReferencePress]:

@@ -137,6 +137,16 @@ def test_charts_begin_again_on_request() -> None:
     assert judge([*learnt(6), moved], LEARN).sentences == ("limits are learnt: 1 of 5 presses",)
 
 
+def test_a_part_that_lies_the_other_way_round_has_no_jump_in_its_turn() -> None:
+    """-179.9 degrees are next to 179.9; a quarter of a turn is out of limits."""
+    turns = (179.9, -179.9, 180.0, 179.8, -179.8, -179.9)
+    presses = [press(n, imprint=Imprint(2.0, 9.0, 7.0, turn, 1.0)) for n, turn in enumerate(turns)]
+    turned = press(6, imprint=Imprint(2.0, 9.0, 7.0, -90.0, 1.0))
+
+    assert outcome(presses) is Outcome.IN_LIMITS
+    assert any("turn is 270 deg" in one for one in judge([*presses, turned], LEARN).sentences)
+
+
 NOON = datetime.datetime(2026, 3, 2, 12, tzinfo=datetime.UTC)
 SHIFTS = (datetime.time(6), datetime.time(14), datetime.time(22))
 
