@@ -267,3 +267,19 @@ def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
     lines = [json.loads(line) for line in (tmp_path / "switched.jsonl").read_text().splitlines()]
     last = {line["channel"]: line["on"] for line in lines}
     assert last == {1: False, 2: False, 3: False, 4: True}
+
+
+def test_a_master_piece_switches_no_light_and_no_gate(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Pass, then a reference press that fails, then pass: the red light stays off, and no pulse is given."""
+    config = configured(tmp_path, recording, bundle, ANDON.format(deadline_ms=60_000))
+    config.write_text(config.read_text().replace("[store]", '[[reference.pieces]]\nname = "M1"\n[store]'))
+    with IoStation(config) as station:
+        while not (len(station.reports) == 1 and not station.loop.session.has_contact):
+            station.play(1)
+        station.parts.reference.request("M1")
+        station.play()
+        words = [report.word for report in station.reports]
+
+    assert words == ["pass", "reference", "pass"]
+    assert station.reports[1].result.verdict == "fail"
+    assert [channel for channel, on in switched(tmp_path) if on and channel in (2, 3)] == []

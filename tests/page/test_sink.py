@@ -8,7 +8,7 @@ from contextlib import ExitStack, suppress
 
 import numpy as np
 import pytest
-from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, state, stats
+from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, reference, state, stats
 from small_recordings import FakeClock
 
 from edge.core.errors import ConfigError, SinkRejected
@@ -89,8 +89,10 @@ def test_everything_that_is_shown_is_there_as_json(sink: PageSink) -> None:
     assert asked(sink.port, "/state.json") is None
     for message in (state("ready"), info(), gel(801, GelState.DUE), stats(mqtt="up"), *press(1)):
         sink.send(message)
+    sink.send(reference())
 
     assert asked(sink.port, "/state.json")["state"] == "ready"
+    assert asked(sink.port, "/reference.json")["charts"][0]["measure"] == "score"
     assert asked(sink.port, "/info.json")["parts"] == ["bolt/pos1", "nut/pos1"]
     assert asked(sink.port, "/gel.json")["presses"] == 801
     assert asked(sink.port, "/stats.json")["receivers"] == {"mqtt": "up"}
