@@ -17,6 +17,9 @@ MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
 LARGEST_PICTURE_BYTES: Final = 4 << 20
 
+# The messages of one press come within this time.
+SETTLE_S: Final = 0.06
+
 _STATUS: Final = ("state", "info", "gel", "reference", "stats")
 
 
@@ -135,9 +138,14 @@ class Shown:
             return self._pictures.get(press_id)
 
     def wait(self, version: int, timeout_s: float) -> None:
-        """Return when there is another version than this, when the time is over, or at the end."""
+        """Return soon after there is another version than this, when the time is over, or at the end.
+
+        A press is several messages that come at once: they are shown together, by SETTLE_S later.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._version != version or self._is_closed, timeout_s)
+            if self._version == version:
+                self._changed.wait_for(lambda: self._version != version or self._is_closed, timeout_s)
+                self._changed.wait_for(lambda: self._is_closed, SETTLE_S if self._version != version else 0)
 
     def close(self) -> None:
         """Let no one wait any more."""

@@ -1,6 +1,6 @@
 "use strict";
 // Everything is set as text, never as HTML: a part's name is what a person has typed.
-const AGAIN_MS = 1000, LOCK_AFTER_MS = 5 * 60 * 1000;
+const AGAIN_MS = 1000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
 const at = (id) => document.getElementById(id);
 const word = (press) => press.verdict || "error";
 const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
@@ -122,8 +122,9 @@ function showPresses(presses) {
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
   const why = last.reason || last.error || (last.press_again || {}).reason;
   put("why", [why, last.cause && `cause: ${last.cause}; ${last.cause_text}`].filter(Boolean).join(" · "));
-  if (shownPress !== null && shownPress !== last.press_id && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
-    at("verdict").animate([{ opacity: 0.2 }, { opacity: 1 }], 400); // two passes in a row are two
+  if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
+    at("verdict").classList.add("fresh");
+    setTimeout(() => at("verdict").classList.remove("fresh"), FRESH_MS);
   }
   shownPress = last.press_id;
   const picture = last.has_picture ? `pictures/${last.press_id}.png` : "";
