@@ -134,7 +134,8 @@ def asked(
     if act is None:
         store.write("withdrawing a request", partial(table.withdraw, request=wish.request))
         raise GelgateError(
-            f"no gateway took the request within {TAKEN_WITHIN_S:g} s; one must run on database {store.path}"
+            f"no gateway took the request within {TAKEN_WITHIN_S:g} s; one must run on database {store.path}, and the "
+            "gel must be free"
         )
     if act.outcome == "refused":
         raise GelgateError(str(act.sentence))

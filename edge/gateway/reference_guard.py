@@ -147,7 +147,10 @@ class ReferenceGuard:
         return known[name]
 
     def _take_request(self) -> None:
-        """One of the command line, and its row in the table of acts. Errors: StoreError."""
+        """One of the command line, and its row in the table of acts; it waits while something presses the gel. Errors:
+        StoreError."""
+        if self._mounted is not None and self._mounted.has_contact:
+            return
         taken = reference_presses.take(self._store)
         if taken is None:
             return

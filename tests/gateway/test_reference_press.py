@@ -344,6 +344,23 @@ def test_the_command_line_asks_through_the_database(config: Callable[..., Path])
     assert station.reports[0].label is not None
 
 
+def test_the_command_line_waits_until_the_gel_is_free(config: Callable[..., Path]) -> None:
+    """Asked for while a part presses: that press is a part's, the next one is the master piece's."""
+    with SteppedStation(config("off")) as station:
+        start(station)
+        station.play_until(lambda: station.loop.session.has_contact)
+        wish = ReferenceRequest("a", "kim", None, False, station.clock.time_ns())
+        station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
+        until_press(station, 1)
+        station.clock.sleep(1)
+        station.loop.step(None)
+        until_press(station, 2)
+        (act,) = [one for one in station.parts.store.acts() if one.verb == "reference_press"]
+
+    assert [report.label is None for report in station.reports] == [True, False]
+    assert act.outcome == "done"
+
+
 def test_a_reference_press_waits_for_the_database_as_others_do(config: Callable[..., Path]) -> None:
     """It is recorded, judged and counted once the database accepts it."""
     path = config("refuse")
