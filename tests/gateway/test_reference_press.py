@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -345,20 +346,22 @@ def test_the_command_line_asks_through_the_database(config: Callable[..., Path])
 
 
 def test_the_command_line_waits_until_the_gel_is_free(config: Callable[..., Path]) -> None:
-    """Asked for while a part presses: that press is a part's, the next one is the master piece's."""
+    """Asked for while a part presses, it is neither taken nor refused before the gel is free."""
     with SteppedStation(config("off")) as station:
         start(station)
-        station.play_until(lambda: station.loop.session.has_contact)
+        guard, mounted = station.parts.reference, station.loop.session.mounted
         wish = ReferenceRequest("a", "kim", None, False, station.clock.time_ns())
         station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
-        until_press(station, 1)
         station.clock.sleep(1)
-        station.loop.step(None)
-        until_press(station, 2)
-        (act,) = [one for one in station.parts.store.acts() if one.verb == "reference_press"]
+        guard.step(replace(mounted, has_contact=True))
+        pressed = station.parts.store.acts()
+        station.clock.sleep(1)
+        guard.step(mounted)
+        (act,) = station.parts.store.acts()
 
-    assert [report.label is None for report in station.reports] == [True, False]
+    assert pressed == []
     assert act.outcome == "done"
+    assert guard.begin() is not None
 
 
 def test_a_reference_press_waits_for_the_database_as_others_do(config: Callable[..., Path]) -> None:
