@@ -48,10 +48,11 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """standing: None where the rows do not cover the question."""
+    """standing: None where the rows do not cover the question, or cannot be compared; then `refusal` says why."""
 
     question: Question
     standing: Standing | None
+    refusal: str = ""
 
     def lines(self) -> list[str]:
         """The answer as text."""
@@ -70,6 +71,8 @@ class Answer:
     @property
     def verdict(self) -> str:
         """The method, or why the rows do not decide."""
+        if self.refusal:
+            return f"undecided: {self.refusal}"
         if self.standing is None:
             return f"the rows do not cover this; `{self.question.command}` gives them"
         found = self.standing
@@ -87,19 +90,23 @@ def _span(mean: Mean) -> str:
 def by_method(rows: Sequence[Row], measure: str) -> dict[str, Sample]:
     """The sample of each method; rows without the measure are left out.
 
-    Errors: ConfigError for two rows of the same method, part and seed, which were made with different settings.
+    Errors: ConfigError for two rows of the same method, part and seed with different settings and results: a fraction
+    above the cap of a pool learns the same presses as another.
     """
     found: dict[str, dict[tuple[str, int], float]] = {}
     drawn: dict[str, set[str]] = {}
+    results: dict[tuple[str, str, int], str | None] = {}
     for row in rows:
         values, pair = found.setdefault(row["method"], {}), (row["part"], row["seed"])
-        if pair in values:
+        result = row.get("scores_sha256")
+        if pair in values and (result is None or result != results[row["method"], *pair]):
             raise ConfigError(
                 f"two rows of {row['study']} have {row['method']} on {row['part']} with seed {row['seed']} and other "
                 "settings, so they cannot be compared; give rows that one command made"
             )
         if row.get(measure) is not None:
             values[pair] = float(row[measure])
+            results[row["method"], *pair] = result
         if is_drawn(row):
             drawn.setdefault(row["method"], set()).add(row["part"])
     return {
@@ -235,7 +242,10 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
 def answered(question: Question, rows: Sequence[Row]) -> Answer:
     """The answer of rows of one mode, backbone and split; rows with an error count as missing."""
     own = [row for row in rows if row["study"] == question.study and row.get("error") is None]
-    samples = question.values(own) if own else {}
+    try:
+        samples = question.values(own) if own else {}
+    except ConfigError as error:
+        return Answer(question, None, str(error))
     samples = {method: sample for method, sample in samples.items() if sample.values}
     return Answer(question, ranking(samples, higher_is_better=question.higher_is_better) if samples else None)
 

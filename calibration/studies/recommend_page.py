@@ -23,14 +23,17 @@ def page(rows: "pd.DataFrame") -> Page:
     ]
     for title, group in by_setup(only_scored(rows)):
         records = group.astype(object).where(group.notna(), None).to_dict("records")
-        answers = [answer for answer in recommended(records) if answer.standing is not None]
+        answers = [answer for answer in recommended(records) if answer.standing is not None or answer.refusal]
         sections += [f"## {title}\n", *map(_section, answers)]
     return Page("\n".join(sections))
 
 
 def _section(answer: Answer) -> str:
-    assert answer.standing is not None
-    means, question = answer.standing.means, answer.question
+    question = answer.question
+    title = f"### {question.title[0].upper() + question.title[1:]}\n\n**{answer.verdict}**\n"
+    if answer.standing is None:
+        return title
+    means = answer.standing.means
     any_mean = next(iter(means.values()))
     lines = [
         [
@@ -41,8 +44,7 @@ def _section(answer: Answer) -> str:
         ]
         for name, mean in means.items()
     ]
-    title = question.title[0].upper() + question.title[1:]
     return (
-        f"### {title}\n\n**{answer.verdict}**\n\nParts: {any_mean.parts}; draws of presses on each: {any_mean.draws} "
-        f"or more.\n\n{table(['method', 'mean', '95 % interval', 'the paper'], lines)}"
+        f"{title}\nParts: {any_mean.parts}; draws of presses on each: {any_mean.draws} or more.\n\n"
+        f"{table(['method', 'mean', '95 % interval', 'the paper'], lines)}"
     )

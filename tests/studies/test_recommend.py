@@ -194,12 +194,28 @@ def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
 
 
 def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
-    """Two rows of one method, part and seed, such as with two fractions, cannot be compared."""
+    """Two rows of one method, part and seed, such as with two fractions, decide nothing; other needs are answered."""
     once = covering("cross-position", {"spade": 0.8, "padim": 0.6})
     again = [row | {"fraction": 0.4, "key": f"{row['key']} 0.4"} for row in once]
+    rows = [*once, *again, *covering("localisation", {"spade": 0.8, "padim": 0.6})]
 
-    refusal = gelgate("recommend", written(tmp_path, [*once, *again]), "--need", "cross-position").sentence()
-    assert "two rows of cross-position have spade on PZ3 with seed 0 and other settings" in refusal
+    said = gelgate("recommend", written(tmp_path, rows)).out
+    assert "undecided: two rows of cross-position have spade on PZ3 with seed 0 and other settings" in said
+    assert "-> spade" in said
+    assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).markdown
+
+
+def test_two_rows_with_the_same_result_are_one() -> None:
+    """Two fractions above the cap of a pool learn the same presses: the second row adds nothing."""
+    once = [
+        row | {"scores_sha256": row["key"]}
+        for row in covering("high-resolution", {"spade": 0.8, "padim": 0.6})
+    ]
+    again = [row | {"fraction": 0.8} for row in once]
+    standing = recommended([*once, *again], ["high-resolution"])[0].standing
+
+    assert standing is not None
+    assert standing.best == "spade"
 
 
 def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
