@@ -55,3 +55,13 @@ def test_any_copy_of_a_repeated_row_may_be_picked_and_no_other_row() -> None:
 
     np.testing.assert_array_equal(points[found.rows], points[picks])
     assert found.radius == pytest.approx(np.sqrt(distance.max()))
+
+
+def test_the_search_ends_where_every_row_equals_a_pick() -> None:
+    """Seven rows of fractions far from zero, many times each: rounding of the product is no distance."""
+    rng = np.random.default_rng(0)
+    points = (rng.normal(size=(7, 64)) * 100)[rng.integers(0, 7, 300)]
+    found = k_centre(points, 20, 0)
+
+    assert len(found.rows) == len(np.unique(points, axis=0)) == 7
+    assert found.radius == 0
