@@ -40,7 +40,7 @@ REACH_PX: Final = 3
 # The next pixel: of a mask, what is left of a scar there.
 _RIM_PX = 1.5
 # A mark of less than this share of a place does not explain it: a speck somewhere in a large dent.
-_LEAST_MARKED = 0.1
+_LEAST_MARKED = 0.2
 
 # Of a place, weighted by how far it is above the limit: from this share on the marks explain it, below the other one
 # they do not.

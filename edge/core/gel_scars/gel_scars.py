@@ -34,7 +34,7 @@ _HALO_PX: Final = 8
 # The mask is 0.25 mm wider than what exceeded: the next press shows the scar slightly larger.
 _WIDER: Final = np.ones((5, 5), np.uint8)
 # Above the limit by less than this share of it, a press fails slightly: a mark that grows slowly has come that far.
-_SLIGHT: Final = 0.6
+_SLIGHT: Final = 0.8
 # A mark is as it was in quiet presses where this share of its change is not above theirs.
 _GROWN: Final = 0.75
 

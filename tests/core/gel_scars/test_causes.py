@@ -54,12 +54,11 @@ def test_a_mark_explains_what_is_near_it() -> None:
     excess = np.zeros((20, 20), np.float32)
     excess[10, 8:18] = 1
     marked = np.zeros((20, 20), bool)
-    marked[10, 8] = True
-
+    marked[10, 8:10] = True
     nothing = np.zeros((20, 20), bool)
 
-    assert explained(excess, marked, nothing) == pytest.approx(0.4)
-    assert explained(excess, nothing, marked) == pytest.approx(0.2)  # next to a mask alone
+    assert explained(excess, marked, nothing) == pytest.approx(0.5)
+    assert explained(excess, nothing, marked) == pytest.approx(0.3)  # the rim of a mask is the next pixel
     assert explained(excess, nothing, nothing) == 0
     assert explained(np.zeros((20, 20), np.float32), marked, nothing) == 0
 
@@ -69,6 +68,19 @@ def test_a_high_peak_weighs_more_than_a_wide_rim() -> None:
     excess = np.full((20, 20), 0.01, np.float32)
     excess[3, 3] = 50
     marked = np.zeros((20, 20), bool)
-    marked[15, 15] = True
+    marked[10:, 10:] = True
 
     assert explained(excess, marked, np.zeros((20, 20), bool)) < 0.1
+
+
+def test_a_speck_does_not_explain_a_wide_place() -> None:
+    """A mark of less than a fifth of the place is there by chance."""
+    excess = np.zeros((20, 20), np.float32)
+    excess[9:12, 9:12] = 1
+    speck, mark = np.zeros((2, 20, 20), bool)
+    speck[10, 10] = True
+    mark[10, 9:11] = True
+    nothing = np.zeros((20, 20), bool)
+
+    assert explained(excess, speck, nothing) == 0
+    assert explained(excess, mark, nothing) == 1
