@@ -56,6 +56,9 @@ def simulate(
             help="Only this run, directly in the output folder; default: every run in its own folder."
         ),
     ] = "",
+    sensor: Annotated[
+        str, typer.Option(help="In place of the scene's: a sensor's name, or its file from `calibrate`.")
+    ] = "",
     preview: Annotated[
         bool,
         typer.Option(
@@ -73,9 +76,13 @@ def simulate(
     The same command continues an interrupted one; complete files are kept.
     """
     from calibration.simulator.scene import load_scene
+    from calibration.simulator.sensor_file import known_sensor
     from calibration.simulator.simulate import paper_scenes
 
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
+    if sensor:
+        chosen = known_sensor(sensor)
+        scenes = [one.seen_by(chosen) for one in scenes]
     workers = workers or os.cpu_count() or 1
     if preview:
         _preview(scenes, output, seed)

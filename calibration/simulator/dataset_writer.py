@@ -30,7 +30,6 @@ from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene
-from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -173,7 +172,7 @@ def _written(task: _Task) -> int:
 
 @lru_cache(maxsize=2)
 def _renderer(scene: Scene, seed: int, field: Field, gel: str, position: str) -> Renderer:
-    sensor = SENSORS[scene.camera.sensor]
+    sensor = scene.camera.appearance
     return Renderer(field, scene.effects, sensor, scene.press_jitter, named_streams(seed), gel, position)
 
 

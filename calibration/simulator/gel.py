@@ -1,6 +1,7 @@
 """How the gel deforms: membranes on an elastic bed, stretched over the part, and the residual imprint."""
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,23 +17,40 @@ from calibration.simulator.constants import (
 )
 from calibration.simulator.field_of_view import F32, Field
 
-__all__ = ["deformation", "residual_imprint"]
+__all__ = ["GEL", "Gel", "deformation", "residual_imprint"]
 
 
-def deformation(obstacle_mm: F32, field: Field) -> F32:
+@dataclass(frozen=True)
+class Gel:
+    """How a gel gives way: two relaxation lengths in mm, and the share of the long one."""
+
+    short_mm: float = SHORT_MM
+    long_mm: float = LONG_MM
+    long_share: float = LONG_SHARE
+
+    def __post_init__(self) -> None:
+        if not (0 < self.short_mm <= self.long_mm and 0 <= self.long_share <= 1):
+            raise ValueError(f"a gel has 0 < short_mm <= long_mm and a share from 0 to 1, found {self}")
+
+
+GEL = Gel()
+"""The gel of the shipped sensors."""
+
+
+def deformation(obstacle_mm: F32, field: Field, of: Gel = GEL) -> F32:
     """The gel's surface over a rigid part, in mm towards the camera, float32 (h, w).
 
     The mean of two stretched membranes on a bed of springs: away from the part z - L^2 (laplacian of z) = 0, on the
-    part z = obstacle, nowhere lower; L is 0.25 and 1.1 mm. Source: the obstacle problem of a Winkler membrane, with the
-    pyramid and the restored contact of the Taxim simulator. The sweeps round the corner at an edge: there the surface
-    is up to a tenth of the height lower than the formula gives, at every resolution. The lengths were chosen with this
-    included.
+    part z = obstacle, nowhere lower; L is 0.25 and 1.1 mm for a gel that was not fitted. Source: the obstacle problem
+    of a Winkler membrane, with the pyramid and the restored contact of the Taxim simulator. The sweeps round the corner
+    at an edge: there the surface is up to a tenth of the height lower than the formula gives, at every resolution. The
+    lengths were chosen with this included.
     """
     if not obstacle_mm.any():
         return obstacle_mm.copy()
-    short = _membrane(obstacle_mm, field, SHORT_MM, 0.0)
-    long = _membrane(obstacle_mm, field, LONG_MM, LONG_FINEST_MM)
-    surface = cv2.addWeighted(short, 1 - LONG_SHARE, long, LONG_SHARE, 0.0)
+    short = _membrane(obstacle_mm, field, of.short_mm, 0.0)
+    long = _membrane(obstacle_mm, field, of.long_mm, LONG_FINEST_MM)
+    surface = cv2.addWeighted(short, 1 - of.long_share, long, of.long_share, 0.0)
     return _blur(np.asarray(surface, dtype=np.float32), COAT_SIGMA_MM, field.mm_per_px)
 
 

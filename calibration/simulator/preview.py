@@ -13,7 +13,6 @@ from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scene import Scene
-from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import named_streams
 
 __all__ = ["preview", "write_preview"]
@@ -49,7 +48,7 @@ def preview(scene: Scene, seed: int = 0) -> U8:
 
 def _renderer(scene: Scene, seed: int, effects: tuple[str, ...] | None = None) -> Renderer:
     names = scene.effects if effects is None else effects
-    return Renderer(LR, names, SENSORS[scene.camera.sensor], scene.press_jitter, named_streams(seed))
+    return Renderer(LR, names, scene.camera.appearance, scene.press_jitter, named_streams(seed))
 
 
 def _sound(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:

@@ -19,7 +19,6 @@ from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, SceneRun
-from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.streams import named_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
@@ -188,7 +187,7 @@ def _renderer(scene: Scene, seed: int) -> Renderer:
     field = {"lr": LR, "hr": HR, "native": native_field(scene.camera.reduction)}[mode]
     # The bytes of a recording are always JPEG: the effect only chooses their quality.
     effects = tuple(name for name in scene.effects if name != "jpeg")
-    sensor = SENSORS[scene.camera.sensor]
+    sensor = scene.camera.appearance
     return Renderer(field, effects, sensor, scene.press_jitter, named_streams(seed), session=scene.name)
 
 

@@ -83,7 +83,9 @@ class Renderer:
         height: the part over the field, as `sample` gives it.
         """
         obstacle = pose.contact(height, depth_mm)
-        return gel.deformation(obstacle, self.field) if "deformation" in self._on else obstacle
+        if "deformation" not in self._on:
+            return obstacle
+        return gel.deformation(obstacle, self.field, self.sensor.gel)
 
     def surface(self, imprint_mm: F32, presses: int = 0, previous: tuple[F32, float] | None = None) -> F32:
         """The gel's real surface: the imprint, the residual of the previous one, grains and scratches.
@@ -104,6 +106,8 @@ class Renderer:
         nx, ny = optics.normals(surface_mm, self.field)
         is_lit = "illumination" in self._on
         planes = optics.illumination(nx, ny, *self._lamps) if is_lit else optics.headlight(nx, ny)
+        if is_lit and self._per_mm is not None:
+            planes = optics.raised(planes, surface_mm, self._per_mm)
         if "shadows" in self._on:
             planes = optics.shadows(planes, surface_mm, self.field)
         if "specular" in self._on:
@@ -135,7 +139,7 @@ class Renderer:
         if "led_drift" in self._on:
             planes = camera.led_drift(planes, exposure.time_s, self.streams("led_drift", self.session))
         if "noise" in self._on:
-            planes = camera.noise(planes, self.streams("noise", *key, exposure.frame))
+            planes = camera.noise(planes, self.streams("noise", *key, exposure.frame), self.sensor.noise_sd)
         rgb = camera.quantise(planes)
         return camera.jpeg(rgb) if "jpeg" in self._on else rgb
 
@@ -220,6 +224,11 @@ class Renderer:
         lens = camera.lens_falloff(self.field)
         curvature = self.sensor.slope_response[:, 12:].astype(np.float32)
         return seen / lens, sensor_appearance.response(self.sensor, self.field) / lens, curvature
+
+    @cached_property
+    def _per_mm(self) -> F32 | None:
+        seen = sensor_appearance.height_response(self.sensor, self.field)
+        return None if seen is None else seen / camera.lens_falloff(self.field)
 
     @cached_property
     def _grain_texture(self) -> F32:

@@ -7,7 +7,7 @@ nearest known one.
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -15,7 +15,8 @@ from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS, chosen
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
-from calibration.simulator.sensor_appearance import SENSORS
+from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
+from calibration.simulator.sensor_file import SensorFile, known_sensor
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
@@ -46,18 +47,24 @@ class Camera(_Table):
     """The frames. `modes`: lr (320x240), hr (1280x720), native (3280x2464 as the camera sends it).
 
     `fps`: delivered frames a second; the real sensor manages 18.75 of its 25. `reduction`: native frames are rendered
-    at 1/reduction of their size and scaled up, because a gateway decodes them at that reduction.
+    at 1/reduction of their size and scaled up, because a gateway decodes them at that reduction. `sensor`: a name, or
+    the content of a sensor's file, so that a scene is equal to another one only where its sensor is.
     """
 
     modes: Annotated[tuple[Literal["lr", "hr", "native"], ...], Field(min_length=1)] = ("lr",)
     fps: Annotated[float, Field(gt=0, le=200)] = 18.75
     reduction: Literal[2, 4, 8] = 4
-    sensor: str = "unit_b"
+    sensor: str | SensorFile = "unit_b"
 
     @field_validator("sensor")
     @classmethod
-    def _known_sensor(cls, name: str) -> str:
-        return _known(name, SENSORS, "sensor")
+    def _known_sensor(cls, sensor: str | SensorFile) -> str | SensorFile:
+        return _known(sensor, SENSORS, "sensor") if isinstance(sensor, str) else sensor
+
+    @property
+    def appearance(self) -> SensorAppearance:
+        """The sensor's colours, gel and noise."""
+        return SENSORS[self.sensor] if isinstance(self.sensor, str) else self.sensor.appearance
 
 
 class Motion(_Table):
@@ -178,6 +185,10 @@ class Scene(_Table):
         """The positions, all of the part's where the scene names none."""
         return self.positions or tuple(PARTS[self.part].positions)
 
+    def seen_by(self, sensor: str | SensorFile) -> Self:
+        """The same scene through another sensor."""
+        return self.model_copy(update={"camera": self.camera.model_copy(update={"sensor": sensor})})
+
     @property
     def press_depth_mm(self) -> float:
         """How deep a press goes: the scene's own, or the part's."""
@@ -210,8 +221,16 @@ def load_scene(name_or_path: str | Path) -> Scene:
             raise ConfigError(f"no scene is named '{name_or_path}'; {hint} (a file's name ends in .toml)")
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        return Scene.model_validate(table)
+        return Scene.model_validate(_with_sensor(table, path.parent))
     except ValidationError as error:
         raise ConfigError(numbered(f"scene {path}", sentences(Scene, error))) from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"scene {path} cannot be read: {error}") from error
+
+
+def _with_sensor(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with the content of the sensor's file, where it names one. Errors: ConfigError."""
+    camera = table.get("camera")
+    if not isinstance(camera, dict) or not str(camera.get("sensor", "")).endswith(".toml"):
+        return table
+    return {**table, "camera": {**camera, "sensor": known_sensor(str(camera["sensor"]), folder)}}

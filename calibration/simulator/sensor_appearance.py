@@ -10,9 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
+from calibration.simulator.constants import NOISE_SD
 from calibration.simulator.field_of_view import F32, Field, unit_grids
+from calibration.simulator.gel import GEL, Gel
 
-__all__ = ["SENSORS", "SensorAppearance", "background", "response"]
+__all__ = [
+    "SENSORS",
+    "SensorAppearance",
+    "background",
+    "free_gel_powers",
+    "height_response",
+    "place_powers",
+    "response",
+]
 
 F64 = NDArray[np.float64]
 
@@ -195,20 +205,29 @@ def _table(rows: tuple[tuple[float, ...], ...]) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class SensorAppearance:
-    """One sensor's colours.
+    """One sensor's colours, gel and noise.
 
-    free_gel: float64 (3, 15), log of the level of the untouched gel as a polynomial in u and v.
-    slope_response: float64 (3, 15), grey levels per component of the surface normal.
+    free_gel: float64 (3, 15) or (3, 28), log of the level of the untouched gel as a polynomial of degree 4 or 6 in u
+    and v.
+    slope_response: float64 (3, 15), grey levels per component of the surface normal. height_response: float64 (3, 6),
+    grey levels per mm that the gel is raised, times (1, u, v, u^2, v^2, uv); None: not fitted, none. gel: how it gives
+    way. noise_sd: of one frame at the mean level, in grey levels, of red, green and blue.
     """
 
     name: str
     free_gel: F64
     slope_response: F64 = field(default_factory=lambda: _table(_RESPONSE))
+    height_response: F64 | None = None
+    gel: Gel = GEL
+    noise_sd: tuple[float, float, float] = NOISE_SD
 
     def __post_init__(self) -> None:
-        for array in (self.free_gel, self.slope_response):
-            if array.shape != (3, 15):
-                raise ValueError(f"a appearance has two tables of shape (3, 15), found {array.shape}")
+        if self.free_gel.shape not in ((3, 15), (3, 28)):
+            raise ValueError(f"a free gel has the shape (3, 15) or (3, 28), found {self.free_gel.shape}")
+        if self.slope_response.shape != (3, 15):
+            raise ValueError(f"a slope response has the shape (3, 15), found {self.slope_response.shape}")
+        if self.height_response is not None and self.height_response.shape != (3, 6):
+            raise ValueError(f"a height response has the shape (3, 6), found {self.height_response.shape}")
 
 
 SENSORS = {
@@ -220,11 +239,15 @@ SENSORS = {
 
 def background(appearance: SensorAppearance, over: Field) -> F32:
     """The untouched gel, float32 (3, h, w), grey levels 0 to 255."""
+    degree = 4 if appearance.free_gel.shape[1] == 15 else 6
+    powers = free_gel_powers(over, degree)
+    return reproducible_math.exp(reproducible_math.combined(appearance.free_gel, powers))
+
+
+def free_gel_powers(over: Field, degree: int) -> list[F64]:
+    """u^i v^j of the columns of `free_gel`, ordered by i then j with i + j up to the degree, float64 (h, w) each."""
     u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
-    powers = [(i, j) for i in range(5) for j in range(5 - i)]
-    return reproducible_math.exp(
-        reproducible_math.combined(appearance.free_gel, [_power(u, i) * _power(v, j) for i, j in powers])
-    )
+    return [_power(u, i) * _power(v, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
 
 
 def _power(x: F64, exponent: int) -> F64:
@@ -237,7 +260,21 @@ def _power(x: F64, exponent: int) -> F64:
 
 def response(appearance: SensorAppearance, over: Field) -> F32:
     """Grey levels per nx and per ny, float32 (3, 2, h, w): the lights fall off across the gel."""
-    u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
     table = appearance.slope_response[:, :12].reshape(6, 6)
-    combined = reproducible_math.combined(table, [np.ones_like(u), u, v, u * u, v * v, u * v])
-    return combined.astype(np.float32).reshape(3, 2, *over.shape)
+    return _over_places(table, over).reshape(3, 2, *over.shape)
+
+
+def height_response(appearance: SensorAppearance, over: Field) -> F32 | None:
+    """Grey levels per mm that the gel is raised, float32 (3, h, w); None where it was not fitted."""
+    return None if appearance.height_response is None else _over_places(appearance.height_response, over)
+
+
+def place_powers(over: Field) -> list[F64]:
+    """(1, u, v, u^2, v^2, uv) of the responses, float64 (h, w) each."""
+    u, v = (np.asarray(axis, dtype=np.float64) for axis in unit_grids(over))
+    return [np.ones_like(u), u, v, u * u, v * v, u * v]
+
+
+def _over_places(table: F64, over: Field) -> F32:
+    """Rows of six coefficients as planes, float32 (rows, h, w)."""
+    return reproducible_math.combined(table, place_powers(over)).astype(np.float32)

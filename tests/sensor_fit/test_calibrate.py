@@ -1,0 +1,160 @@
+"""A sensor that the product does not ship, calibrated from presses of a ball; and every input that cannot serve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, nominal, renderer, without_free_gel
+
+from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divided
+from calibration.sensor_fit.result import gain
+from calibration.simulator.sensor_appearance import SENSORS
+from edge.core.errors import FitError
+
+
+@pytest.fixture(scope="module")
+def shown() -> list[np.ndarray]:
+    return frames()
+
+
+@pytest.fixture(scope="module")
+def made(shown: list[np.ndarray]) -> Calibrated:
+    return calibrate_sensor(nominal(shown), "unseen", RADIUS_MM)
+
+
+def test_held_out_presses_are_predicted(made: Calibrated) -> None:
+    """Of a change of 15 levels and more less than 4 are left, rms: noise, grain and compression."""
+    assert [one.name for one in made.judged] == ["0", "1", "2", "3", "4", "5"]
+    assert min(one.signal for one in made.judged) > 15
+    assert made.sensor.fitted is not None
+    assert made.sensor.fitted.inside_levels < 4
+    assert made.sensor.fitted.outside_levels < 2
+
+
+def test_the_response_is_recovered(made: Calibrated) -> None:
+    """Red to a vertical slope and green to a horizontal one, at the view's centre, within a tenth."""
+    found = np.array(made.sensor.slope_response)
+    assert found[0, 6] == pytest.approx(UNSEEN.slope_response[0, 6], rel=0.1)
+    assert found[1, 0] == pytest.approx(UNSEEN.slope_response[1, 0], rel=0.1)
+
+
+def test_what_a_raised_gel_adds_is_recovered(made: Calibrated) -> None:
+    """15, 6 and 12 levels per mm, within 8: a ball's flat pole shows it, over half a millimetre."""
+    found = np.array(made.sensor.height_response)[:, 0]
+    assert found == pytest.approx([15, 6, 12], abs=8)
+
+
+def test_the_free_gel_is_recovered(made: Calibrated) -> None:
+    """The polynomial of the free gel gives the same picture within 2 levels."""
+    own, fitted = (renderer(sensor=one).free_gel() for one in (UNSEEN, made.sensor.appearance))
+    assert np.abs(own.astype(np.float32) - fitted).mean() < 2
+
+
+def test_nothing_is_doubtful_about_a_good_fit(made: Calibrated) -> None:
+    """No warning, no press left out, and the file says what it was made from."""
+    assert made.warnings == ()
+    assert made.left_out == {}
+    assert made.sensor.fitted is not None
+    assert (made.sensor.fitted.presses, made.sensor.fitted.ball_radius_mm) == (6, RADIUS_MM)
+
+
+@pytest.fixture(scope="module")
+def few(shown: list[np.ndarray]) -> Calibrated:
+    """Three balls and a flat square."""
+    square = shown[0].copy()
+    square[80:150, 120:200] = np.clip(square[80:150, 120:200].astype(int) + 60, 0, 255).astype(np.uint8)
+    return calibrate_sensor(nominal([*shown[:4], square]), "unseen", RADIUS_MM)
+
+
+def test_a_press_of_something_else_is_named_and_left_out(few: Calibrated) -> None:
+    """The flat square; the balls are fitted without it."""
+    assert list(few.left_out) == ["3"]
+    assert "of its change does not follow the slopes of a ball" in few.left_out["3"]
+    assert [one.name for one in few.judged] == ["0", "1", "2"]
+
+
+def test_another_scale_gives_the_same_colours(few: Calibrated, shown: list[np.ndarray]) -> None:
+    """A ball twice as large in pictures with twice the millimetres per pixel is the same picture."""
+    twice = calibrate_sensor(nominal(shown[:4]), "unseen", 2 * RADIUS_MM, 2 * 0.0634)
+    assert np.array(twice.sensor.slope_response) == pytest.approx(
+        np.array(few.sensor.slope_response), abs=0.1
+    )
+    assert twice.warnings == ()
+
+
+def test_the_diameter_in_place_of_the_radius_is_suspected(shown: list[np.ndarray]) -> None:
+    """Slopes are then half as steep, so colours seem to answer twice as strongly; the sentence names the cause."""
+    made = calibrate_sensor(nominal(shown[:4]), "unseen", 2 * RADIUS_MM)
+    assert len(made.warnings) == 1
+    assert "check the ball's radius (not its diameter)" in made.warnings[0]
+
+
+def test_the_gain_is_that_of_the_response() -> None:
+    """A shipped sensor has gain 1, one with twice the response 2."""
+    unit = SENSORS["unit_b"]
+    assert gain(unit) == pytest.approx(1)
+    assert gain(replace(unit, slope_response=2 * unit.slope_response)) == pytest.approx(2)
+
+
+def test_markers_are_left_out_of_the_fit() -> None:
+    """On a marker gel dots cover what is below them; what is between them is predicted, and it is said."""
+    made = calibrate_sensor(nominal(frames(PLACES_MM[:4], markers=True)), "unseen", RADIUS_MM)
+    assert made.sensor.fitted is not None
+    assert made.sensor.fitted.has_markers
+    assert any("name the effect 'markers'" in warning for warning in made.warnings)
+    assert made.sensor.fitted.inside_levels < 9
+
+
+def test_without_a_free_gel_it_is_refused(shown: list[np.ndarray]) -> None:
+    """The sentence names the option."""
+    with pytest.raises(FitError, match="give one with --no-contact"):
+        calibrate_sensor(without_free_gel(nominal(shown)), "unseen", RADIUS_MM)
+
+
+def test_a_ball_larger_than_the_view_is_refused(shown: list[np.ndarray]) -> None:
+    """9 mm radius does not fit into 15.2 mm."""
+    with pytest.raises(FitError, match=r"radius 9 mm is larger than the view, which is 15\.2 mm high"):
+        calibrate_sensor(nominal(shown), "unseen", 9)
+
+
+def test_a_ball_smaller_than_its_contacts_is_refused(shown: list[np.ndarray]) -> None:
+    """A ball of 0.8 mm radius cannot leave contacts of more than 1 mm."""
+    with pytest.raises(FitError, match=r"radius 0\.80 mm cannot leave contacts of 1\.\d\d mm radius"):
+        calibrate_sensor(nominal(shown), "unseen", 0.8)
+
+
+def test_too_few_presses_are_refused_with_every_reason(shown: list[np.ndarray]) -> None:
+    """Two presses; a third picture shows nothing, and is named."""
+    with pytest.raises(FitError, match=r"2 presses of the ball can be used, at least 3 are needed") as caught:
+        calibrate_sensor(nominal([*shown[:3], renderer().free_gel(("again",))]), "unseen", RADIUS_MM)
+    assert "2: no contact was found in it" in str(caught.value)
+
+
+def test_the_free_gel_of_another_sensor_is_refused(shown: list[np.ndarray]) -> None:
+    """All presses differ from it outside contact."""
+    other = renderer(sensor=SENSORS["unit_b"]).free_gel()
+    with pytest.raises(FitError, match="the free gel is not that of these presses: 6 of 6 differ"):
+        calibrate_sensor(nominal([other, *shown[1:]]), "unseen", RADIUS_MM)
+
+
+def test_a_saturated_press_is_left_out(shown: list[np.ndarray]) -> None:
+    """A contact of which a third is at the end of a channel tells no slopes."""
+    burnt = shown[5].copy()
+    changed = np.abs(burnt.astype(int) - shown[0]).max(axis=2) > 12
+    burnt[changed] = 255
+    with pytest.raises(FitError, match=r"2: \d+% of its contact is saturated; lower the exposure"):
+        calibrate_sensor(nominal([*shown[:3], burnt]), "unseen", RADIUS_MM)
+
+
+def test_a_press_beyond_the_view_is_left_out(shown: list[np.ndarray]) -> None:
+    """Its circle would be guessed."""
+    with pytest.raises(FitError, match="2: its contact reaches beyond the view"):
+        calibrate_sensor(nominal([*shown[:3], *frames([(9.8, 0.0)])[1:]]), "unseen", RADIUS_MM)
+
+
+def test_of_many_presses_twenty_are_fitted(shown: list[np.ndarray]) -> None:
+    """They are spread over all; the others are judged only."""
+    fitted, others = divided(list(range(45)))
+    assert (len(fitted), len(others)) == (20, 25)
+    assert (fitted[0], fitted[-1]) == (0, 44)
+    assert divided([1, 2, 3]) == ([1, 2, 3], [])

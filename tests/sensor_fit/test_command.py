@@ -1,0 +1,72 @@
+"""`gelgate calibrate --simulator`, from pictures to a simulated dataset of that sensor."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, renderer, write_frames
+from command_line import Outcome, gelgate
+
+from calibration.simulator.sensor_file import read_sensor
+
+SCENE = """version = 1
+name = "mine"
+part = "PZ3"
+positions = ["pos1"]
+effects = ["deformation", "illumination"]
+[nominal]
+specimens = 1
+presses = 1
+"""
+
+
+def calibrate(folder: Path, *more: object) -> Outcome:
+    presses, free = folder / "presses", folder / "free.png"
+    return gelgate("calibrate", presses, "--no-contact", free, "--ball-radius-mm", RADIUS_MM, "-o", *more)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("balls")
+    write_frames(made, [*frames(PLACES_MM[:3]), renderer().free_gel(("again",))])
+    return made
+
+
+def test_presses_give_a_sensor_that_is_simulated(folder: Path, tmp_path: Path) -> None:
+    """The file and its picture are written, a picture without contact is named, and `simulate` reads the file."""
+    file = tmp_path / "mine.toml"
+    done = calibrate(folder, file, "--simulator")
+    assert done.code == 0, done.err
+    assert "left out: presses/04.png: no contact was found in it" in done.out
+    assert "3 presses held out, 3 of them by folds" in done.out
+    assert (tmp_path / "mine.png").stat().st_size > 10_000
+    seen = read_sensor(file).appearance
+    drawn, own = (renderer(sensor=one).free_gel().astype(np.float32) for one in (seen, UNSEEN))
+    assert np.abs(drawn - own).mean() < 2
+    done = gelgate(
+        "simulate", "small", "-o", tmp_path / "data", "--presses", 1, "--sensor", file, "--preview"
+    )
+    assert done.code == 0, done.err
+
+
+def test_without_a_subject_it_is_refused(folder: Path, tmp_path: Path) -> None:
+    """Only the simulator is calibrated, and it is named."""
+    assert calibrate(folder, tmp_path / "a.toml").sentence() == (
+        "nothing to calibrate is named; give --simulator"
+    )
+
+
+def test_an_existing_file_is_kept(folder: Path, tmp_path: Path) -> None:
+    """The sentence names the option that replaces it."""
+    (tmp_path / "a.toml").write_text("mine")
+    assert (
+        "or replace it with --overwrite" in calibrate(folder, tmp_path / "a.toml", "--simulator").sentence()
+    )
+    assert (tmp_path / "a.toml").read_text() == "mine"
+
+
+def test_the_files_name_ends_in_toml(folder: Path, tmp_path: Path) -> None:
+    """A scene tells a file from a name by it."""
+    assert calibrate(folder, tmp_path / "a", "--simulator").sentence() == (
+        "a sensor's file ends in .toml, found 'a'"
+    )

@@ -1,0 +1,34 @@
+"""The free gel of a sensor: its noise and its marker dots."""
+
+import numpy as np
+import pytest
+from ball_presses import renderer
+
+from calibration.sensor_fit.free_gel import fit_noise, has_markers, marker_dots
+from calibration.simulator.camera import noise
+from calibration.simulator.field_of_view import F32, LR
+
+
+def planes(rgb: np.ndarray) -> F32:
+    return rgb.transpose(2, 0, 1).astype(np.float32)
+
+
+def test_the_noise_that_was_added_is_found() -> None:
+    """Sd 1.0, 2.0 and 3.0 at a level of 60: found within a tenth, whatever dirt both frames show."""
+    dirt = np.random.default_rng(1).normal(0, 5, (3, *LR.shape)).astype(np.float32)
+    free = np.full((3, *LR.shape), 60, np.float32)
+    drawn = [noise(free + dirt, np.random.default_rng(k), (1.0, 2.0, 3.0)) - free for k in range(3)]
+    everywhere = np.ones(LR.shape, np.bool_)
+    assert fit_noise(drawn, [everywhere] * 3, (60, 60, 60)) == pytest.approx((1, 2, 3), rel=0.1)
+
+
+def test_a_marker_gel_is_told_from_a_plain_one() -> None:
+    """63 dots are markers; grain and dust are not."""
+    assert has_markers(planes(renderer(markers=True).free_gel()))
+    assert not has_markers(planes(renderer().free_gel()))
+
+
+def test_marker_dots_cover_the_dots() -> None:
+    """7 x 9 dots of 6 pixels radius, with a rim, and no more than a quarter of the view."""
+    dots = marker_dots(planes(renderer(markers=True).free_gel()))
+    assert 63 * 36 * np.pi < dots.sum() < 0.25 * dots.size
