@@ -35,7 +35,9 @@ def calibrate(
     pattern: Pattern = None,
     overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
 ) -> None:
-    """Fit the simulator to a sensor, from about 20 presses of a ball and a picture of the free gel.
+    """Fit the simulator to a sensor, from presses of a ball.
+
+    Ten to twenty presses, spread over the view, and a picture of the free gel.
 
     Each press is also simulated by a fit without it; the error inside contact is printed, in grey levels rms, and a
     picture next to the file shows real, simulated and difference. `gelgate simulate --sensor FILE` reads the file.
