@@ -1,7 +1,7 @@
 """Probabilities and quantiles against scipy, over the range that gauge studies have."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -10,6 +10,7 @@ from calibration.gauge_study import distributions as d
 DF = st.floats(0.5, 500)
 
 
+@settings(deadline=None)
 @given(st.floats(1e-3, 1e4), DF, DF)
 def test_the_tail_of_f(value: float, df1: float, df2: float) -> None:
     """As scipy's survival function."""
@@ -18,6 +19,7 @@ def test_the_tail_of_f(value: float, df1: float, df2: float) -> None:
     )
 
 
+@settings(deadline=None)
 @given(st.floats(1e-3, 1e3) | st.floats(-1e3, -1e-3), DF)
 def test_the_tails_of_t(value: float, df: float) -> None:
     """Both together."""
@@ -26,6 +28,7 @@ def test_the_tails_of_t(value: float, df: float) -> None:
     )
 
 
+@settings(deadline=None)
 @given(st.floats(0.6, 0.999), st.floats(1, 500))
 def test_the_quantile_of_t(probability: float, df: float) -> None:
     """By bisection."""
@@ -34,6 +37,7 @@ def test_the_quantile_of_t(probability: float, df: float) -> None:
     )
 
 
+@settings(deadline=None)
 @given(st.integers(0, 200), st.integers(1, 200))
 def test_exact_limits_of_a_share(found: int, more: int) -> None:
     """Clopper and Pearson, and Wilson."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.core.reference_press.control_chart import Limits, Signal, signals
@@ -21,6 +21,7 @@ def test_the_limits_are_those_of_the_published_example() -> None:
     assert (limits.low, limits.high) == pytest.approx((45.8159, 55.8041), abs=1e-4)
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=30), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
 def test_limits_move_with_the_values(values: list[float], shift: float, scale: float) -> None:
     """Another zero and another unit give the same chart."""
