@@ -69,6 +69,13 @@ def test_a_mask_stays_as_long_as_its_place_exceeds() -> None:
     assert np.array_equal(unseen.masked, spot())
 
 
+def test_one_press_that_exceeds_begins_the_count_of_quiet_ones_again() -> None:
+    """Twice seventeen quiet presses with one between them forget nothing."""
+    record = ScarRecord.empty(SHAPE).after(spot(), EVERYWHERE, spot(), None)
+
+    assert np.array_equal(pressed(pressed(pressed(record, 17), 1, spot()), 17).masked, spot())
+
+
 def test_an_unknown_place_has_no_repeats() -> None:
     """Neither has no place at all."""
     record = pressed(ScarRecord.empty(SHAPE), 5)
