@@ -65,7 +65,7 @@ def raised(planes: F32, surface_mm: F32, per_mm: F32) -> F32:
     """The planes with what a raised gel returns more, being nearer to the lights: float32 (3, h, w).
 
     per_mm: float32 (3, h, w), grey levels per mm. Fitted to ball presses, whose flat middle is brighter than the free
-    gel; without it a third of the error inside contact remains (docs/simulator.md).
+    gel; without it the error inside contact is 1.4 to 1.5 times as large (docs/simulator.md).
     """
     for plane, factor in zip(planes, per_mm, strict=True):
         plane += factor * surface_mm

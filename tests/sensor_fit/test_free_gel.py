@@ -1,12 +1,15 @@
 """The free gel of a sensor: its noise and its marker dots."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from ball_presses import renderer
+from ball_presses import UNSEEN, renderer
 
 from calibration.sensor_fit.free_gel import fit_noise, has_markers, marker_dots
 from calibration.simulator.camera import noise
 from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.renderer import Renderer
 
 
 def planes(rgb: np.ndarray) -> F32:
@@ -22,7 +25,16 @@ def test_the_noise_that_was_added_is_found() -> None:
     assert fit_noise(drawn, [everywhere] * 3, (60, 60, 60)) == pytest.approx((1, 2, 3), rel=0.1)
 
 
-def test_a_marker_gel_is_told_from_a_plain_one() -> None:
+def test_a_renderer_draws_the_noise_of_its_sensor() -> None:
+    """None where the sensor has none; with 6 levels the green differs by more than 2."""
+    quiet, noisy = (replace(UNSEEN, noise_sd=(0.0, sd, 0.0)) for sd in (0.0, 6.0))
+    drawn = [Renderer(LR, ("illumination", "noise"), one).free_gel().astype(float) for one in (quiet, noisy)]
+    spread = (drawn[1] - drawn[0]).std(axis=(0, 1))
+    assert spread[1] > 2
+    assert spread[0] == spread[2] == 0
+
+
+def test_a_marker_gel_differs_from_a_plain_one() -> None:
     """63 dots are markers; grain and dust are not."""
     assert has_markers(planes(renderer(markers=True).free_gel()))
     assert not has_markers(planes(renderer().free_gel()))
