@@ -70,3 +70,12 @@ def test_scores_that_cannot_be_read_are_said(fit: Fitted) -> None:
 
     assert found.bound is None
     assert "cannot be read" in found.why
+
+
+def test_a_threshold_that_was_given_promises_no_rate(fit: Fitted) -> None:
+    """So no second press can be planned by it."""
+    given = fit.manifest.threshold.model_copy(update={"nominal_scores": (), "alpha_floor": 1.0})
+    found = plan_for(fit.manifest.model_copy(update={"threshold": given}), Costs(1, 1, 1, 0.1))
+
+    assert found.bound is None
+    assert "the threshold was given" in found.why

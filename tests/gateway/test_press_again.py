@@ -11,10 +11,15 @@ from typing import Any
 
 import pytest
 from command_line import gelgate
+from small_recordings import FakeClock
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
+from edge.core.press_again import Costs
+from edge.gateway.inspector import Inspection
+from edge.gateway.press_again import AgainRule, PressAgain
+from edge.model.bundle import Bundle
 from edge.store.integrity import check_database
 
 KNOWN = {
@@ -176,3 +181,18 @@ def test_inspect_states_what_one_more_press_brings(again_bundle: Path, bundle: P
 
     assert "press again" in stated.out
     assert "never: the bundle has no scores" in old.out
+
+
+def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bundle: Path) -> None:
+    """Both lie above, so the piece fails, with the score of its second press."""
+    bundle = Bundle.load(again_bundle)
+    rule = AgainRule(True, Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01), 30.0)
+    again = PressAgain(rule, FakeClock(), lambda sentence: None)
+    again.use(bundle)
+    first = again.judged(Inspection(bundle.manifest.decide(0.2)))
+    again.recorded("01ARZ3NDEKTSV4RRFFQ69G5FAV")
+    second = again.judged(Inspection(bundle.manifest.decide(0.3)))
+
+    assert (first.word, second.word) == ("unsure", "fail")
+    assert second.verdict is not None
+    assert (second.verdict.score, second.again and second.again.first_score) == (0.3, 0.2)
