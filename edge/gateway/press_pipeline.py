@@ -152,7 +152,9 @@ class PressPipeline:
         if frame is None:
             return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)
-        if self._scars is not None:
+        if self._scars is not None and self._label is not None:
+            self._scars.leave_out(self.tracker)
+        elif self._scars is not None:
             inspection = self._scars.judge(inspection, self._inspector.bundle, self.tracker)
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
         # A frame that was made on demand has its recorded time.

@@ -81,6 +81,10 @@ class ScarWatch:
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return masked(inspection, self._findings(inspection, judged), bundle)
 
+    def leave_out(self, tracker: ContactTracker) -> None:
+        """A press that is no part's: one piece pressed again and again at one place would look like a scar."""
+        self._left = tracker.chosen_imprint
+
     def save(self) -> None:
         """Keep the record where it is due. Never raises."""
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
