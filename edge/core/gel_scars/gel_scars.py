@@ -33,8 +33,9 @@ Mask = NDArray[np.bool_]
 _HALO_PX: Final = 8
 # The mask is 0.25 mm wider than what exceeded: the next press shows the scar slightly larger.
 _WIDER: Final = np.ones((5, 5), np.uint8)
-# Above the limit by less than this share of it, a press fails slightly: a mark that grows slowly has come that far.
-_SLIGHT: Final = 0.8
+# Above the limit by less than it at the peak, and by less than this in the sum over pixels of the view, a press fails
+# slightly: a mark that grows slowly has come that far.
+_SLIGHT, _SLIGHT_SUM = 1.0, 20.0
 # A mark is as it was in quiet presses where this share of its change is not above theirs.
 _GROWN: Final = 0.75
 
@@ -133,7 +134,8 @@ class GelScars:
 
     def _causing(self, press: ScoredPress, excess: F32, marked: Mask, change: F32) -> Mask:
         """The marks that may be the cause: one that was there in quiet presses does not cause a clear fail."""
-        if float(excess.max()) <= _SLIGHT * abs(press.limit):
+        limit = abs(press.limit)
+        if float(excess.max()) <= _SLIGHT * limit and float(excess.sum()) <= _SLIGHT_SUM * limit:
             return marked
         return np.asarray(marked & (change * np.float32(_GROWN) > self.record.harmless))
 

@@ -77,8 +77,10 @@ def test_a_place_that_stays_while_the_part_moves_is_a_scar() -> None:
 
 
 def test_a_mark_with_which_presses_were_quiet_does_not_explain_a_clear_fail() -> None:
-    """It has been there before; one that grew by more than a third since does, and a slight fail is the mark's."""
-    for levels, height, cause in ((20, 5, Cause.PART), (35, 5, Cause.GEL), (20, 1.5, Cause.GEL)):
+    """It has been there before; one that grew by more than a third since does, and a slight fail is the mark's: low,
+    and not wide."""
+    rises = ((20, 5, Cause.PART), (35, 5, Cause.GEL), (20, 0.95, Cause.GEL), (20, 1.5, Cause.PART))
+    for levels, height, cause in rises:
         gel = GelScars(first=FREE)
         for _ in range(3):
             assert gel.judge(press(), marked(20)).blame is None
