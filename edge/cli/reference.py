@@ -47,12 +47,15 @@ def press(
     from edge.cli.gel import user
     from edge.clock import SystemClock
     from edge.config import load_config
+    from edge.core.errors import ConfigError
     from edge.core.reference_press.charts import Outcome, judge
     from edge.store.press_store import Store
     from edge.store.reference_presses import ReferenceRequest
     from edge.store.ulid import new_ulid
 
     loaded = None if database is not None else load_config(config)
+    if loaded is not None and not loaded.reference.pieces:
+        raise ConfigError(f"{config} names no master piece; name one under [[reference.pieces]]")
     path = _existing(database or load_config(config).store.path)
     clock = SystemClock()
     now_ns = clock.time_ns()
@@ -126,6 +129,7 @@ def asked(
 
     before = store.read("reading the reference presses", table.newest_number)
     store.write("asking for a reference press", partial(table.ask, wish=wish))
+    say(f"asked; a gateway takes it within {TAKEN_WITHIN_S:g} s while the gel is free")
 
     def outcome() -> "Act | None":
         return next((act for act in store.acts() if act.request == wish.request), None)

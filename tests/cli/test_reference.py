@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import gelgate
 from recorded_presses import T0
+from station import station_config
 
 from edge.cli.reference import asked
 from edge.core.errors import GelgateError
@@ -151,7 +152,8 @@ def test_a_press_that_is_asked_for_is_waited_for(database: Path) -> None:
         turns = (lambda: None, lambda: acted(store, "done"), lambda: None, lambda: record(store, 7, 0.4))
         found = asked(store, Gateway(*turns), wish(), said.append, 60)
 
-    assert said == ["press the master piece M1"]
+    assert said[0].startswith("asked; a gateway takes it within 30 s")
+    assert said[1:] == ["press the master piece M1"]
     assert (len(found), found[-1].score) == (8, 0.4)
 
 
@@ -174,3 +176,12 @@ def test_a_press_that_does_not_come_is_said(database: Path) -> None:
     """After the configured time."""
     with Store(database) as store, pytest.raises(GelgateError, match="no reference press came within 5 s"):
         asked(store, Gateway(lambda: acted(store, "done")), wish(), print, 5)
+
+
+def test_a_station_without_master_pieces_is_not_asked(tmp_path: Path) -> None:
+    """It is refused at once, without waiting for a gateway."""
+    config = station_config(tmp_path, tmp_path / "presses", tmp_path / "bundle")
+    done = gelgate("reference", "press", "--config", config)
+
+    assert done.code == 3
+    assert "names no master piece" in done.err
