@@ -24,14 +24,15 @@ page-pictures: $(VENV)/.test
 tradeoff: $(VENV)/.test
 	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 
-# A process for each core, at most eight; `make test PROCESSES=0` runs the tests in one.
-PROCESSES ?= auto
+# One process more than cores, for half of the time of a test is waiting; at most eight. `make test PROCESSES=0` runs the
+# tests in one.
+PROCESSES ?= $(shell expr $$(nproc) + 1)
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_fuzz.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_fuzz.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
 
 # 400 damaged files of each kind through the readers of `gelgate export`; the tests try twelve.
 test-fuzz: $(VENV)/.train
