@@ -7,38 +7,18 @@ import numpy as np
 import onnx.parser
 import pytest
 import tiny
+from tiny_fit import config, presses
 
-from calibration.fitting.bundle_measurements import contact_range, scatter_warnings
-from calibration.fitting.fit import FitConfig, fit_bundle, fit_files
+from calibration.fitting.bundle_measurements import scatter_warnings
+from calibration.fitting.fit import fit_bundle, fit_files
 from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.trunks import Trunk, open_trunk
-from edge import registry
+from calibration.fitting.trunks import Trunk
 from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Grid, Nominal, Progress
-from edge.core.errors import BundleCorrupt, ConfigError, FitError
+from edge.core.errors import BundleCorrupt, FitError
 from edge.model.bundle import Bundle
-from edge.model.onnx_validation import output_names
 from edge.model.promise import promise
 from edge.model.scorer import Scorer
-from plugins.backbones.random import random_state
-from plugins.backbones.resnet import build_trunk
-
-
-def presses(n: int, **changes: object) -> NominalPresses:
-    frames = tiny.presses(n)
-    return dataclasses.replace(NominalPresses(frames, tuple(f"press {k}" for k in range(n))), **changes)  # type: ignore[arg-type]
-
-
-def config(**changes: object) -> FitConfig:
-    whole = FitConfig(
-        part="bolt",
-        position="crest",
-        profile=tiny.PROFILE,
-        region=tiny.REGION,
-        detector=tiny.TINY,
-        trunk=Trunk("tiny", tiny.tiny_trunk()),
-    )
-    return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
 
 
 class WatchedDetector(tiny.TinyDetector):
@@ -332,29 +312,6 @@ def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None
     assert Scorer(Bundle.load(path)).check_golden() == 0.0
 
 
-def test_the_contact_area_is_not_open_below() -> None:
-    """Nominal contacts of 4 to 30 %: one of 1.9 % is refused, although the span is wide."""
-    touches = tuple(Touch(area) for area in (0.04, 0.3, 0.2))
-    found = contact_range(presses(3, touches=touches))
-    assert found is not None
-    assert found.area == pytest.approx((0.02, 0.43))
-
-
-def test_contact_range_holds_the_nominal_presses_and_not_one_far_away() -> None:
-    """Off-position presses are detected by centroid and area."""
-    touches = tuple(Touch(0.10 + 0.01 * k, 0.50 + 0.01 * k, 0.40) for k in range(4))
-    contact = fit_files(presses(4, touches=touches), config(), created="").manifest.contact
-    assert contact is not None
-
-    def holds(touch: Touch) -> bool:
-        return all(low <= getattr(touch, name) <= high for name, (low, high) in contact.model_dump().items())
-
-    assert all(holds(touch) for touch in touches)
-    assert holds(Touch(0.12, 0.55, 0.42))
-    assert not holds(Touch(0.12, 0.80, 0.40))
-    assert not holds(Touch(0.50, 0.50, 0.40))
-
-
 def test_the_detector_is_given_touch_and_free_gel() -> None:
     """The detector gets all data: the touched area and the features of the free gel, in folds as well."""
     seen: list[Nominal] = []
@@ -403,42 +360,6 @@ def test_an_existing_bundle_is_refused_before_the_work(tmp_path: Path) -> None:
         fit_bundle(
             tmp_path / "bolt", presses(4), config(), created="", report=lambda s, f: pytest.fail("it began")
         )
-
-
-def test_a_trunk_comes_from_a_file_or_by_name(tmp_path: Path) -> None:
-    """A path ends in .onnx; a name is an installed backbone; anything else is a sentence with the known names."""
-    (tmp_path / "mine.onnx").write_bytes(tiny.tiny_trunk())
-    assert open_trunk(str(tmp_path / "mine.onnx")).id == "mine"
-    with pytest.raises(FitError, match="cannot be read"):
-        open_trunk(str(tmp_path / "none.onnx"))
-    with pytest.raises(ConfigError, match=r"no backbone is named 'renset'; known: .*tactile_resnet18"):
-        open_trunk("renset")
-
-
-class Resnet18:
-    """A backbone that can give any tap, and usually gives layer1 and layer2."""
-
-    def trunk(self, taps: tuple[str, ...] = ("layer1", "layer2")) -> bytes:
-        return build_trunk(random_state("resnet18"), "resnet18", taps)
-
-
-def test_a_backbone_may_know_what_its_weights_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its facts go into the manifest; a backbone without facts also works."""
-    assert str(open_trunk("tactile_resnet18").facts["weights"]).startswith("trained on simulated presses")
-    monkeypatch.setattr(registry, "names", lambda group: ["mine"])
-    monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
-    assert open_trunk("mine").facts == {}
-
-
-def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The usual trunk is kept where it has the taps, so that parts with the same depth share one file."""
-    monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
-    monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
-    usual = open_trunk("mine")
-    assert open_trunk("mine", ("layer2",)).sha256 == usual.sha256
-    deep = open_trunk("mine", ("layer2.0",))
-    assert output_names(deep.graph) == ["layer2.0"]
-    assert deep.facts["taps"] == ["layer2.0"]
 
 
 def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> None:

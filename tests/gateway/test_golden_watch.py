@@ -1,0 +1,73 @@
+"""Golden frames of a running station: scored after every change and every hour; no verdict while they fail."""
+
+from pathlib import Path
+
+import pytest
+from parts import parts_config, retained, turns, two_parts
+from station import Motion, press_recording
+from stepped_station import SteppedStation
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.part_position import PartPosition
+from edge.gateway.opening import BundleOpener
+
+PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, bundle: Path) -> Path:
+    return two_parts(tmp_path / "bundles", bundle)
+
+
+def test_golden_frames_are_scored_after_every_change_and_every_hour(
+    tmp_path: Path, folder: Path, bundle: Path
+) -> None:
+    """A bundle whose frames score otherwise gives no verdict, and the station says so; it heals by itself."""
+    recording = press_recording(tmp_path / "presses", 1, motion=Motion(idle=12), seed=5)
+    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        scorer = station.loop.selection.inspector.scorer
+        mean = scorer._bank["mean"].numpy().copy()
+        scorer._bank["mean"].update_inplace(mean + 1)
+        turns(station, 3)
+        assert retained(station, "alarm/golden") is None
+
+        station.clock.sleep(3601)
+        turns(station, len(scorer.bundle.golden))
+        assert "golden frame 0" in str(retained(station, "alarm/golden"))
+        assert (retained(station, "state") or {})["state"] == "halted"
+        assert station.loop.selection.inspector.fault is not None
+
+        before = station.loop.selection.bundles
+        again = BundleOpener(None, 1, SystemClock()).open(load_config(config).inspection, before).bundles
+        assert [again[part].inspector is before[part].inspector for part in (PZ0, PZ1)] == [False, True]
+
+        scorer._bank["mean"].update_inplace(mean)
+        station.clock.sleep(61)
+        turns(station, len(scorer.bundle.golden))
+        assert retained(station, "alarm/golden") is None
+        assert station.loop.selection.inspector.fault is None
+
+        other = station.loop.selection.bundles[PZ1].inspector.scorer
+        other._bank["mean"].update_inplace(mean + 1)
+        station.loop.select_part("PZ1")
+        turns(station, len(scorer.bundle.golden))
+        assert "golden frame 0" in str(retained(station, "alarm/golden"))
+        station.loop.select_part("PZ0")
+        assert retained(station, "alarm/golden") is None
+
+
+def test_no_press_has_a_verdict_while_golden_frames_fail(
+    tmp_path: Path, recording: Path, folder: Path
+) -> None:
+    """Each is an error with the reason, and is counted."""
+    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.has_session)
+        station.loop.selection.inspector.fault = "golden frame 0 scores 9"
+        station.play()
+
+        assert [report.result.error for report in station.reports] == ["golden frame 0 scores 9"] * 3
+        assert [report.result.verdict for report in station.reports] == [None] * 3
