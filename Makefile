@@ -40,7 +40,7 @@ test-fuzz: $(VENV)/.train
 
 # Files that the newest anomalib writes now, imported and compared with what anomalib computes.
 test-importers: $(VENV)/.test $(VENV)-importers/.made
-	$(BIN)/pytest tests/export/importers -m "importers or not bench"
+	GELGATE_IMPORTERS_PYTHON=$(abspath $(VENV)-importers/bin/python) $(BIN)/pytest tests/export/importers -m "importers or not bench"
 
 # Two thousand mutated files through every importer; the tests try 180.
 fuzz-importers: $(VENV)/.test
@@ -48,7 +48,7 @@ fuzz-importers: $(VENV)/.test
 
 # PaDiM and PatchCore are trained by anomalib on simulated presses, imported, and inspect on the virtual sensor.
 demo-import: $(VENV)/.test $(VENV)-importers/.made
-	$(BIN)/pytest tests/bench/test_imported.py -m bench -s
+	GELGATE_IMPORTERS_PYTHON=$(abspath $(VENV)-importers/bin/python) $(BIN)/pytest tests/bench/test_imported.py -m bench -s
 
 # From a station to a verdict in Node-RED, step by step, and Home Assistant's own check of the discovery message. Needs node,
 # and for Home Assistant a Python that it supports (HOME_ASSISTANT_PYTHON); what is absent is skipped with a message.
