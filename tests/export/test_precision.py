@@ -190,7 +190,8 @@ def test_the_command(plain: Bundle, tmp_path: Path) -> None:
     ]
     done = CliRunner().invoke(build(), command, catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    assert "chosen: float" in done.output
-    assert Bundle.load(tmp_path / "out").manifest.facts["precision"]["chosen"].startswith("float")
+    choice = Bundle.load(tmp_path / "out").manifest.facts["precision"]["chosen"]
+    assert choice in ("float32", "float16", "int8")  # which one is the fastest is a fact of the machine
+    assert f"chosen: {choice}\n" in done.output
     with pytest.raises(ConfigError, match="--precision is auto, float32, float16, int8; found 'int4'"):
         CliRunner().invoke(build(), [*command, "--precision", "int4", "--overwrite"], catch_exceptions=False)
