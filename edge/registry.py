@@ -7,7 +7,7 @@ of its group (`edge.core.plugins`) is refused here, so that no other code has to
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar
 
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
@@ -52,6 +52,8 @@ Group: TypeAlias = Literal[
 PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks", "triggers", "actuators"]
 """The groups with a table in the configuration."""
 
+P = TypeVar("P")
+
 
 class HasOptions(Protocol):
     """What the plugins of every `PluginGroup` have."""
@@ -74,71 +76,51 @@ def device(name: str) -> "DevicePlugin[BaseModel]":
     Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for
     a plugin that cannot be loaded; and for an object without the protocol of this group.
     """
-    return _source("devices", name)
+    from edge.core.plugins import DevicePlugin
+
+    return _plugin("devices", name, DevicePlugin)
 
 
 def overview(name: str) -> "DevicePlugin[BaseModel]":
     """The overview camera's plugin of that name. Errors: as `device`."""
-    return _source("overviews", name)
-
-
-def _source(group: Group, name: str) -> "DevicePlugin[BaseModel]":
     from edge.core.plugins import DevicePlugin
 
-    found = _load(group, name)
-    if isinstance(found, DevicePlugin):
-        return found
-    raise _no_plugin(group, name, found, DevicePlugin)
+    return _plugin("overviews", name, DevicePlugin)
 
 
 def sink(name: str) -> "SinkPlugin[BaseModel]":
     """The sink plugin of that name. Errors: as `device`."""
     from edge.core.plugins import SinkPlugin
 
-    found = _load("sinks", name)
-    if isinstance(found, SinkPlugin):
-        return found
-    raise _no_plugin("sinks", name, found, SinkPlugin)
+    return _plugin("sinks", name, SinkPlugin)
 
 
 def trigger(name: str) -> "TriggerPlugin[BaseModel]":
     """The plugin of pedals and buttons of that name. Errors: as `device`."""
     from edge.core.plugins import TriggerPlugin
 
-    found = _load("triggers", name)
-    if isinstance(found, TriggerPlugin):
-        return found
-    raise _no_plugin("triggers", name, found, TriggerPlugin)
+    return _plugin("triggers", name, TriggerPlugin)
 
 
 def actuator(name: str) -> "ActuatorPlugin[BaseModel]":
     """The plugin of lights and relays of that name. Errors: as `device`."""
     from edge.core.plugins import ActuatorPlugin
 
-    found = _load("actuators", name)
-    if isinstance(found, ActuatorPlugin):
-        return found
-    raise _no_plugin("actuators", name, found, ActuatorPlugin)
+    return _plugin("actuators", name, ActuatorPlugin)
 
 
 def detector(name: str) -> "Detector":
     """The detector of that name. Errors: as `device`."""
     from edge.core.detector import Detector
 
-    found = _load("detectors", name)
-    if isinstance(found, Detector):
-        return found
-    raise _no_plugin("detectors", name, found, Detector)
+    return _plugin("detectors", name, Detector)
 
 
 def backbone(name: str) -> "Backbone":
     """The backbone of that name. Errors: as `device`."""
     from edge.core.plugins import Backbone
 
-    found = _load("backbones", name)
-    if isinstance(found, Backbone):
-        return found
-    raise _no_plugin("backbones", name, found, Backbone)
+    return _plugin("backbones", name, Backbone)
 
 
 def importer(name: str) -> object:
@@ -178,6 +160,18 @@ def _points(group: Group) -> Mapping[str, list[EntryPoint]]:
     return found
 
 
+def _plugin(group: Group, name: str, protocol: type[P]) -> P:
+    found = _load(group, name)
+    if isinstance(found, protocol):
+        return found
+    members = {*vars(protocol), *vars(protocol).get("__annotations__", {})}
+    lacking = sorted(one for one in members if not one.startswith("_") and not hasattr(found, one))
+    raise ConfigError(
+        f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
+        f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
+    )
+
+
 def _load(group: Group, name: str) -> object:
     points = _points(group).get(name, [])
     if not points:
@@ -199,12 +193,3 @@ def _load(group: Group, name: str) -> object:
 
 def _package(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else "an unknown package"
-
-
-def _no_plugin(group: Group, name: str, found: object, protocol: type) -> ConfigError:
-    members = {*vars(protocol), *vars(protocol).get("__annotations__", {})}
-    lacking = sorted(one for one in members if not one.startswith("_") and not hasattr(found, one))
-    return ConfigError(
-        f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
-        f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
-    )
