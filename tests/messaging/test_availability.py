@@ -88,6 +88,7 @@ def test_a_second_connection_that_is_lost_alone_is_opened_again(
     listener = listen(mosquitto)
     sink = open_sink(mosquitto)
     listener.wait_for(says(b"online"))
+    sink.send(Message("result", b"{}"))  # returns when the first connection is in use
     first = sink._connection
 
     take_its_client_id(mosquitto)
