@@ -199,10 +199,13 @@ class Acquisition:
         self._corrupt_in_a_row, self._last_ns = 0, self._clock.monotonic_ns()
 
     def _read(self, device: Device) -> None:
-        """One read. Waits are short, so that `close` does not wait for a stalled sensor."""
-        deadline_ns = self._last_ns + self._stall_ns
+        """One read. Waits are short, so that `close` does not wait for a stalled sensor.
+
+        The time without a frame ends with a read that waited: after a pause of this computer frames are there.
+        """
+        stalled_ns = self._last_ns + self._stall_ns
         try:
-            frame = device.read(min(deadline_ns, self._clock.monotonic_ns() + _LONGEST_WAIT_NS))
+            frame = device.read(self._clock.monotonic_ns() + _LONGEST_WAIT_NS)
         except FrameCorrupt:
             self._corrupt_in_a_row += 1
             self._count_corrupt()
@@ -210,7 +213,7 @@ class Acquisition:
                 raise
             return
         except DeviceStalled:
-            if self._clock.monotonic_ns() >= deadline_ns:
+            if self._clock.monotonic_ns() >= stalled_ns:
                 raise
             return
         self._corrupt_in_a_row = 0

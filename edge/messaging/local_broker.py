@@ -21,7 +21,7 @@ __all__ = ["BrokerKind", "LocalBroker", "available_brokers"]
 BrokerKind = Literal["mosquitto", "amqtt"]
 
 # mosquitto accepts after about 30 ms, amqtt after 300 ms on an idle desktop processor; a loaded gateway is slower.
-START_TIMEOUT_S: Final = 20.0
+START_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
 
 _MOSQUITTO: Final = "listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{extra}\n"
@@ -52,11 +52,12 @@ def available_brokers() -> list[BrokerKind]:
 class LocalBroker:
     """A broker process. `start` returns once it accepts connections; `stop` ends it; both may be repeated.
 
-    port None takes a free one, and every later start takes the same. extra: more lines for mosquitto's file.
+    Its port is a free one, which no other program gets before `close`, not even while the broker is stopped.
+    extra: more lines for mosquitto's file.
     Errors: SinkUnavailable if no broker is installed or it does not start.
     """
 
-    def __init__(self, kind: BrokerKind | None = None, port: int | None = None, extra: str = "") -> None:
+    def __init__(self, kind: BrokerKind | None = None, extra: str = "") -> None:
         available = available_brokers()
         if not available or (kind is not None and kind not in available):
             raise SinkUnavailable(
@@ -65,7 +66,8 @@ class LocalBroker:
             )
         self.host = "127.0.0.1"
         self.kind: BrokerKind = kind or available[0]
-        self.port = port or _free_port()
+        self._reserved = _reserved_port()
+        self.port = int(self._reserved.getsockname()[1])
         self._extra = extra
         self._folder = tempfile.TemporaryDirectory(prefix="gelgate-broker-")
         self._process: subprocess.Popen[bytes] | None = None
@@ -107,8 +109,9 @@ class LocalBroker:
         self._end(lambda process: process.kill())
 
     def close(self) -> None:
-        """Stop it and remove its files."""
+        """Stop it, remove its files, and give up its port."""
         self.stop()
+        self._reserved.close()
         self._folder.cleanup()
 
     def __enter__(self) -> Self:
@@ -146,7 +149,12 @@ class LocalBroker:
         return True
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def _reserved_port() -> socket.socket:
+    """A socket at a free port, which does not listen: the system gives this port only to a program that names it.
+
+    The broker may listen there, for it allows that its address is reused. Ref: socket(7), SO_REUSEADDR; seen on Linux.
+    """
+    reserved = socket.socket()
+    reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reserved.bind(("127.0.0.1", 0))
+    return reserved

@@ -50,6 +50,9 @@ _PACKET_OVERHEAD_BYTES: Final = 128
 # as one of 3.1.1, and waits for bytes that never come.
 _LEVEL_TRIAL_S: Final = 2.0
 
+# The library's thread writes the DISCONNECT within this time, also on a loaded gateway; else the will is published.
+_DISCONNECT_S: Final = 2.0
+
 # Another client with the same client id has connected. Ref: MQTT 5.0, 3.14.2.1.
 _TAKEN_OVER: Final = 0x8E
 
@@ -193,7 +196,7 @@ class Connection:
         with self._changed:
             self.why_lost = self.why_lost or "closed here"
         self._client.disconnect()
-        self._await(lambda: self._is_lost, timeout_s=1.0)
+        self._await(lambda: self._is_lost, _DISCONNECT_S)
         self.abandon("closed here")
 
     def abandon(self, why: str) -> None:

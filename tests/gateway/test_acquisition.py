@@ -24,7 +24,7 @@ from edge.core.ports import Device, DeviceIdentity
 from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def quick() -> Backoff:
@@ -350,6 +350,26 @@ def test_the_reader_steps_without_a_thread_and_without_time() -> None:
     assert [frame.payload if frame else None for frame in taken] == [jpeg(0), jpeg(1), None]
     assert (acquisition.status.corrupt, acquisition.status.reconnects) == (1, 1)
     assert [device.closed for device in devices] == [1, 1]
+
+
+def test_a_pause_of_the_computer_is_not_the_sensors_silence() -> None:
+    """Suspended for three seconds, or as busy: the frames that wait are read, and the sensor is not opened again."""
+    clock = FakeClock()
+
+    class Punctual(ScriptedDevice):
+        def read(self, deadline_ns: int) -> CameraFrame:
+            if deadline_ns <= clock.monotonic_ns():
+                raise DeviceStalled("no time to look")
+            return super().read(deadline_ns)
+
+    acquisition = Acquisition(lambda: Punctual([jpeg(0), jpeg(1)], clock), clock)
+    for _ in range(2):
+        acquisition.step()
+    clock.sleep(3.0)
+    acquisition.step()
+    acquisition.close()
+
+    assert (acquisition.status.frames, acquisition.status.reconnects) == (2, 0)
 
 
 def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:

@@ -1,19 +1,15 @@
 """Requests to a running station, from any thread: trigger, relearn, replace_gel."""
 
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
 
-from edge.clock import SystemClock
-from edge.config import load_config
 from edge.core.errors import GelgateError
 from edge.gateway.command_table import station_handlers
-from edge.gateway.gateway import Gateway
-from edge.gateway.recorder import PressReport
 
 Refusals = (GelgateError, ValueError)
 
@@ -32,38 +28,38 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
 ) -> None:
     """No press, no verdict; one press, one verdict, for any number of requests; then the gel is replaced."""
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(hold=24, idle=10), seed=4)
-    config = load_config(
-        station_config(tmp_path / "station", recording, bundle, trigger="command", loop=True)
-    )
-    reports: list[PressReport] = []
-    answers: list[str] = []
-    stop = threading.Event()
+    config = station_config(tmp_path / "station", recording, bundle, trigger="command")
+    with SteppedStation(config) as station:
+        handlers = station_handlers(station.loop.calls)
 
-    def insist() -> None:
-        deadline = time.monotonic() + 40
-        while not any(report.result.verdict == "pass" for report in reports) and time.monotonic() < deadline:
-            answers.append(answered(lambda: ask["trigger"]({})))
-            time.sleep(0.02)
-        answers.append(answered(lambda: ask["trigger"]({})))
-        answers.append(answered(lambda: ask["replace_gel"]({"gel_id": "next", "limit_presses": 7})))
-        answers.append(answered(lambda: ask["replace_gel"]({"gel_id": "next"})))
-        stop.set()
+        def ask(verb: str, **arguments: object) -> str:
+            """Of another thread, while the loop has its turns."""
+            answers: list[str] = []
+            asker = threading.Thread(
+                target=lambda: answers.append(answered(lambda: handlers[verb](arguments)))
+            )
+            asker.start()
+            while asker.is_alive():
+                station.loop.step(None)
+            return answers[0]
 
-    with Gateway.open(config, SystemClock(), reports.append) as gateway:
-        ask = station_handlers(gateway.loop.calls)
-        asker = threading.Thread(target=insist)
-        asker.start()
-        gateway.run(stop)
-        asker.join()
-        *asked, repeated, replaced, again = answers
+        station.play_until(lambda: station.loop.has_session)
+        asked = [ask("trigger")]
+        while not station.reports:
+            station.play(1)
+            asked.append(ask("trigger"))
+        station.play(1)
+        repeated = ask("trigger")
+        replaced = ask("replace_gel", gel_id="next", limit_presses=7)
+        again = ask("replace_gel", gel_id="next")
+        gel = station.loop.session.gel
 
-    assert any(answer.startswith("nothing presses the gel") for answer in asked)
+    assert asked[0].startswith("nothing presses the gel")
     assert "" in asked
     assert repeated.startswith("this press has its verdict")
     assert replaced == ""
     assert again.startswith("gel 'next' was already used")
-    assert sum(report.result.verdict == "pass" for report in reports) == 1
-    gel = gateway.loop.session.gel
+    assert [report.result.verdict for report in station.reports] == ["pass"]
     assert (gel.gel_id, gel.limit_presses) == ("next", 7)
 
 

@@ -21,7 +21,7 @@ def test_a_full_disk_halts_the_station_and_loses_no_press(tmp_path: Path, bundle
     recording = press_recording(tmp_path / "presses", 2, seed=2)
     config = station_config(tmp_path, recording, bundle)
     done = subprocess.run(
-        [sys.executable, str(PROGRAM), str(config)], capture_output=True, text=True, timeout=120
+        [sys.executable, str(PROGRAM), str(config)], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])

@@ -1,10 +1,11 @@
 """Counters for Prometheus: every number of the stats, every alarm, on this machine alone."""
 
 import socket
-import urllib.request
 from pathlib import Path
 
 import pytest
+from page_messages import ask
+from ports import free_port
 from station import station_config
 from stepped_station import SteppedStation
 
@@ -19,17 +20,13 @@ T0 = 1_780_000_000 * 10**9
 
 @pytest.fixture
 def port() -> int:
-    """A port that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_port()
 
 
 def read(port: int) -> dict[str, float]:
     """Metric with its label, as a scrape reads it."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
-        text = answer.read().decode()
-    lines = (line.rpartition(" ") for line in text.splitlines() if not line.startswith("#"))
+    _, answer = ask(port, "/metrics")
+    lines = (line.rpartition(" ") for line in answer.decode().splitlines() if not line.startswith("#"))
     return {name: float(value) for name, _, value in lines}
 
 

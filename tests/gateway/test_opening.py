@@ -99,15 +99,15 @@ def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
     log = tmp_path / "out" / "messages.jsonl"
     stop = threading.Event()
     with Gateway.open(load_config(path), SystemClock(), lambda report: stop.set()) as gateway:
-        other = sqlite3.connect(tmp_path / "gelgate.db")
+        other = sqlite3.connect(tmp_path / "gelgate.db", timeout=60)
         with other:
             other.execute("CREATE TRIGGER no BEFORE INSERT ON gels BEGIN SELECT RAISE(FAIL, 'no room'); END")
 
         def repair() -> None:
-            deadline = time.monotonic() + 30
-            while '"state":"halted"' not in log.read_text() and time.monotonic() < deadline:
+            deadline = time.monotonic() + 60
+            while '"state":"halted"' not in log.read_text(errors="replace") and time.monotonic() < deadline:
                 time.sleep(0.02)
-            with sqlite3.connect(tmp_path / "gelgate.db") as connection:
+            with sqlite3.connect(tmp_path / "gelgate.db", timeout=60) as connection:
                 connection.execute("DROP TRIGGER no")
             connection.close()
 

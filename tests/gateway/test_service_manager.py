@@ -14,12 +14,12 @@ from edge.gateway.service_manager import ServiceManager
 
 
 class Manager:
-    """A socket as systemd makes it."""
+    """A socket as systemd makes it in a container: with a name of the kernel's, not of the file system's."""
 
-    def __init__(self, folder: Path) -> None:
-        self.path = str(folder / "notify")
+    def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(self.path)
+        self._socket.bind("")
+        self.path = "@" + self._socket.getsockname()[1:].decode()
         self._socket.setblocking(False)
 
     def heard(self) -> list[str]:
@@ -40,7 +40,7 @@ def test_a_run_is_ready_alive_and_stopping(
     """In that order; the reports come from the loop's own turns, and a manager that does not read stops nothing."""
     import threading
 
-    manager = Manager(tmp_path)
+    manager = Manager()
     monkeypatch.setenv("NOTIFY_SOCKET", manager.path)
     monkeypatch.setenv("WATCHDOG_USEC", "3")
     config = load_config(station_config(tmp_path / "station", recording, bundle))
@@ -54,9 +54,9 @@ def test_a_run_is_ready_alive_and_stopping(
     assert heard.count("WATCHDOG=1") > 3
 
 
-def test_it_is_reported_three_times_in_the_longest_silence(tmp_path: Path) -> None:
+def test_it_is_reported_three_times_in_the_longest_silence() -> None:
     """A turn every 0.2 s is not a message every 0.2 s."""
-    manager, clock = Manager(tmp_path), FakeClock()
+    manager, clock = Manager(), FakeClock()
     service = ServiceManager(clock, {"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "30000000"})
     for _ in range(300):
         service.alive()

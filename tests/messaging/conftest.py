@@ -11,7 +11,7 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Received
+from edge.messaging.mqtt_broker import Broker, Level, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -19,6 +19,9 @@ from plugins.sinks.mqtt_options import MqttOptions
 __all__ = ["make_press", "messages_of", "path", "store"]  # fixtures
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
+
+# Far more than a busy machine needs: only what never comes is waited for so long.
+PATIENCE_S = 60.0
 
 
 def require(kind: str) -> None:
@@ -50,9 +53,9 @@ class Listener:
     ) -> None:
         self._changed = threading.Condition()
         self.heard: list[Received] = []
-        level = None if broker.speaks_mqtt5 else "3.1.1"
+        level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
         self._connection = Connection.open(
-            Broker(broker.host, broker.port, client_id, level=level),
+            Broker(broker.host, broker.port, client_id, level=level, timeout_s=PATIENCE_S),
             on_received=self._note,  # type: ignore[arg-type]
         )
         self._connection.subscribe(topic_filter)
@@ -65,7 +68,7 @@ class Listener:
     def payloads(self, topic: str) -> list[bytes]:
         return [m.payload for m in self.heard if m.topic == f"{ROOT}/{topic}"]
 
-    def wait_for(self, is_heard: Callable[["Listener"], bool], timeout_s: float = 20.0) -> None:
+    def wait_for(self, is_heard: Callable[["Listener"], bool], timeout_s: float = PATIENCE_S) -> None:
         with self._changed:
             assert self._changed.wait_for(lambda: is_heard(self), timeout_s), f"heard only {self.heard}"
 
@@ -94,7 +97,7 @@ def listen() -> Iterator[Callable[..., Listener]]:
 
 @pytest.fixture
 def sink_to() -> Iterator[Callable[..., MqttSink]]:
-    """Opens sinks of one station with a will and a birth, and closes them at the end."""
+    """Opens sinks of one station with a will and a birth, and closes them at the end. They wait long for an answer."""
     opened: list[MqttSink] = []
 
     def make(
@@ -108,7 +111,7 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
             on_command=on_command,
         )
         chosen = MqttOptions.model_validate(
-            {"host": broker.host, "port": broker.port, "retry_s": 1.0, **options}
+            {"host": broker.host, "port": broker.port, "retry_s": 1.0, "acknowledge_s": PATIENCE_S, **options}
         )
         opened.append(plugin.open(chosen, station))
         return opened[-1]
@@ -118,7 +121,7 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
         sink.close()
 
 
-def sent(sink: MqttSink, message: Message, timeout_s: float = 20.0) -> None:
+def sent(sink: MqttSink, message: Message, timeout_s: float = PATIENCE_S) -> None:
     """Send, trying again while the broker is away."""
     deadline = time.monotonic() + timeout_s
     while True:

@@ -1,6 +1,5 @@
 """The printed rules at a real mosquitto: a station stays in its topics, a reader changes nothing."""
 
-import getpass
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.topics import TOPICS
 
-from .conftest import ROOT, require
+from .conftest import PATIENCE_S, ROOT, require
 
 STATION = DescribedStation.of_root(ROOT)
 NODE = SparkplugNode.of(ROOT)
@@ -36,8 +35,8 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalBroker]:
     rules.write_text(
         access_rules(STATION, "press2", discovery_prefix="homeassistant", node=NODE), encoding="utf-8"
     )
-    own_name = f"user {getpass.getuser()}"  # as which it reads the file
-    with LocalBroker("mosquitto", extra=f"{own_name}\nacl_file {rules}") as running:
+    # Started by root it reads the file as root; started by another user it ignores the name.
+    with LocalBroker("mosquitto", extra=f"user root\nacl_file {rules}") as running:
         yield running
 
 
@@ -47,7 +46,9 @@ def client(broker: LocalBroker) -> Iterator[Callable[..., Connection]]:
     opened: list[Connection] = []
 
     def make(name: str | None, on_received: Callable[[Received], None] | None = None) -> Connection:
-        address = Broker(broker.host, broker.port, f"client-{name}", username=name, level="5")
+        address = Broker(
+            broker.host, broker.port, f"client-{name}", username=name, level="5", timeout_s=PATIENCE_S
+        )
         opened.append(Connection.open(address, on_received=on_received))
         return opened[-1]
 

@@ -136,7 +136,7 @@ def test_two_processes_of_one_station_never_share_a_database_but_two_sinks_do(
         ids = [record(store, n) for n in range(20)]
         publisher.wake()
         listener.wait_for(lambda heard: len(heard.payloads("result")) >= 40)
-        publisher.stop(drain_s=20)
+        publisher.stop(drain_s=60)
         with Outbox(path) as outbox:
             assert outbox.status().rows == 0
 

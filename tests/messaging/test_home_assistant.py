@@ -26,7 +26,7 @@ from edge.store.gel_ledger import GelRecord
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import ROOT, Listener
+from .conftest import PATIENCE_S, ROOT, Listener
 
 STATION = DescribedStation.of_root(ROOT)
 DEVICE = discovery(STATION)
@@ -141,7 +141,9 @@ def test_the_sink_announces_the_station_where_it_is_asked_to(
     """Retained, on Home Assistant's topic and not below the station's; by default nothing is announced."""
     listener = listen(mosquitto, "#")
     for more in ({}, {"home_assistant": "ha"}):
-        options = MqttOptions.model_validate({"host": "127.0.0.1", "port": mosquitto.port, **more})
+        options = MqttOptions.model_validate(
+            {"host": "127.0.0.1", "port": mosquitto.port, "acknowledge_s": PATIENCE_S, **more}
+        )
         sink = plugin.open(options, Station(ROOT, "press2"))
         sink.send(Message("stats", b"{}", qos=1))
         sink.close()

@@ -22,7 +22,7 @@ from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import ROOT, Listener, require, sent
+from .conftest import PATIENCE_S, ROOT, Listener, require, sent
 
 SinkTo = Callable[..., MqttSink]
 Listen = Callable[..., Listener]
@@ -100,7 +100,7 @@ from plugins.sinks.mqtt_options import MqttOptions
 will, birth = Message("state", b"lost", retain=True), Message("state", b"ready", retain=True)
 options = MqttOptions(host="127.0.0.1", port={broker.port}, protocol={protocol!r})
 sink = plugin.open(options, Station({ROOT!r}, "dying", will=will, birth=lambda: [birth]))
-time.sleep(60)
+time.sleep(600)
 """
     process = subprocess.Popen([sys.executable, "-c", program])
     try:
@@ -168,16 +168,18 @@ def test_what_was_given_up_is_never_sent_later(tmp_path: Path, sink_to: SinkTo, 
     """
     require("mosquitto")
     with LocalBroker("mosquitto") as broker:
-        sink = sink_to(broker, acknowledge_s=0.5)
-        sink.send(Message("result", b"before"))
-        (library,) = [t for t in threading.enumerate() if t.name == "paho-mqtt-client-press2"]
+        sink = sink_to(broker, protocol="5", acknowledge_s=1.0)
+        sent(sink, Message("result", b"before"))
+        library = [t for t in threading.enumerate() if t.name == "paho-mqtt-client-press2"]
+        assert library != []
         process = broker._process
         assert process is not None
         os.kill(process.pid, signal.SIGSTOP)
         with pytest.raises(SinkUnavailable, match="did not acknowledge"):
             sink.send(Message("result", b"given up"))
-        library.join(10)
-        assert not library.is_alive()
+        for thread in library:
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
         broker.kill()
         broker.start()
         listener = listen(broker, client_id="after")
@@ -219,7 +221,7 @@ def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: 
         sink = sink_to(mosquitto, note, protocol=protocol)
         sink.send(Message("result", b""))
         other.publish(Outgoing(f"{ROOT}/cmd/now", b"x"))
-        assert arrived.wait(20)
+        assert arrived.wait(PATIENCE_S)
         sink.close()
     other.close()
 
@@ -260,7 +262,7 @@ def test_without_threads_every_attempt_is_a_step(listen: Listen) -> None:
         assert sink.step() is None
         sink.send(Message("result", b"1"))
         listener.wait_for(lambda heard: heard.payloads("result") == [b"1"])
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE_S
     while (pause_s := sink.step()) is None:
         assert time.monotonic() < deadline
         time.sleep(0.01)

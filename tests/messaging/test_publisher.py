@@ -41,7 +41,7 @@ def test_stopping_sends_what_is_there_and_closes_the_sinks(
     running.start()
     record(store, messages_of, *(make_press(n) for n in range(40)))
     running.wake()
-    running.stop(drain_s=20)
+    running.stop(drain_s=60)
 
     assert [len(sink.results()) for sink in (a, b)] == [40, 40]
     assert (a.is_closed, b.is_closed) == (True, True)
@@ -62,17 +62,17 @@ def test_what_is_announced_just_before_the_end_is_said(
         def send(self, message: Message) -> None:
             if message.topic == "result":
                 self.is_sending.set()
-                self.may_go_on.wait(20)
+                self.may_go_on.wait(60)
             super().send(message)
 
     sink = Slow()
     running = publisher(path, mqtt=sink)
     record(store, messages_of, make_press(1))
     running.start()
-    assert sink.is_sending.wait(20)
+    assert sink.is_sending.wait(60)
     running.announce(state_message(StatePayload(time_ns=1, state="stopped")))
     threading.Timer(0.2, sink.may_go_on.set).start()  # long after the call of `stop`
-    running.stop(drain_s=20)
+    running.stop(drain_s=60)
 
     assert sink.topics()[-1] == "state"
 
@@ -91,7 +91,7 @@ def test_stopping_while_a_sink_is_away_keeps_its_rows(
     sink.is_away = False
     running = publisher(path, mqtt=sink)
     running.start()
-    running.stop(drain_s=20)
+    running.stop(drain_s=60)
     assert [r["is_replayed"] for r in sink.results()] == [True]
 
 
@@ -113,35 +113,50 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
         def send(self, message: Message) -> None:
             if hangs_in == "send":
                 is_hanging.set()
-                is_over.wait(20)
+                is_over.wait(60)
             super().send(message)
 
         def close(self) -> None:
             if hangs_in == "close":
                 is_hanging.set()
-                is_over.wait(20)
+                is_over.wait(60)
             super().close()
 
-    sound = ScriptedSink()
+    has_result, has_closed = threading.Event(), threading.Event()
+
+    class Sound(ScriptedSink):
+        def send(self, message: Message) -> None:
+            super().send(message)
+            if message.topic == "result":
+                has_result.set()
+
+        def close(self) -> None:
+            super().close()
+            has_closed.set()
+
+    sound = Sound()
     running = publisher(path, hanging=Hanging(), sound=sound)
     record(store, messages_of, make_press(1))
     running.start()
     if hangs_in == "send":
-        assert is_hanging.wait(20)
+        assert is_hanging.wait(60)
+    assert has_result.wait(60)
     running.stop(drain_s=0.5)
 
-    assert is_hanging.is_set()
+    assert is_hanging.wait(60)
     assert not is_over.is_set()
-    assert sound.is_closed
+    assert has_closed.wait(60)
     assert len(sound.results()) == 1
     stuck = {"send": "publish-hanging", "close": "close-hanging"}[hangs_in]
-    assert f"{stuck} did not return within 0.5 s" in caplog.text
+    (said,) = [text for text in caplog.messages if "did not return within 0.5 s" in text]
+    assert stuck in said
     if hangs_in == "send":
         with Outbox(path) as outbox:
             assert outbox.status().rows > 0
     with pytest.raises(StoreError, match="another gelgate process publishes"):
         PublisherLock(path)
     is_over.set()
+    monkeypatch.setattr(edge.messaging.publisher, "CLOSE_S", 60)
     running.stop()
     PublisherLock(path).close()
 
@@ -185,8 +200,8 @@ def test_a_fault_in_a_plugin_is_logged_and_retried(
     running.start()
     record(store, messages_of, make_press(1))
     running.wake()
-    assert broken.has_recovered.wait(20)
-    running.stop(drain_s=20)
+    assert broken.has_recovered.wait(60)
+    running.stop(drain_s=60)
 
     assert (len(broken.results()), len(sound.results())) == (1, 1)
     assert "KeyError: 'a bug'" in caplog.text

@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from scripted_broker import ScriptedBroker
@@ -13,7 +14,7 @@ from edge.core.sink_context import Station
 from plugins.sinks.mqtt import MqttSink
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import ROOT
+from .conftest import PATIENCE_S, ROOT
 
 RESULT = Message("result", b"{}")
 STATE = Message("state", b"ready", retain=True)
@@ -26,9 +27,16 @@ def broker() -> Iterator[ScriptedBroker]:
         yield scripted
 
 
-def stepped(broker: ScriptedBroker, *birth: Message, protocol: str = "5", **station: object) -> MqttSink:
+def stepped(
+    broker: ScriptedBroker,
+    *birth: Message,
+    protocol: str = "5",
+    limit_s: float = PATIENCE_S,
+    **station: object,
+) -> MqttSink:
+    """limit_s: the longest wait for an answer."""
     options = MqttOptions.model_validate(
-        {"host": "127.0.0.1", "port": broker.port, "acknowledge_s": 0.3, "protocol": protocol}
+        {"host": "127.0.0.1", "port": broker.port, "acknowledge_s": limit_s, "protocol": protocol}
     )
     context = Station(ROOT, "aside", birth=lambda: birth, **station)  # type: ignore[arg-type]
     return MqttSink(options.broker("aside"), context, Backoff(random.Random(0), 0.2, 1.0))
@@ -50,13 +58,14 @@ def outcomes(sink: MqttSink, times: int) -> list[type[Exception]]:
 def test_silence_never_sets_a_message_aside(broker: ScriptedBroker) -> None:
     """The gateway gives up the connection itself; the message waits, and the silence is reported as such."""
     broker.topics = {"result": "silent"}
-    sink = stepped(broker, STATE)
+    sink = stepped(broker, STATE, limit_s=0.3)
 
     assert outcomes(sink, 4) == [SinkUnavailable] * 4
 
     (fault,) = sink.faults
     assert "was silent 4 times on the one on result" in fault
     broker.topics = {}
+    sink._broker = replace(sink._broker, timeout_s=PATIENCE_S)
     assert outcomes(sink, 1) == []
     assert list(sink.faults) == []
     sink.close()
@@ -118,7 +127,7 @@ def test_closings_while_nothing_waits_suggest_a_second_client_with_the_same_id(
     for _ in range(3):
         assert sink.step() is None
         broker._sockets[-1].shutdown(2)
-        sink._lost.wait(10)
+        sink._lost.wait(PATIENCE_S)
     sink.step()
 
     (fault,) = sink.faults

@@ -31,7 +31,7 @@ from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
 from plugins.sinks.sparkplug_metrics import _FIELDS, initial_metrics, metrics_of
 from plugins.sinks.sparkplug_payload import DataType, Metric, decode, encode
 
-from .conftest import ROOT, Listener
+from .conftest import PATIENCE_S, ROOT, Listener
 
 NODE = "line1-press2"
 STATE = state_message(StatePayload(time_ns=10**18, state="ready"))
@@ -133,7 +133,9 @@ def open_sink() -> Iterator[Open]:
 
     def make(broker: LocalBroker) -> SparkplugSink:
         station = Station(ROOT, "press2", birth=lambda: [STATE, alarm_cleared("gel")])
-        options = SparkplugOptions.model_validate({"host": broker.host, "port": broker.port})
+        options = SparkplugOptions.model_validate(
+            {"host": broker.host, "port": broker.port, "protocol": "5", "acknowledge_s": PATIENCE_S}
+        )
         opened.append(plugin.open(options, station))
         return opened[-1]
 

@@ -9,7 +9,7 @@ from edge.messaging.local_broker import LocalBroker
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import ROOT
+from .conftest import PATIENCE_S, ROOT
 
 
 def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever() -> None:
@@ -26,7 +26,7 @@ def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever() -> None
         station = Station(ROOT, client_id="unexpected", birth=birth)
         sink = plugin.open(MqttOptions(host=broker.host, port=broker.port, retry_s=1.0), station)
         try:
-            deadline = time.monotonic() + 20
+            deadline = time.monotonic() + PATIENCE_S
             while True:
                 try:
                     sink.send(Message("result", b"1"))

@@ -138,7 +138,7 @@ def test_a_broker_that_is_away_is_seen_and_the_page_goes_on(browser: Any) -> Non
         station.start()
 
         def says(*messages: Message) -> None:
-            connection = Connection.open(Broker(broker.host, broker.port, "says"))
+            connection = Connection.open(Broker(broker.host, broker.port, "says", level="5", timeout_s=60.0))
             for one in messages:
                 connection.publish(Outgoing(f"{root}/{one.topic}", one.payload, 1, one.retain))
             connection.close()

@@ -57,7 +57,7 @@ def until(is_so: Callable[[], object], within_s: float = 60.0) -> None:
 
 def says(broker: LocalBroker, *messages: Message, root: str = ROOT) -> None:
     """A station publishes these."""
-    connection = Connection.open(Broker(broker.host, broker.port, "says"))
+    connection = Connection.open(Broker(broker.host, broker.port, "says", level="5", timeout_s=60.0))
     for one in messages:
         connection.publish(Outgoing(f"{root}/{one.topic}", one.payload, 1, one.retain))
     connection.close()

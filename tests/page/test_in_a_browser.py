@@ -150,6 +150,7 @@ def test_alarms_and_verdicts_are_announced(tab: Any, sink: PageSink) -> None:
     for message in (state("ready"), info(), gel(801, GelState.DUE), *press(1, picture=PICTURE)):
         sink.send(message)
     tab.wait_for_selector("#verdict.pass")
+    tab.get_by_role("img", name="pass, bolt").wait_for()  # its picture comes after the verdict
 
     assert tab.get_attribute("#verdict", "aria-live") == "assertive"
     assert tab.get_by_role("meter", name="Gel").get_attribute("aria-valuenow") == "80"

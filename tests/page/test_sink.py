@@ -107,7 +107,7 @@ def test_a_browser_that_waits_is_answered_when_something_comes(sink: PageSink) -
     with ThreadPoolExecutor() as pool:
         waiting = pool.submit(asked, sink.port, f"/live.json?after={version}")
         sink.send(state("ready"))
-        assert waiting.result(20)["state"]["state"] == "ready"
+        assert waiting.result(60)["state"]["state"] == "ready"
     assert asked(sink.port, f"/live.json?after={version}")["version"] == version + 1
     assert asked(sink.port, "/live.json?after=x")["version"] == version + 1
 
@@ -136,7 +136,7 @@ def test_only_this_machine_reaches_it(sink: PageSink) -> None:
     assert ask(sink.port, "/", Host="localhost")[0] == 200
     with (
         pytest.raises(ConnectionRefusedError),
-        socket.create_connection(("127.0.0.2", sink.port), timeout=20),
+        socket.create_connection(("127.0.0.2", sink.port), timeout=60),
     ):
         pass
 
@@ -157,7 +157,7 @@ def test_another_machine_sees_it_where_it_is_named() -> None:
     for allowed, status in (("203.0.113.77", 403), (address, 200)):
         options = PageOptions(bind="0.0.0.0", allow_from=(allowed,))
         sink = PageSink(options, Station(ROOT, "press2"), FakeClock(), port=0)
-        connection = http.client.HTTPConnection(address, sink.port, timeout=20)
+        connection = http.client.HTTPConnection(address, sink.port, timeout=60)
         connection.request("GET", "/state.json")
         answer = connection.getresponse()
         said = answer.read().decode()
@@ -176,7 +176,7 @@ def test_another_machine_sees_it_where_it_is_named() -> None:
 @pytest.mark.parametrize("path", ["/", "/station.json", "/other"])
 def test_every_answer_forbids_what_the_page_does_not_need(sink: PageSink, path: str) -> None:
     """Scripts and frames of others, a guess at the type, a copy in a cache, and the name of the server's language."""
-    connection = http.client.HTTPConnection("127.0.0.1", sink.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", sink.port, timeout=60)
     connection.request("GET", path)
     headers = connection.getresponse().headers
     connection.close()
@@ -220,7 +220,7 @@ def test_after_the_end_it_is_gone(sink: PageSink) -> None:
 def test_a_connection_that_a_browser_keeps_open_ends_with_the_page(sink: PageSink) -> None:
     """Otherwise it would be answered for ever; a page that waits for news on it is answered, and sees the end."""
     request = b"GET /state.json HTTP/1.1\r\nHost: localhost\r\n\r\n"
-    with socket.create_connection(("127.0.0.1", sink.port), timeout=20) as kept:
+    with socket.create_connection(("127.0.0.1", sink.port), timeout=60) as kept:
         answer = b""
         kept.sendall(request)
         while not answer.endswith(b"null"):
@@ -236,10 +236,10 @@ def test_connections_are_bounded(sink: PageSink) -> None:
     """One too many is closed at once, without an answer; when another one ends there is room again."""
     with ExitStack() as opened:
         first, *_ = [
-            opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=20))
+            opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=60))
             for _ in range(MOST_OF_ONE)
         ]
-        one_more = opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=20))
+        one_more = opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=60))
         request = b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
         with suppress(ConnectionError):
             one_more.sendall(request)

@@ -155,7 +155,7 @@ class MqttBench:
         self._broker, self._level = broker, level
         self._changed, self._heard = threading.Condition(), list[Received]()
         self._listener = Connection.open(
-            Broker(broker.host, broker.port, "listener", level=None if broker.speaks_mqtt5 else "3.1.1"),
+            Broker(broker.host, broker.port, "listener", level="5", timeout_s=60.0),
             on_received=self._note,  # type: ignore[arg-type]
         )
         self._listener.subscribe("gelgate/#")
@@ -176,7 +176,7 @@ class MqttBench:
 
     def received(self, n: int) -> Sequence[tuple[str, bytes]]:
         with self._changed:
-            self._changed.wait_for(lambda: len(self._heard) >= n, timeout=20.0)
+            self._changed.wait_for(lambda: len(self._heard) >= n, timeout=60.0)
             return [(one.topic, one.payload) for one in self._heard[:n]]
 
     def take_away(self) -> bool:

@@ -17,10 +17,13 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
+from edge.store.outbox import Outbox
 
 FREE = resource.RLIM_INFINITY
 # More than what a halt says, less than the heatmap of one press (some 60 kB).
 ROOM_BYTES = 12_000
+# Only what never comes is waited for so long.
+PATIENCE_S = 120.0
 
 
 def limit(size: int) -> None:
@@ -29,7 +32,7 @@ def limit(size: int) -> None:
 
 def said(folder: Path, word: str) -> bool:
     log = folder / "out" / "messages.jsonl"
-    return log.is_file() and word in log.read_text()
+    return log.is_file() and word in log.read_text(errors="replace")
 
 
 def counted(folder: Path) -> int:
@@ -39,8 +42,16 @@ def counted(folder: Path) -> int:
     return int(presses)
 
 
+def await_delivery(database: Path) -> None:
+    """Until the sink has what was said before, on a busy machine too: only what comes after finds no room."""
+    deadline = time.monotonic() + PATIENCE_S
+    with Outbox(database) as outbox:
+        while outbox.status().rows and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+
 def make_room_when_halted(folder: Path, seen: dict[str, object]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE_S
     while not (said(folder, '"state":"halted"') and said(folder, '"alarm":"store"')):
         if time.monotonic() > deadline:
             break
@@ -57,10 +68,12 @@ def main(config: Path) -> None:
 
     def on_press(report: PressReport) -> None:
         if report.gel.presses == 1:
+            await_delivery(loaded.store.path)
             limit((folder / "out" / "messages.jsonl").stat().st_size + ROOM_BYTES)
             watcher.start()
 
-    with Gateway.open(load_config(config), SystemClock(), on_press) as gateway:
+    loaded = load_config(config)
+    with Gateway.open(loaded, SystemClock(), on_press) as gateway:
         summary = gateway.run(threading.Event())
     if watcher.ident is not None:
         watcher.join()

@@ -88,7 +88,7 @@ def ask(
     """The answer of a page on this machine. headers: `_` for `-`; None leaves one out."""
     sent = {"Host": f"127.0.0.1:{port}", **({} if body is None else {"Content-Type": "application/json"})}
     sent |= {name.replace("_", "-"): value for name, value in headers.items()}  # type: ignore[misc]
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
     if body is not None:
         sent = {"Content-Length": str(len(body)), **sent}

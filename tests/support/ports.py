@@ -1,11 +1,17 @@
-"""A TCP port of this machine that is free now."""
+"""A TCP port of this machine for one test alone."""
 
 import socket
 
 __all__ = ["free_port"]
 
+_reserved: list[socket.socket] = []
+
 
 def free_port() -> int:
-    """Of the loopback address; another program may take it."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
+    """Of the loopback address. Nobody listens there, and until this process ends the system gives the port only to a
+    server that names it and allows that its address is reused, as all servers of the tests do."""
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.bind(("127.0.0.1", 0))
+    _reserved.append(one)
+    return int(one.getsockname()[1])
