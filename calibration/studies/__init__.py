@@ -1,20 +1,31 @@
 """The paper's three validations as studies of independent cells, and the reports made from their rows.
 
-From Python: `from calibration.studies import good_fraction, figure`.
+From Python: `from calibration.studies import good_fraction, tradeoff, figure`; all that a notebook needs is here.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calibration.studies.notebook import cross_position, figure, good_fraction, resolution
+    from calibration.studies.notebook import bad_presses, cross_position, figure, good_fraction, resolution
+    from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
 
-__all__ = ["cross_position", "figure", "good_fraction", "resolution"]
+__all__ = [
+    "bad_presses",
+    "cross_position",
+    "figure",
+    "good_fraction",
+    "resolution",
+    "tradeoff",
+    "tradeoff_figure",
+]
+
+_TRADEOFF = ("tradeoff", "tradeoff_figure")
 
 
 def __getattr__(name: str) -> Any:
     """Imported at use: the command line imports this package for its help."""
     if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    from calibration.studies import notebook
-
-    return getattr(notebook, name)
+    home = "calibration.tradeoff.notebook" if name in _TRADEOFF else "calibration.studies.notebook"
+    return getattr(import_module(home), name)

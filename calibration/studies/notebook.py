@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["cross_position", "figure", "good_fraction", "resolution"]
+__all__ = ["bad_presses", "cross_position", "figure", "good_fraction", "resolution"]
 
 
 def good_fraction(
@@ -83,6 +83,16 @@ def cross_position(
 
     options = Options(dataset=Path(dataset), output=Path(output), **asked)
     return _rows_of(study_cross_position(options, _fractions(options, fraction), target), STUDY)
+
+
+def bad_presses(
+    dataset: Path | str, output: Path | str, *, fraction: float | None = None, **asked: Any
+) -> "pd.DataFrame":
+    """Run `gelgate study bad-presses`, or continue it, and give its rows. Arguments and errors: as `cross_position`."""
+    from calibration.studies.bad_presses import STUDY, study_bad_presses
+
+    options = Options(dataset=Path(dataset), output=Path(output), **asked)
+    return _rows_of(study_bad_presses(options, _fractions(options, fraction)), STUDY)
 
 
 def resolution(

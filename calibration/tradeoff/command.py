@@ -1,6 +1,5 @@
 """The verb `tradeoff`."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +67,8 @@ def tradeoff(
     Writes a row for each and a page to explore them. With limits it chooses a point and writes its bundle. A folder
     that holds rows is not measured again; an interrupted run goes on.
     """
+    from calibration.progress import progress
+    from calibration.tradeoff.measured import measured_rows, points_of
     from calibration.tradeoff.pick import Limits, size, time_ms
     from calibration.tradeoff.run import RunSettings, presses_of
     from edge.extras import needs
@@ -89,11 +90,13 @@ def tradeoff(
         minutes=minutes,
     )
     chosen = presses_of(settings)
-    points = _points(chosen, method, backbone)
+    points = points_of(chosen, method, backbone)
     if point is not None:
         _write_bundle(point, points, chosen, settings, bundle or Path(point), overwrite, None)
         return
-    rows = _rows(points, chosen, settings, output, overwrite, peers)
+    rows = measured_rows(
+        points, chosen, settings, output, overwrite=overwrite, with_peers=peers, show=progress, say=typer.echo
+    )
     _report(rows, output, picture)
     if limits.names:
         _choose(rows, limits, points, chosen, settings, bundle or output / "bundle", overwrite)
@@ -124,60 +127,19 @@ def _check_options(
         read_rows(check)
 
 
-def _points(
-    chosen: "Chosen", method: Sequence[str] | None, backbone: Sequence[str] | None
-) -> "tuple[OperatingPoint, ...]":
-    from calibration.tradeoff.plan import BACKBONES, chosen_points
-    from edge import registry
-
-    return chosen_points(
-        tuple(backbone or BACKBONES),
-        tuple(method or registry.names("detectors")),
-        has_high_resolution=bool(chosen.high),
-        most_presses=len(chosen.fitted),
-    )
-
-
-def _rows(
-    points: "tuple[OperatingPoint, ...]",
-    chosen: "Chosen",
-    settings: "RunSettings",
-    output: Path,
-    overwrite: bool,
-    peers: bool,
-) -> list[dict[str, Any]]:
-    """The rows of the folder, measured where it has none. Errors: as `measure`."""
-    from calibration.progress import progress
-    from calibration.tradeoff.rows import read_rows, write_rows
-    from calibration.tradeoff.run import clean, measure, require_same_run
-
-    file = output / "rows.jsonl"
-    if file.is_file() and not overwrite:
-        rows = read_rows(file)
-        require_same_run(rows, points, chosen, settings, file)
-        typer.echo(f"{file} holds {len(rows)} points; --overwrite measures them again")
-        return rows
-    if not chosen.high:
-        typer.echo("no high-resolution pictures of these presses: one resolution is measured", err=True)
-    rows = measure(points, chosen, settings, output / "unfinished", progress, with_peers=peers)
-    write_rows(file, rows)
-    clean(output / "unfinished")
-    return rows
-
-
 def _report(rows: list[dict[str, Any]], output: Path, picture: Path | None) -> None:
     """The page, the picture where wanted, and a table of the front."""
     from calibration.evaluate.report import write_atomically
-    from calibration.tradeoff.page import page
+    from calibration.tradeoff.measured import write_page
     from calibration.tradeoff.table import table
 
-    write_atomically(output / "tradeoff.html", page(rows).encode())
+    page = write_page(rows, output)
     if picture is not None:
         from calibration.tradeoff.figure import svg
 
         write_atomically(picture, svg(rows))
     typer.echo(table(rows))
-    typer.echo(f"{len(rows)} points; the page is {output / 'tradeoff.html'}")
+    typer.echo(f"{len(rows)} points; the page is {page}")
 
 
 def _choose(

@@ -1,5 +1,6 @@
 """Documentation is tested: printed pages are those of the program, and every name is explained in docs/."""
 
+import importlib
 import importlib.util
 import re
 from collections.abc import Iterator
@@ -41,6 +42,28 @@ PRINTED = {name: (DOCS / name).read_text(encoding="utf-8") for name in GENERATE.
 def test_a_printed_page_is_the_programs(name: str) -> None:
     """After a change of a command, key, error or topic the pages are printed again: `make docs`."""
     assert PRINTED[name] == GENERATE.PAGES[name](), "run `make docs`"
+
+
+IMPORT = re.compile(r"^ *from ((?:edge|calibration|export|plugins)[\w.]*) import ([\w, ]+)$", re.MULTILINE)
+IMPORTS = [
+    (page.name, module, name)
+    for page in sorted([*DOCS.glob("*.md"), ROOT / "README.md"])
+    for module, names in IMPORT.findall(page.read_text(encoding="utf-8"))
+    for name in names.split(", ")
+]
+
+
+@pytest.mark.parametrize(("page", "module", "name"), IMPORTS)
+def test_what_an_example_imports_is_there(page: str, module: str, name: str) -> None:
+    """Each name that Python code on a page imports from the program."""
+    assert hasattr(importlib.import_module(module), name), f"docs/{page}: {module} has no {name}"
+
+
+def test_examples_are_found() -> None:
+    """The pattern finds the imports of the pages that have some."""
+    assert {"export.md", "plugins.md", "simulator.md", "studies.md", "tradeoff.md"} <= {
+        one for one, *_ in IMPORTS
+    }
 
 
 def test_every_command_is_in_the_manual_with_its_options() -> None:

@@ -1,6 +1,8 @@
 """The manual names everything that a scene can name."""
 
+import textwrap
 from pathlib import Path
+from typing import Any
 
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
@@ -24,6 +26,15 @@ def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
     """Parts, defects, effects, sensors and the shipped scenes."""
     names = [*PARTS, *DEFECTS, *EFFECTS, *SENSORS, *scene_names()]
     assert [name for name in names if name not in MANUAL] == []
+
+
+def test_the_example_in_python_runs() -> None:
+    """A press, and a damaged press with its mask and the sound one."""
+    code = textwrap.dedent(MANUAL.partition("From Python:\n\n")[2].partition("\n\n`")[0])
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert found["rgb"].shape == found["damaged"].shape == found["sound"].shape == (240, 320, 3)
+    assert found["mask"].any()
 
 
 def test_every_key_of_a_scene_is_in_the_manual() -> None:

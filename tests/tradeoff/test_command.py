@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from tradeoff_rows import row
 
+from calibration.studies import tradeoff, tradeoff_figure
 from calibration.tradeoff.figure import svg
 from calibration.tradeoff.plan import chosen_points
 from calibration.tradeoff.rows import read_rows, write_rows
@@ -54,6 +55,15 @@ def test_rows_that_are_there_are_not_measured_again(
     assert "--overwrite measures them again" in said
     assert (finished / "tradeoff.html").stat().st_size > 10_000
     assert (finished / "p.svg").read_bytes() == svg(read_rows(finished / "rows.jsonl"))
+
+
+def test_from_python_the_rows_are_a_frame(finished: Path, dataset: Path) -> None:
+    """One row for each point, nested fields as columns with dots; the picture and the page are made from them."""
+    found = tradeoff(dataset, finished, methods=["padim"], backbones=["tactile_resnet18"])
+    assert list(found["key"]) == [one["key"] for one in read_rows(finished / "rows.jsonl")]
+    assert found["accuracy.pixel_auprc.value"].between(0.6, 0.7).all()
+    assert (finished / "tradeoff.html").is_file()
+    assert tradeoff_figure(finished).axes
 
 
 def test_a_loss_ends_with_its_own_exit_code(

@@ -1,0 +1,58 @@
+"""The trade-off from Python: its rows as a pandas frame, its picture as a matplotlib figure."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibration.progress import progress
+from calibration.tradeoff.figure import figure
+from calibration.tradeoff.measured import ROWS_FILE, measured_rows, points_of, write_page
+from calibration.tradeoff.rows import read_rows
+from calibration.tradeoff.run import RunSettings, Show, presses_of
+from edge.extras import needs
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["tradeoff", "tradeoff_figure"]
+
+
+def tradeoff(
+    dataset: Path | str,
+    output: Path | str,
+    *,
+    methods: Sequence[str] = (),
+    backbones: Sequence[str] = (),
+    peers: bool = False,
+    overwrite: bool = False,
+    show: Show = progress,
+    **asked: Any,
+) -> "pd.DataFrame":
+    """Run `gelgate tradeoff`, or read the rows that the folder holds; one row for each operating point.
+
+    Nested fields are columns with dots, such as `accuracy.aupro_fpr01.value`. Empty sequences are the command's
+    defaults. asked: further fields of `calibration.tradeoff.run.RunSettings`, such as part, position or minutes.
+    Errors: as the command; TypeError for another field.
+    """
+    import pandas as pd
+
+    if peers:
+        from calibration.tradeoff.peers import require_models
+
+        needs("peers", "tradeoff(peers=True)")
+        require_models()
+    settings = RunSettings(Path(dataset), **asked)
+    chosen = presses_of(settings)
+    points = points_of(chosen, methods, backbones)
+    folder = Path(output)
+    rows = measured_rows(
+        points, chosen, settings, folder, overwrite=overwrite, with_peers=peers, show=show, say=print
+    )
+    write_page(rows, folder)
+    return pd.json_normalize(rows)
+
+
+def tradeoff_figure(output: Path | str) -> "Figure":
+    """Accuracy against time, from the rows in the folder. Errors: ConfigError where it has none."""
+    return figure(read_rows(Path(output) / ROWS_FILE))
