@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from calibration.acquisition.coverage import LEAST, Coverage
 from calibration.acquisition.forecast import PAYS, ROUND
 from calibration.acquisition.stopping import EARLIEST, Standing
-from calibration.fitting.binomial import trials_needed
+from edge.core.binomial import trials_needed
 from edge.pictures.heatmap import coloured
 from edge.pictures.png import encode
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from calibration.acquisition.coverage import Coverage
 from calibration.acquisition.forecast import PAYS, ROUND, fall, pays_until
-from calibration.fitting.binomial import CONFIDENCE, trials_needed, upper_rate
+from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
 
 __all__ = ["EARLIEST", "Goal", "Standing"]
 

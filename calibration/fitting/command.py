@@ -11,6 +11,7 @@ import typer
 from calibration.fitting.options import (
     Alpha,
     Backbone,
+    GelId,
     Holdout,
     LeaveOut,
     Limit,
@@ -83,6 +84,7 @@ def fit(
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
     revision: Revision = None,
+    gel: GelId = None,
 ) -> None:
     """Learn a bundle from nominal presses.
 
@@ -111,6 +113,7 @@ def fit(
         limit=_limit(limit),
         register=_register(register),
         revision=revision or next_revision(output),
+        gel_id=gel,
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
     typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")

@@ -48,6 +48,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.gel_facts import gel_facts
 from edge.model.limit_facts import MISSING
 from edge.model.manifest import (
     Facts,
@@ -77,7 +78,7 @@ class FitConfig:
     with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
     compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
     `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. revision:
-    see `Facts`.
+    see `Facts`. gel_id: the gel of the presses, where it is known.
     """
 
     part: str
@@ -98,6 +99,7 @@ class FitConfig:
     limit: Literal["chosen", "plain"] = "chosen"
     revision: int | None = None
     register: Register = "never"
+    gel_id: str | None = None
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -356,6 +358,7 @@ class _Fit:
                 MISSING: self.relief.facts(),
                 **self.pose.facts,
                 **self.again,
+                **gel_facts(config.gel_id),
                 **{k: v for k, v in bank.facts.items() if k != "repairs"},
             },
             profile=ProfileEntry.of(config.profile),

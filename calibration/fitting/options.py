@@ -8,6 +8,7 @@ import typer
 __all__ = [
     "Alpha",
     "Backbone",
+    "GelId",
     "Holdout",
     "LeaveOut",
     "Limit",
@@ -48,6 +49,12 @@ RegisterOption = Annotated[
     str,
     typer.Option(
         help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'."
+    ),
+]
+GelId = Annotated[
+    str | None,
+    typer.Option(
+        "--gel", help="The gel of the presses, by its id in `gelgate gel show`.", show_default=False
     ),
 ]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]

@@ -26,7 +26,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.binomial import CONFIDENCE, beta_quantile, upper_rate
+from edge.core.binomial import CONFIDENCE, beta_quantile, upper_rate
 from edge.core.errors import FitError
 from edge.model.manifest import RatePromise, ThresholdEntry
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from calibration.fitting.binomial import CONFIDENCE, upper_rate
 from calibration.gel_scars.runs import Alarm, Truth
+from edge.core.binomial import CONFIDENCE, upper_rate
 from edge.core.gel_scars.causes import Cause
 
 __all__ = ["MEANINGS", "Rate", "rate", "table"]

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from edge.core.part_position import PartPosition
+    from edge.store.gel_proofs import GelBundle
     from edge.store.press_store import GelRecord, Store
 
 __all__ = ["gel", "user"]
@@ -29,14 +31,21 @@ def show(
     A mounted gel is marked with *."""
     import json
 
+    from edge.core.printable import printable
+    from edge.store import gel_proofs
+
     with _open(database, config) as store:
         gels = store.gels(serial)
+        used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
     if as_json:
         print(json.dumps([_plain(record) for record in gels], indent=2))
     elif not gels:
         print("no gel is known yet; the first press of a sensor adds its gel")
     else:
         print("\n".join(_line(record) for record in gels))
+        for key, part, proof in used:
+            if serial in (None, key.serial) and (text := proof.unproven(key.named(part), key.gel_id)):
+                print(printable(text))
 
 
 @gel.command()
@@ -75,6 +84,57 @@ def replace(
             Act(now_ns, f"{user()}, command line", "replace_gel", outcome="done", arguments=asked),
         )
     print(json.dumps(_plain(record), indent=2) if as_json else _line(record))
+
+
+@gel.command()
+def prove(
+    serial: Annotated[str | None, typer.Option(help="The sensor; needed if there are several.")] = None,
+    part: Annotated[str | None, typer.Option(help="Bundles of this part only.")] = None,
+    database: Database = None,
+    config: Config = None,
+) -> None:
+    """Record that all presses on the mounted gel were of sound parts.
+
+    A bundle that was made on another gel is then proven on this one, if they are enough with few alarms. Exit code 1
+    where one is not."""
+    from edge.core.errors import ConfigError
+    from edge.store import gel_proofs
+
+    with _open(database, config) as store:
+        known = sorted({record.serial for record in store.gels()})
+        on = _only(known) if serial is None else _known(serial, known)
+        used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
+        here = [(key, of, proof) for key, of, proof in used if key.serial == on and part in (None, of.part)]
+        if part is not None and not here:
+            parts = ", ".join(sorted({of.part for key, of, _ in used if key.serial == on})) or "none"
+            raise ConfigError(f"no bundle of part '{part}' was used on the mounted gel; used were: {parts}")
+        outcomes = [_prove(store, key, of) for key, of, proof in here if proof.proven is None]
+    if not outcomes:
+        print("every bundle that was used on the mounted gel is proven on it")
+    if not all(outcomes):
+        raise typer.Exit(1)
+
+
+def _prove(store: "Store", key: "GelBundle", part: "PartPosition") -> bool:
+    """Prints the outcome, and writes it into the table of acts."""
+    import time
+    from functools import partial
+
+    from edge.core.printable import printable
+    from edge.store import gel_proofs
+    from edge.store.acts import Act
+
+    asked = {"serial": key.serial, "gel_id": key.gel_id, "bundle_id": key.bundle_id}
+    act = partial(Act, time.time_ns(), f"{user()}, command line", "prove_gel", arguments=asked)
+    try:
+        proof = store.write("proving a bundle on a gel", partial(gel_proofs.prove, key=key, part=part))
+    except ValueError as error:
+        store.begin_act(act(outcome="refused", sentence=str(error)), within_s=0)
+        print(printable(str(error)))
+        return False
+    store.begin_act(act(outcome="done"), within_s=0)
+    print(printable(f"bundle {key.named(part)} is proven on gel {key.gel_id}: {proof.sentence}"))
+    return True
 
 
 def user() -> str:

@@ -180,6 +180,11 @@ class GelTable(Table):
         description="masked: places of known scars are not judged, and each result states their area; named: they are "
         "judged, and a result that they fail has the cause `gel`",
     )
+    unproven: Literal["off", "warn", "refuse"] = Field(
+        default="warn",
+        description="what a bundle does that is not yet proven on the mounted gel. off: nothing; warn: the alarm "
+        "`gel_proof`; refuse: the same, and presses of parts are rejected; see new-gel.md",
+    )
     most_blind_share: float = Field(
         default=0.05,
         ge=0,

@@ -26,6 +26,7 @@ from edge.gateway.command_table import station_handlers
 from edge.gateway.commands import Commands
 from edge.gateway.description import described
 from edge.gateway.free_space import FreeSpace
+from edge.gateway.gel_proof_watch import GelProofWatch
 from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import served
@@ -108,6 +109,7 @@ def build(
         black_box=_black_box(config),
         reference=reference,
         labels=labels or reference,
+        proof=GelProofWatch(config.gel.unproven, store, status, clock),
         press_again=_press_again(config, status, clock),
         scars=ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share),
         overview=_overview(config, clock, status, closing),

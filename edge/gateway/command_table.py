@@ -84,6 +84,11 @@ def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> D
     return {"piece": label.piece, "is_waiting": True, "within_s": guard.within_s}
 
 
+def _prove_gel(loop: StationLoop, arguments: NoArguments) -> Data:
+    proof = loop.parts.proof.prove()
+    return {"presses": proof.presses, "alarms": proof.alarms, "rate": proof.rate}
+
+
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
     loop.acknowledge_alarm(arguments.alarm)
     return {"alarms": loop.alarms}
@@ -118,6 +123,14 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         _replace_gel,
         "record that a new gel is mounted, count from 0 and learn its picture",
         "the record of wear",
+    ),
+    Command(
+        "prove_gel",
+        NoArguments,
+        _prove_gel,
+        "a person says that every press on this gel was of a sound part: with enough presses and few alarms the bundle "
+        "in use is proven on it. `rate`: the false alarms that they still allow",
+        "what the bundle is trusted with",
     ),
     Command(
         "select_part",

@@ -21,6 +21,7 @@ from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.admission import Admission
@@ -33,6 +34,7 @@ from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.scar_watch import ScarWatch
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
+from edge.model.gel_facts import made_on
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
 
@@ -55,7 +57,7 @@ class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
     gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. on_judged: called
-    before that, for outputs that cannot wait.
+    before that, for outputs that cannot wait. refusal: why a part may not be judged now, beside that of `labels`.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class InspectionSession:
         labels: PressLabels | None = None,
         press_again: PressAgain | None = None,
         scars: ScarWatch | None = None,
+        refusal: Callable[[], Rejection | None] = lambda: None,
     ) -> None:
         self.gel = gel
         self._again = press_again
@@ -90,7 +93,9 @@ class InspectionSession:
         self._scars = scars
         if scars is not None:
             scars.mount(gel.gel_id)
-        self._pipeline = PressPipeline(detector, inspector, clock, self._see, admission, labels, scars)
+        self._pipeline = PressPipeline(
+            detector, inspector, clock, self._see, admission, labels, scars, refusal
+        )
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
@@ -105,7 +110,7 @@ class InspectionSession:
         manifest = self._inspector.bundle.manifest
         part = PartPosition(manifest.part, manifest.position)
         digest = self._inspector.bundle.digest
-        return Mounted(self.gel.serial, self.gel.gel_id, part, digest, self.has_contact)
+        return Mounted(self.gel.serial, self.gel.gel_id, part, digest, self.has_contact, made_on(manifest))
 
     @property
     def contact_state(self) -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+from edge.core.gel_proof import MadeOn
 from edge.core.imaging.quality import Rejection
 from edge.core.part_position import PartPosition
 from edge.core.press_label import PressLabel
@@ -12,13 +13,14 @@ __all__ = ["Mounted", "PressLabels"]
 
 @dataclass(frozen=True)
 class Mounted:
-    """What a press would be made with now. has_contact: something presses the gel."""
+    """What a press would be made with now. has_contact: something presses the gel. made: the bundle's own gel."""
 
     serial: str
     gel_id: str
     part: PartPosition
     bundle_id: str
     has_contact: bool
+    made: MadeOn
 
 
 class PressLabels(Protocol):

@@ -31,7 +31,7 @@ __all__ = ["PressPipeline"]
 class PressPipeline:
     """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera. labels:
     which presses are no part's; the overview camera is not asked about these. scars: of the mounted gel; None leaves
-    them out."""
+    them out. refusal: why a part may not be judged now, beside that of `labels`."""
 
     def __init__(
         self,
@@ -42,6 +42,7 @@ class PressPipeline:
         admission: Admission | None = None,
         labels: PressLabels | None = None,
         scars: ScarWatch | None = None,
+        refusal: Callable[[], Rejection | None] = lambda: None,
     ) -> None:
         self.detector = detector
         self._inspector = inspector
@@ -51,6 +52,7 @@ class PressPipeline:
         self._labels = labels
         self._label: PressLabel | None = None
         self._scars = scars
+        self._refusal = refusal
 
     @property
     def tracker(self) -> ContactTracker:
@@ -120,7 +122,7 @@ class PressPipeline:
         if self._label is not None:
             judged = self._labelled(self._judged(event))
             return replace(judged, imprint=self._imprint(event, judged)) if _is_reference(judged) else judged
-        refusal = self._labels.refusal() if self._labels is not None else None
+        refusal = (self._labels.refusal() if self._labels is not None else None) or self._refusal()
         if refusal is not None:
             return self._unsettled(Verdict.rejected(refusal))
         return self._admitted(event)

@@ -123,7 +123,9 @@ class StationLoop:
                 self._look_at(frame)
             if is_trying:
                 self._follow_selection()
-                self._parts.labels.step(self._session.mounted if self._session else None)
+                mounted = self._session.mounted if self._session else None
+                self._parts.labels.step(mounted)
+                self._parts.proof.step(mounted)
                 self._record()
                 self._note_snapshot()
                 self.is_halted = False
@@ -333,6 +335,7 @@ class StationLoop:
             parts.labels,
             parts.press_again,
             ScarWatch(ScarFolder(parts.references.folder), parts.scars, identity.serial),
+            parts.proof.refusal,
         )
         return self._session
 
@@ -374,6 +377,7 @@ class StationLoop:
             self._parts.io.recorded(report.word, self._since(report.judged_ns))
             self.summary.add(report)
             self._on_press(report)
+            self._parts.proof.recorded(report)
             if report.label is not None:
                 self._parts.labels.recorded(report.label)
 

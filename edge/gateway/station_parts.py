@@ -11,6 +11,7 @@ from edge.gateway.black_box import BlackBox
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.digital_io.station_io import StationIo
 from edge.gateway.free_space import FreeSpace
+from edge.gateway.gel_proof_watch import GelProofWatch
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
@@ -33,7 +34,7 @@ class Parts:
     """The parts of a station, built and not yet started. Their builder closes them.
 
     calls: of other threads, with the loop that has these parts. labels: which presses are no part's: those of
-    `reference`, or of a gauge study. stats_s: between two reports.
+    `reference`, or of a gauge study. proof: of the bundle on the gel. stats_s: between two reports.
     """
 
     selection: PartSelection
@@ -54,6 +55,7 @@ class Parts:
     black_box: BlackBox
     reference: ReferenceGuard
     labels: PressLabels
+    proof: GelProofWatch
     press_again: PressAgain
     scars: ScarSettings
     overview: Overview | None = None

@@ -45,7 +45,8 @@ class StationStatus:
         self._raised: set[str] = set()
         self._waiting_for: str | None = None
         self._is_stopped = False
-        self._said: tuple[str, str | None] | None = None
+        self._unproven: str | None = None
+        self._said: tuple[str, str | None, str | None] | None = None
         self._drops_before: OutboxStatus | None = None
         self._drops_now: OutboxStatus | None = None
 
@@ -103,14 +104,13 @@ class StationStatus:
             self._say_state()
 
     def _say_state(self) -> None:
-        state = self._state()
-        if state != self._said:
-            self._said = state
-            word, reason = state
+        word, reason = self._state()
+        said = (word, reason, self._unproven)
+        if said != self._said:
+            self._said, time_ns = said, self._clock.time_ns()
             self._announce(availability_message(is_online=word != "stopped"))
-            self._announce(
-                state_message(StatePayload(time_ns=self._clock.time_ns(), state=word, reason=reason))
-            )
+            payload = StatePayload(time_ns=time_ns, state=word, reason=reason, unproven=self._unproven)
+            self._announce(state_message(payload))
 
     def _state(self) -> tuple[Literal["starting", "ready", "halted", "stopped"], str | None]:
         if self._is_stopped:
@@ -156,6 +156,21 @@ class StationStatus:
             self.alarm("gel_scar", sentence)
         elif "gel_scar" in self._raised:
             self.clear("gel_scar")
+
+    def gel_proof(self, sentence: str | None, unproven: Literal["off", "warn", "refuse"]) -> None:
+        """Why the bundle in use is not yet proven on the mounted gel, None where it is: in the state, and an alarm, or
+        a fault."""
+        with self._lock:
+            self._unproven = sentence
+            self._say_state()
+        if sentence is None or unproven == "off":
+            self.clear_fault("gel_proof")
+            if "gel_proof" in self._raised:
+                self.clear("gel_proof")
+        elif unproven == "warn":
+            self.alarm("gel_proof", sentence, "warning")
+        elif self.set_fault("gel_proof", sentence):
+            log.warning("%s", sentence)
 
     def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
         """The installed software and the connected sensor. parts: that can be selected."""

@@ -26,6 +26,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "overload": "this machine is too slow for its frames: some were dropped or judged too late, presses may be missed",
     "press_again": "a second press of a piece was asked for and did not come; the piece has no verdict",
     "gel": "the gel is due or must be replaced",
+    "gel_proof": "the bundle in use is not yet proven on the mounted gel; with `refuse` parts are rejected meanwhile",
     "reference": "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
     "gel_scar": "scars of the gel hide more of what is pressed than is accepted; presses do not pass",
     "trigger_device": "a pedal or button cannot be used",

@@ -74,7 +74,7 @@ class CommandArguments(BaseModel):
 
 
 class NoArguments(CommandArguments):
-    """Of `cmd/trigger`, `cmd/relearn`, `cmd/reload` and `cmd/self_test`."""
+    """Of `cmd/trigger`, `cmd/relearn`, `cmd/reload`, `cmd/prove_gel` and `cmd/self_test`."""
 
 
 class ReplaceGelArguments(CommandArguments):

@@ -26,6 +26,11 @@ class StatePayload(Payload):
         "`reason`; stopped: ended on purpose; lost: ended without a message (`time` is then that of its start)"
     )
     reason: str | None = Field(default=None, description="one sentence, for people")
+    unproven: str | None = Field(
+        default=None,
+        description="why the bundle in use is not yet proven on the mounted gel, one sentence; null where it is. It "
+        "changes no result, unless `gel.unproven` is `refuse`",
+    )
 
 
 class InfoPayload(Payload):

@@ -226,7 +226,33 @@ _VERSION_7: Final = """
 ALTER TABLE presses ADD COLUMN second_of TEXT;
 """
 
-MIGRATIONS: Final = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, _VERSION_5, _VERSION_6, _VERSION_7)
+# On which gel each bundle is proven, and the presses of sound parts on gels where it is not (edge.store.gel_proofs).
+_VERSION_8: Final = """
+CREATE TABLE gel_proofs (
+    serial     TEXT NOT NULL,
+    gel_id     TEXT NOT NULL,
+    bundle_id  TEXT NOT NULL,
+    part       TEXT NOT NULL,
+    position   TEXT NOT NULL,
+    proven     TEXT,
+    known_from TEXT NOT NULL,
+    presses    INTEGER NOT NULL DEFAULT 0,
+    alarms     INTEGER NOT NULL DEFAULT 0,
+    time_ns    INTEGER NOT NULL,
+    PRIMARY KEY (serial, gel_id, bundle_id)
+) STRICT, WITHOUT ROWID;
+"""
+
+MIGRATIONS: Final = (
+    _VERSION_1,
+    _VERSION_2,
+    _VERSION_3,
+    _VERSION_4,
+    _VERSION_5,
+    _VERSION_6,
+    _VERSION_7,
+    _VERSION_8,
+)
 SCHEMA_VERSION: Final = len(MIGRATIONS)
 
 CHAINED_SINCE: Final = 6

@@ -3,12 +3,18 @@
 import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+import typer
 
-from edge.cli.gel import replace, show
+from edge.cli.gel import prove, replace, show
 from edge.core.errors import ConfigError
+from edge.core.gel_proof import MadeOn
+from edge.core.part_position import PartPosition
+from edge.store import gel_proofs
+from edge.store.gel_proofs import GelBundle
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid
@@ -83,3 +89,66 @@ def test_the_commands_are_registered() -> None:
         check=True,
     )
     assert "--serial" in done.stdout
+
+
+def bundle_on_a_new_gel(database: Path, presses: int) -> None:
+    """A bundle that was used on the first gel, with presses without an alarm on the second one."""
+    part, made = PartPosition("bolt", "crest"), MadeOn("2026-01-31")
+    with Store(database) as store:
+        for gel in (1, 2):
+            key = GelBundle("2BNN4ZE7", f"2BNN4ZE7-{gel}", "b" * 64)
+            store.write("", partial(gel_proofs.see, key=key, part=part, made=made, time_ns=T0))
+            if gel == 1:
+                store.replace_gel("2BNN4ZE7", T0)
+        for _ in range(presses):
+            store.write("", partial(gel_proofs.count, key=key, is_alarm=False))
+
+
+def test_show_says_which_bundle_is_not_proven(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Below the gels, with what to do."""
+    bundle_on_a_new_gel(database, 5)
+    show(database=database)
+
+    text = capsys.readouterr().out
+    assert (
+        "bundle bolt/crest (bbbbbbbb) is not yet proven on gel 2BNN4ZE7-2: it was used on gel 2BNN4ZE7-1"
+        in text
+    )
+
+
+def test_prove_is_refused_until_presses_are_enough(
+    database: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1, the missing presses, and an act of each request."""
+    bundle_on_a_new_gel(database, 21)
+    with pytest.raises(typer.Exit) as refused:
+        prove(database=database)
+    press_once_more(database)
+    prove(database=database)
+    prove(database=database)
+    with Store(database) as store:
+        acts = [(act.verb, act.outcome) for act in store.acts(2)]
+
+    out = capsys.readouterr().out
+    assert refused.value.exit_code == 1
+    assert "Press 1 more sound parts without an alarm" in out
+    assert (
+        "is proven on gel 2BNN4ZE7-2: 22 presses on this gel with no alarm allow 10% of false alarms" in out
+    )
+    assert out.endswith("every bundle that was used on the mounted gel is proven on it\n")
+    assert acts == [("prove_gel", "done"), ("prove_gel", "refused")]
+
+
+def press_once_more(database: Path) -> None:
+    with Store(database) as store:
+        key = GelBundle("2BNN4ZE7", "2BNN4ZE7-2", "b" * 64)
+        store.write("", partial(gel_proofs.count, key=key, is_alarm=False))
+
+
+def test_prove_of_a_part_that_was_not_used_names_those_that_were(database: Path) -> None:
+    """A mistyped part proves nothing."""
+    bundle_on_a_new_gel(database, 22)
+    with pytest.raises(
+        ConfigError, match="no bundle of part 'nut' was used on the mounted gel; used were: bolt"
+    ):
+        prove(database=database, part="nut")

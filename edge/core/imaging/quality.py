@@ -43,6 +43,7 @@ class Reason(StrEnum):
     NO_PART_ID = "no_part_id"
     OTHER_PART = "other_part"
     REFERENCE = "reference"
+    GEL_PROOF = "gel_proof"
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.fitting.binomial import trials_needed, upper_rate
+from edge.core.binomial import trials_needed, upper_rate
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,109 @@
+"""Whether a bundle is proven on the mounted gel, and how many presses show it.
+
+A bank is learnt on one gel. On another gel of the same sensor its scores differ, so the promise of its threshold holds
+no more, until a bundle is made on the new gel or presses of sound parts have shown how often it alarms.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
+
+__all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "UsedBefore", "first_proof"]
+
+PROVEN_RATE: Final = 0.1
+"""Presses of sound parts show at most this rate of false alarms, with the confidence of every such promise. The goal of
+`gelgate acquire`: 22 presses without an alarm."""
+
+
+class Proven(StrEnum):
+    """Why a bundle is proven on a gel. The values are stored."""
+
+    MADE = "made"
+    FIRST_USE = "first use"
+    PRESSES = "presses"
+
+
+@dataclass(frozen=True)
+class MadeOn:
+    """What a bundle says of its own gel. created: a date, as 2026-01-31. gel_id: None where it names none."""
+
+    created: str
+    gel_id: str | None = None
+
+
+@dataclass(frozen=True)
+class UsedBefore:
+    """What is known of a bundle that is used on a gel for the first time. mounted: the date of the gel; None for the
+    first gel of a sensor, which may be older than the record of it. used_on: the gel on which the bundle was used last.
+    was_in_use: it inspected here before this gel was mounted."""
+
+    gel_id: str
+    mounted: str | None
+    used_on: str | None = None
+    was_in_use: bool = False
+
+
+@dataclass(frozen=True)
+class GelProof:
+    """One bundle on one gel. proven: why it is, None where it is not. known_from: where it comes from, in words.
+    presses, alarms: of presses of sound parts, counted while it is not proven."""
+
+    proven: Proven | None
+    known_from: str = ""
+    presses: int = 0
+    alarms: int = 0
+
+    @property
+    def rate(self) -> float:
+        """The false alarms that the presses still allow, 0 to 1."""
+        return upper_rate(self.alarms, self.presses) if self.presses else 1.0
+
+    @property
+    def still_needed(self) -> int:
+        """Presses of sound parts without an alarm that are missing."""
+        return max(0, trials_needed(PROVEN_RATE, self.alarms) - self.presses)
+
+    @property
+    def sentence(self) -> str:
+        """What the presses on this gel show."""
+        alarms = "no alarm" if self.alarms == 0 else f"{self.alarms} alarm{'s' if self.alarms > 1 else ''}"
+        shown = f"{self.presses} press{'' if self.presses == 1 else 'es'} on this gel with {alarms}"
+        if self.presses == 0:
+            return "no press on this gel yet"
+        return f"{shown} allow{'s' if self.presses == 1 else ''} {self.rate:.0%} of false alarms"
+
+    def unproven(self, bundle: str, gel_id: str) -> str | None:
+        """One sentence while it is not proven: what is missing, and what to do."""
+        if self.proven is not None:
+            return None
+        needed = self.still_needed
+        todo = (
+            f"press {needed} more sound parts without an alarm, then"
+            if needed
+            else "if all parts were sound,"
+        )
+        return (
+            f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {self.sentence}, at most "
+            f"{PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure). {todo[0].upper()}{todo[1:]} "
+            "`gelgate gel prove`; or fit a bundle on this gel"
+        )
+
+
+def first_proof(made: MadeOn, before: UsedBefore) -> GelProof:
+    """Of a bundle that is used on this gel for the first time.
+
+    A bundle that names its gel is taken at its word. Any other is taken as made on the gel on which it is used first,
+    unless it was used, or made, before that gel was mounted.
+    """
+    if made.gel_id is not None:
+        is_same = made.gel_id == before.gel_id
+        return GelProof(Proven.MADE) if is_same else GelProof(None, f"it was made on gel {made.gel_id}")
+    if before.used_on is not None:
+        return GelProof(None, f"it was used on gel {before.used_on}")
+    if before.was_in_use:
+        return GelProof(None, "it inspected here before this gel was mounted")
+    if before.mounted is not None and made.created < before.mounted:
+        return GelProof(None, f"it was made on {made.created}, and the gel was mounted on {before.mounted}")
+    return GelProof(Proven.FIRST_USE)

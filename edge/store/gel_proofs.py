@@ -1,0 +1,113 @@
+"""The table of bundles on gels: on which gel each bundle is proven, and what its presses there gave.
+
+Functions that take a connection run inside the caller's transaction.
+"""
+
+import sqlite3
+from datetime import datetime
+from typing import NamedTuple
+
+from edge.core.gel_proof import GelProof, MadeOn, Proven, UsedBefore, first_proof
+from edge.core.part_position import PartPosition
+
+__all__ = ["GelBundle", "count", "find", "of_mounted", "prove", "see"]
+
+
+class GelBundle(NamedTuple):
+    """One bundle, by its identity, on one gel of one sensor."""
+
+    serial: str
+    gel_id: str
+    bundle_id: str
+
+    def named(self, part: PartPosition) -> str:
+        """For messages."""
+        return f"{part} ({self.bundle_id[:8]})"
+
+
+_OF = "serial = ? AND gel_id = ? AND bundle_id = ?"
+
+
+def find(connection: sqlite3.Connection, key: GelBundle) -> GelProof | None:
+    """None for a bundle that was not used on this gel."""
+    row = connection.execute(
+        f"SELECT proven, known_from, presses, alarms FROM gel_proofs WHERE {_OF}", key
+    ).fetchone()
+    return None if row is None else _proof(row)
+
+
+def see(
+    connection: sqlite3.Connection, key: GelBundle, part: PartPosition, made: MadeOn, time_ns: int
+) -> GelProof:
+    """The bundle is in use on this gel: what is known of it there, written down at the first time."""
+    known = find(connection, key)
+    if known is not None:
+        return known
+    proof = first_proof(made, _before(connection, key))
+    connection.execute(
+        "INSERT INTO gel_proofs (serial, gel_id, bundle_id, part, position, proven, known_from, time_ns) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        (*key, *part, None if proof.proven is None else proof.proven.value, proof.known_from, time_ns),
+    )
+    return proof
+
+
+def count(connection: sqlite3.Connection, key: GelBundle, *, is_alarm: bool) -> None:
+    """One more press of a sound part; nothing once it is proven."""
+    connection.execute(
+        f"UPDATE gel_proofs SET presses = presses + 1, alarms = alarms + ? WHERE {_OF} AND proven IS NULL",
+        (int(is_alarm), *key),
+    )
+
+
+def prove(connection: sqlite3.Connection, key: GelBundle, part: PartPosition) -> GelProof:
+    """By the word of a person all presses on this gel were of sound parts: it is proven, if they are enough. Errors:
+    ValueError with what is missing."""
+    proof = find(connection, key)
+    if proof is None:
+        raise ValueError(
+            f"bundle {key.named(part)} was not used on gel {key.gel_id} yet; press sound parts first"
+        )
+    if proof.proven is not None:
+        raise ValueError(
+            f"bundle {key.named(part)} is proven on gel {key.gel_id} already: {proof.proven.value}"
+        )
+    if proof.still_needed:
+        raise ValueError(str(proof.unproven(key.named(part), key.gel_id)))
+    connection.execute(f"UPDATE gel_proofs SET proven = ? WHERE {_OF}", (Proven.PRESSES.value, *key))
+    return GelProof(Proven.PRESSES, proof.known_from, proof.presses, proof.alarms)
+
+
+def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosition, GelProof]]:
+    """Every bundle that was used on a gel that is mounted now."""
+    rows = connection.execute(
+        "SELECT serial, gel_id, bundle_id, part, position, proven, known_from, gel_proofs.presses, alarms "
+        "FROM gel_proofs JOIN gels USING (serial, gel_id) WHERE removed_ns IS NULL ORDER BY serial, part, position"
+    )
+    return [(GelBundle(*row[:3]), PartPosition(*row[3:5]), _proof(row[5:])) for row in rows]
+
+
+def _before(connection: sqlite3.Connection, key: GelBundle) -> UsedBefore:
+    installed_ns, is_first = connection.execute(
+        "SELECT installed_ns, NOT EXISTS (SELECT 1 FROM gels AS old WHERE old.serial = gels.serial AND "
+        "old.removed_ns IS NOT NULL) FROM gels WHERE serial = ? AND gel_id = ?",
+        (key.serial, key.gel_id),
+    ).fetchone()
+    used_on = connection.execute(
+        "SELECT gel_id FROM gel_proofs WHERE serial = ? AND bundle_id = ? ORDER BY time_ns DESC LIMIT 1",
+        (key.serial, key.bundle_id),
+    ).fetchone()
+    was_in_use = connection.execute(
+        "SELECT 1 FROM bundles_in_use WHERE bundle_id = ? AND time_ns < ?", (key.bundle_id, installed_ns)
+    ).fetchone()
+    return UsedBefore(
+        key.gel_id,
+        None if is_first else f"{datetime.fromtimestamp(installed_ns / 1e9):%Y-%m-%d}",
+        None if used_on is None else str(used_on[0]),
+        was_in_use is not None and not is_first,
+    )
+
+
+def _proof(row: tuple[str | None, str, int, int]) -> GelProof:
+    proven, known_from, presses, alarms = row
+    return GelProof(None if proven is None else Proven(proven), known_from, presses, alarms)

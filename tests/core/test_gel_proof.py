@@ -1,0 +1,66 @@
+"""Whether a bundle is proven on a gel: what is known at its first use, and how many presses show it."""
+
+import pytest
+
+from edge.core.binomial import upper_rate
+from edge.core.gel_proof import GelProof, MadeOn, Proven, UsedBefore, first_proof
+
+OLD = MadeOn("2026-03-01")
+
+
+@pytest.mark.parametrize(
+    ("made", "before", "known_from"),
+    [
+        (MadeOn("2026-03-01", "G1"), UsedBefore("G2", None), "it was made on gel G1"),
+        (OLD, UsedBefore("G2", None, used_on="G1"), "it was used on gel G1"),
+        (OLD, UsedBefore("G2", None, was_in_use=True), "it inspected here before this gel was mounted"),
+        (
+            OLD,
+            UsedBefore("G2", "2026-03-02"),
+            "it was made on 2026-03-01, and the gel was mounted on 2026-03-02",
+        ),
+    ],
+)
+def test_a_bundle_of_another_gel_is_not_proven(made: MadeOn, before: UsedBefore, known_from: str) -> None:
+    """Each way to know that, with its words."""
+    assert first_proof(made, before) == GelProof(None, known_from)
+
+
+@pytest.mark.parametrize(
+    ("made", "before", "proven"),
+    [
+        (MadeOn("2026-03-01", "G2"), UsedBefore("G2", "2026-03-02", used_on="G1"), Proven.MADE),
+        (OLD, UsedBefore("G2", None), Proven.FIRST_USE),
+        (OLD, UsedBefore("G2", "2026-03-01"), Proven.FIRST_USE),
+    ],
+)
+def test_a_bundle_that_can_be_of_this_gel_is_proven(made: MadeOn, before: UsedBefore, proven: Proven) -> None:
+    """One that names this gel; and at its first use one that names none and is not older than the gel."""
+    assert first_proof(made, before) == GelProof(proven)
+    assert first_proof(made, before).unproven("b", "G2") is None
+
+
+def test_twenty_two_presses_without_an_alarm_are_enough() -> None:
+    """1 - .9^22 is the first to reach .9: the exact binomial of ten percent, ninety percent sure."""
+    assert GelProof(None, "x", 21).still_needed == 1
+    assert GelProof(None, "x", 22).still_needed == 0
+    assert 1 - 0.9**22 >= 0.9 > 1 - 0.9**21
+
+
+def test_an_alarm_asks_for_more_presses() -> None:
+    """38 with one alarm allow ten percent at most."""
+    proof = GelProof(None, "x", 22, 1)
+
+    assert proof.presses + proof.still_needed == 38
+    assert upper_rate(1, 38) <= 0.1 < upper_rate(1, 37)
+
+
+def test_the_sentence_says_what_is_known_what_is_missing_and_what_to_do() -> None:
+    """For the state, the alarm and the command line."""
+    text = GelProof(None, "it was used on gel G1", 5).unproven("bolt/crest (0123abcd)", "G2")
+
+    assert text == (
+        "bundle bolt/crest (0123abcd) is not yet proven on gel G2: it was used on gel G1; 5 presses on this gel with "
+        "no alarm allow 37% of false alarms, at most 10% are wanted (90% sure). Press 17 more sound parts without an "
+        "alarm, then `gelgate gel prove`; or fit a bundle on this gel"
+    )
