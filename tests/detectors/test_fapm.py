@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from edge.core.detector import Grid, Mode
 from edge.core.errors import FitError, NotScorable
-from plugins.detectors.fapm import FapmParameters, fapm, prototypes
-from plugins.detectors.fapm.prototypes import cell_layout, choose_prototypes
+from plugins.detectors.fapm import FapmParameters, fapm
 
 MODES = ("paper", "corrected")
 TAPS = {"layer2": (6, 8, 8), "layer3": (8, 4, 4)}
@@ -207,34 +206,3 @@ def test_nonsense_is_refused(name: str, value: object) -> None:
     """Unknown names and values out of range are refused by name."""
     with pytest.raises(FitError, match="fapm"):
         fapm.parameters(**{name: value})
-
-
-@pytest.mark.parametrize("n", [3, 40])
-def test_few_and_many_rows_choose_the_same_prototypes(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Comparing with the picks alone finds what comparing all pairs finds; integers of mean 0, so that equals stay
-    equal."""
-    half = np.random.default_rng(0).integers(-8, 8, (n, 64, 4)).astype(np.float32)
-    rows = np.concatenate([half, -half])
-    places = cell_layout((8, 8), 4, is_shared=True)
-    found = []
-    for many in (1, 10_000):
-        monkeypatch.setattr(prototypes, "MANY_ROWS", many)
-        found.append(choose_prototypes(rows, places, (4, 8), 0.75, 0.3))
-
-    by_picks, by_pairs = found
-    assert np.array_equal(by_picks.is_far, by_pairs.is_far)
-    assert by_picks.is_far.sum() == 1
-    for name in ("mean", "rows", "apart"):
-        assert np.array_equal(getattr(by_picks, name), getattr(by_pairs, name)), name
-
-
-@pytest.mark.parametrize("many", [1, 10_000])
-def test_a_repeated_row_is_at_no_distance(many: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows equal to a pick are at distance 0 from it, not at the rounding of a product, however few rows there are."""
-    monkeypatch.setattr(prototypes, "MANY_ROWS", many)
-    two = np.random.default_rng(0).normal(50, 20, (2, 64, 32)).astype(np.float32)
-    rows, places = np.concatenate([two] * 6), cell_layout((8, 8), 4, is_shared=True)
-
-    every_kind_once, every_row = (choose_prototypes(rows, places, (k, k), 0.75, 0.3) for k in (64, 192))
-    assert every_kind_once.is_far.all()
-    assert not every_row.apart.any()

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plugins.detectors.common.batched_nearest import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
-from plugins.detectors.common.coreset import greedy_from_distances
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.free_gel import emit_gel_distances, gel_distances
+from plugins.detectors.fapm.picks import pick, together
 from plugins.onnx_builder import Graph, Value
 
 __all__ = [
@@ -25,14 +25,6 @@ __all__ = [
     "emit_prototype_distances",
     "prototype_distances",
 ]
-
-# Pairwise distances held at once during a fit (float32 numbers, 16 MB: they stay in the cache).
-PAIRS = 4 * 2**20
-# Rows of a group from which on they are compared with its picks alone: with 110 presses of 16 places each a fit takes
-# 2.2 s of one core instead of 4.9 (layer1 of the shipped backbone, 224x224).
-MANY_ROWS = 512
-# A squared distance below this part of the two squared lengths is rounding of the float32 product form.
-ROUNDING = 2e-6
 
 
 class Layout(NamedTuple):
@@ -102,7 +94,7 @@ def choose_prototypes(
 
 
 def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, start: float) -> _Learnt:
-    """`count` prototypes of each group (g, s) of places. Many rows are compared pick by pick, few all at once."""
+    """`count` prototypes of each group (g, s) of places."""
     n, _, c = rows.shape
     s = groups.shape[1]
     found = _Learnt(
@@ -111,97 +103,31 @@ def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, st
         np.empty((len(groups), s)),
         np.empty((len(groups), s * n)),
     )
-    at_once = max(1, PAIRS // (n * s) ** 2) if n * s < MANY_ROWS else 1
-    choose = _by_pairs if n * s < MANY_ROWS else _one_by_one
+    at_once = together(n * s, c)
     for first in range(0, len(groups), at_once):
         part = slice(first, first + at_once)
-        # (groups, presses * sub-patches, c), press by press.
-        x = rows[:, groups[part]].swapaxes(0, 1).reshape(-1, n * s, c)
+        x = _rows_of(rows, groups[part])
         found.mean[part] = x.mean(axis=1, dtype=np.float64)
-        x = x - found.mean[part, None]
-        chosen = choose(x, np.einsum("gnc,gnc->gn", x, x), count, int(start * n * s), s)
+        x -= found.mean[part, None]
+        chosen = pick(x, count, int(start * n * s), s)
         found.rows[part] = np.take_along_axis(x, chosen.picks[:, :, None], axis=1)
         found.radius[part] = _root(chosen.nearest).reshape(-1, n, s).max(axis=1)
         found.apart[part] = _root(chosen.apart)
     return found
 
 
+def _rows_of(rows: NDArray[np.floating], groups: NDArray[np.int64]) -> NDArray[np.floating]:
+    """The rows (g, n * s, c) of groups (g, s) of places, press by press."""
+    n, _, c = rows.shape
+    found = np.empty((n, groups.size, c), rows.dtype)
+    # In memory a channel's places follow each other: taken as columns and turned while they are in the cache.
+    for press, taken in zip(rows, found, strict=True):
+        taken[:] = press.T[:, groups.ravel()].T
+    return found.reshape(n, len(groups), -1).swapaxes(0, 1).reshape(len(groups), -1, c)
+
+
 def _root(squared: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.sqrt(squared, dtype=np.float64)
-
-
-class _Chosen(NamedTuple):
-    """picks: int64 (g, count). Squared distances float32 (g, n): nearest, to the nearest pick; apart, to the nearest
-    pick of another press, infinite where there is none."""
-
-    picks: NDArray[np.int64]
-    nearest: NDArray[np.float32]
-    apart: NDArray[np.float32]
-
-
-def _by_pairs(
-    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int, s: int
-) -> _Chosen:
-    """The picks of each group's centred rows (g, n, c), of which each press has s."""
-    squared = x @ np.ascontiguousarray(x.swapaxes(1, 2))
-    squared *= -2
-    squared += lengths[:, :, None]
-    squared += lengths[:, None, :]
-    np.maximum(squared, 0, out=squared)
-    picks = greedy_from_distances(squared, count, start)
-    squared = squared[np.arange(len(x))[:, None], picks]
-    squared[squared <= _rounding(np.take_along_axis(lengths, picks, 1)[:, :, None], lengths[:, None])] = 0
-    nearest, press = squared.min(axis=1), np.arange(x.shape[1]) // s
-    squared[press[picks][:, :, None] == press] = np.inf
-    return _Chosen(picks, nearest, squared.min(axis=1))
-
-
-def _rounding(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
-    return ROUNDING * (a + b)
-
-
-def _one_by_one(
-    x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int, s: int
-) -> _Chosen:
-    """The same for one group of many rows (1, n, c): distances to its picks alone, of which only minima are kept."""
-    rows, lengths = x[0], lengths[0]
-    doubled, picks = -2 * rows, np.empty(count, np.int64)
-    bound, apart = np.full((2, len(rows)), np.inf, np.float32)
-    squared, both = np.empty((2, len(rows)), np.float32)
-    for k in range(count):
-        picks[k] = pick = start if k == 0 else bound.argmax()
-        np.dot(doubled, rows[pick], out=squared)
-        np.add(lengths, lengths[pick], out=both)
-        squared += both
-        np.maximum(squared, 0, out=squared)
-        np.minimum(bound, squared, out=bound)
-        bound[pick] = -1.0
-        own = slice(pick // s * s, (pick // s + 1) * s)
-        kept = apart[own].copy()
-        np.minimum(apart, squared, out=apart)
-        apart[own] = kept
-    nearest = np.maximum(bound, 0)
-    _clear_rounding(rows, lengths, picks, s, nearest, apart)
-    return _Chosen(picks[None], nearest[None], apart[None])
-
-
-def _clear_rounding(
-    rows: NDArray[np.float32],
-    lengths: NDArray[np.float32],
-    picks: NDArray[np.int64],
-    s: int,
-    nearest: NDArray[np.float32],
-    apart: NDArray[np.float32],
-) -> None:
-    """Zero the distances (n,) that are rounding, which only rows with very near picks can have."""
-    limit = _rounding(lengths, lengths[picks].max())
-    near = np.flatnonzero((apart <= limit) | ((nearest > 0) & (nearest <= limit)))
-    both = lengths[near, None] + lengths[picks]
-    squared = both - 2 * (rows[near] @ rows[picks].T)
-    is_zero = squared <= ROUNDING * both
-    nearest[near[is_zero.any(axis=1)]] = 0
-    is_zero &= near[:, None] // s != picks // s
-    apart[near[is_zero.any(axis=1)]] = 0
 
 
 def cell_scales(
