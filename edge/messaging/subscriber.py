@@ -31,8 +31,8 @@ __all__ = [
 # Press ids remembered in order to leave out repetitions: more than an outbox replays at once.
 REMEMBERED: Final = 100_000
 
-# The longest wait for the picture of the last wanted press; it follows its result at once.
-LAST_PICTURE_S: Final = 2.0
+# The longest wait for the picture of the last wanted press; it follows its result at once, unless the network is slow.
+LAST_PICTURE_S: Final = 10.0
 
 # Pauses between attempts to return to a broker that went away.
 RETURN_S: Final = 1.0

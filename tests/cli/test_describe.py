@@ -120,7 +120,7 @@ def broker() -> Iterator[LocalBroker]:
 
 def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
     """A client leaves this as the description of a station."""
-    connection = Connection.open(Broker(broker.host, broker.port, "leaves"))
+    connection = Connection.open(Broker(broker.host, broker.port, "leaves", level="5", timeout_s=60.0))
     connection.publish(Outgoing(f"{root}/asyncapi", payload, 1, retain=True))
     connection.close()
 

@@ -15,13 +15,14 @@ from breakable_station import Bench
 from station import press_recording, small_bundle, station_config
 
 GELGATE = Path(sys.executable).parent / "gelgate"
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 120.0
 
 
 def payloads(bench: Bench, topic: str) -> list[dict[str, object]]:
-    """The payloads of a topic so far."""
+    """The payloads of a topic so far; a line that is being written is none yet."""
     log = bench.folder / "out" / "messages.jsonl"
-    lines = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
+    written = log.read_bytes().rpartition(b"\n")[0] if log.is_file() else b""
+    lines = [json.loads(line) for line in written.splitlines()]
     return [line["payload"] for line in lines if line["topic"] == topic]
 
 

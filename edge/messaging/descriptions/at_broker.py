@@ -1,6 +1,7 @@
 """A station as it describes itself at a broker: all that is needed is the broker's address."""
 
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
@@ -9,11 +10,11 @@ from edge.core.errors import ConfigError
 from edge.core.printable import printable
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.mqtt_broker import Broker
-from edge.messaging.subscriber import received
+from edge.messaging.subscriber import listening, next_message
 
 __all__ = ["station_at"]
 
-# Retained messages come at once; a broker far away takes longer.
+# From the subscription on. Retained messages come at once; those of a broker far away take longer.
 WAIT_S: Final = 2.0
 
 _SHOWN: Final = 8
@@ -28,9 +29,11 @@ def station_at(
     describes itself there, or several do.
     """
     found: dict[str, Mapping[str, Any]] = {}
-    for message in received(broker, topic_filter.removesuffix("#") + "asyncapi", wait_s):
-        if (document := _document(message.payload)) is not None:
-            found[message.topic.removesuffix("/asyncapi")] = document
+    with listening(broker, topic_filter.removesuffix("#") + "asyncapi") as (_, inbox):
+        end = time.monotonic() + wait_s
+        while (message := next_message(inbox, max(0.0, end - time.monotonic()))) is not None:
+            if (document := _document(message.payload)) is not None:
+                found[message.topic.removesuffix("/asyncapi")] = document
     if len(found) != 1:
         raise ConfigError(_not_one(broker, topic_filter, sorted(found)))
     root, document = found.popitem()
