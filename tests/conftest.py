@@ -8,10 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import chromium
+from hypothesis import settings
 
 from calibration.threads import one_blas_thread
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+# The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.
+# `pytest --hypothesis-profile=default` draws others.
+settings.load_profile("ci")
 
 # A shell that starts the tests in the background has them ignore Ctrl-C, and every program that they start with them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

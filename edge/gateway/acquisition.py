@@ -187,10 +187,13 @@ class Acquisition:
             self._finish(error, AcquisitionState.FAULT, str(error))
 
     def _finish(self, error: BaseException, state: AcquisitionState, fault: str | None) -> None:
-        with self._changed:
-            self._ending = error
-            self._changed.notify_all()
-        self._set(state=state, fault=fault)
+        """The state first: a consumer that gets the error in `next` finds its state in `status`."""
+        try:
+            self._set(state=state, fault=fault)
+        finally:
+            with self._changed:
+                self._ending = error
+                self._changed.notify_all()
 
     def _open(self) -> None:
         device = self._open_device()

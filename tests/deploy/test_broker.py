@@ -1,6 +1,5 @@
 """The shipped broker: mosquitto with the rules and certificates of `deploy/`, as a plant would start it."""
 
-import getpass
 import shutil
 import socket
 import ssl
@@ -10,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ports import free_port
 
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
@@ -19,6 +19,7 @@ from plugins.sinks import mqtt
 from plugins.sinks.mqtt_options import MqttOptions
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
+PATIENCE_S = 60.0  # far more than a busy machine needs
 ROOT = "gelgate/plant/line1/station1/gel/v1"
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin")
 pytestmark = pytest.mark.skipif(
@@ -41,15 +42,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def port(folder: Path) -> Iterator[int]:
     """The broker with the shipped configuration; only its folder and its port are others."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        number = int(probe.getsockname()[1])
+    number = free_port()
     shipped = (DEPLOY / "mosquitto" / "mosquitto.conf").read_text(encoding="utf-8")
     config = folder / "used.conf"
     text = shipped.replace("/mosquitto/", f"{folder}/").replace(
         "listener 8883", f"listener {number} 127.0.0.1"
     )
-    config.write_text(f"{text}user {getpass.getuser()}\n", encoding="utf-8")
+    config.write_text(f"{text}user root\n", encoding="utf-8")
     with (folder / "log").open("wb") as log:
         broker = subprocess.Popen([str(MOSQUITTO), "-c", config], stdout=log, stderr=log)
         try:
@@ -57,11 +56,11 @@ def port(folder: Path) -> Iterator[int]:
             yield number
         finally:
             broker.terminate()
-            broker.wait(20)
+            broker.wait(PATIENCE_S)
 
 
 def await_port(port: int, log: Path) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
@@ -76,7 +75,14 @@ def sink(folder: Path, port: int, name: str | None, root: str = ROOT, **more: ob
     tls = {"ca": str(files / "ca.crt")}
     if name is not None:
         tls |= {"cert": str(files / f"{name}.crt"), "key": str(files / f"{name}.key")}
-    options = {"host": "localhost", "port": port, "protocol": "5", "tls": tls, **more}
+    options = {
+        "host": "localhost",
+        "port": port,
+        "protocol": "5",
+        "tls": tls,
+        "acknowledge_s": PATIENCE_S,
+        **more,
+    }
     return mqtt.plugin.open(MqttOptions.model_validate(options), Station(root, f"gelgate-{name}"))
 
 
@@ -84,7 +90,7 @@ def send(folder: Path, port: int, name: str | None, topic: str, root: str = ROOT
     """Connect as this client, publish, leave. Errors: SinkRejected where a rule denies it."""
     one = sink(folder, port, name, root)
     try:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
                 one.send(Message(topic, b"{}", qos=1))
@@ -141,7 +147,7 @@ def answer(folder: Path, port: int, name: str | None) -> bytes:
         context.load_cert_chain(files / f"{name}.crt", files / f"{name}.key")
     try:
         with (
-            socket.create_connection(("localhost", port), timeout=20) as plain,
+            socket.create_connection(("localhost", port), timeout=PATIENCE_S) as plain,
             context.wrap_socket(plain, server_hostname="localhost") as secured,
         ):
             secured.sendall(CONNECT)

@@ -121,6 +121,21 @@ def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> No
     assert acquisition.status.dropped + len(frames) == acquisition.status.frames == 24
 
 
+def test_who_gets_the_end_finds_its_state() -> None:
+    """The state is ENDED before `next` raises: a consumer that looks at it then is not a moment too early."""
+    clock = FakeClock()
+    taken: list[CameraFrame | None] = []
+
+    def note(status: AcquisitionStatus) -> None:
+        if status.state is AcquisitionState.ENDED:
+            taken.append(acquisition.next(0))  # raises when the end has come already
+
+    acquisition = Acquisition(lambda: ScriptedDevice([RecordingEnded("over")], clock), clock, note)
+    with acquisition, pytest.raises(RecordingEnded):
+        acquisition.next(PATIENCE_S)
+    assert taken == [None]
+
+
 def test_faults_are_counted(tmp_path: Path) -> None:
     """Corrupt and stale frames are counted and never delivered; the rest arrives in order."""
     options = options_for(tmp_path, "error_bit@1", "truncate@3", "stale@5")

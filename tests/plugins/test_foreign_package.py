@@ -13,6 +13,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from ports import free_port
 from small_recordings import FakeClock
 from station import press_recording, station_config
 
@@ -174,9 +175,9 @@ class WebhookBench:
     """A server on this machine, which stops and starts on one port."""
 
     def __init__(self) -> None:
-        self._up = server()
+        self._port = free_port()
+        self._up = server(self._port)
         self._server = self._up.__enter__()
-        self._port = self._server.server_address[1]
 
     def open(self, station: Station) -> Sink:
         from acme_touch.webhook import WebhookOptions, plugin

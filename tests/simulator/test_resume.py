@@ -1,6 +1,7 @@
 """An interrupted recording continues after its last complete press and ends with the bytes of an uninterrupted one."""
 
 import hashlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from edge.core.errors import RecordingError
 from edge.recording.format import Recording
 
 COMMAND = Path(sys.executable).with_name("gelgate")
+PATIENCE_S = 300.0  # only what hangs takes so long
 # Every effect that depends on time or on earlier presses, on a gel that changes within the run.
 SCENE = """version = 1
 name = "tiny"
@@ -94,16 +96,9 @@ def test_a_killed_recording_continues(
         "--seed",
         str(SEED),
     ]
-    process = subprocess.Popen([*command, "--workers", str(workers)], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while process.poll() is None and time.monotonic() < deadline and lines(part) < IDLE + 3 * PRESS:
-        time.sleep(0.005)
-    process.send_signal(how)
-    process.wait(timeout=60)
-    presses = (lines(part) - IDLE) // PRESS
-    assert 3 <= presses < 24
+    presses = ended_within(how, [*command, "--workers", str(workers)], tmp_path / "r", part)
     before = changed(part)
-    subprocess.run([*command, "--workers", str(then)], check=True, capture_output=True, timeout=60)
+    subprocess.run([*command, "--workers", str(then)], check=True, capture_output=True, timeout=PATIENCE_S)
     assert digests(tmp_path / "r") == unbroken
     numbers = [label["press"] for label in Recording.open(tmp_path / "r").labels() if label]
     assert (numbers.index(0), numbers.count(0)) == (IDLE, PRESS)
@@ -113,6 +108,24 @@ def test_a_killed_recording_continues(
     assert not part.exists()
 
 
+def ended_within(how: signal.Signals, command: list[str | Path], whole: Path, part: Path) -> int:
+    """Start the command, end it after some presses, and count them. A busy machine may look too late: then again."""
+    for _ in range(10):
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + PATIENCE_S
+        while process.poll() is None and time.monotonic() < deadline and lines(part) < IDLE + 3 * PRESS:
+            time.sleep(0.005)
+        process.send_signal(how)
+        process.wait(timeout=PATIENCE_S)
+        presses = (lines(part) - IDLE) // PRESS
+        if presses < 24 and not whole.exists():
+            assert presses >= 3
+            return presses
+        shutil.rmtree(whole, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
+    raise AssertionError("it was complete each time, before it could be ended")
+
+
 def test_a_full_disk_is_reported_and_the_recording_continues(
     path: Path, scene: Scene, unbroken: dict[str, str], tmp_path: Path
 ) -> None:
@@ -120,7 +133,7 @@ def test_a_full_disk_is_reported_and_the_recording_continues(
     run."""
     command = f'ulimit -f 32; exec "{COMMAND}" simulate "{path}" -o "{tmp_path}/r" --run line --seed {SEED}'
     done = subprocess.run(
-        ["bash", "-c", f"{command} --workers 1"], capture_output=True, text=True, timeout=60
+        ["bash", "-c", f"{command} --workers 1"], capture_output=True, text=True, timeout=PATIENCE_S
     )
     assert done.returncode != 0
     assert "free some space" in " ".join(done.stderr.split())

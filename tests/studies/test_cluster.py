@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 from study_cells import Counted, DiesOnce, KillsScheduler, cells, quiet, seeds_of
 
+from calibration.progress import Advance
 from calibration.studies import cluster
 from calibration.studies.rows import Rows
 from calibration.studies.runner import run
@@ -29,6 +30,12 @@ def counted(tmp_path: Path) -> Counted:
 @pytest.fixture
 def rows(tmp_path: Path) -> Rows:
     return Rows(tmp_path / "rows.jsonl")
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scheduler and workers of a busy machine answer late."""
+    monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 60.0)
 
 
 @contextmanager
@@ -107,10 +114,15 @@ def test_a_scheduler_that_is_lost_ends_the_study_with_a_sentence(
 ) -> None:
     """The rows so far are kept. The client alone would wait for the scheduler without end."""
     with scheduler(tmp_path) as (address, started), workers(tmp_path, address, 1):
-        monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 3.0)
         killing = KillsScheduler(counted, started.pid)
+
+        @contextmanager
+        def hurried(what: str, total: int) -> Iterator[Advance]:
+            """From the first row on the silence is short."""
+            yield lambda done: monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 3.0)
+
         with pytest.raises(StoreError, match=f"the Dask scheduler at '{address}' is lost; the rows so far"):
-            run(cells(40), killing, rows, dask=address, progress=quiet)
+            run(cells(40), killing, rows, dask=address, progress=hurried)
 
     run(cells(3), counted, rows, progress=quiet)
     assert {0, 1, 2} <= set(seeds_of(rows.read()))
@@ -145,7 +157,7 @@ def test_a_scheduler_without_workers_is_a_sentence(
 ) -> None:
     """It says how to start one."""
     with scheduler(tmp_path) as (address, _):
-        monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 2.0)
+        monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 5.0)
         with pytest.raises(ConfigError, match=f"has no worker; start one with `dask worker {address}`"):
             run(cells(1), counted, rows, dask=address, progress=quiet)
 

@@ -171,6 +171,7 @@ class MqttBench:
             "port": self._broker.port,
             "protocol": self._level,
             "retry_s": 1.0,
+            "acknowledge_s": 60.0,
         }
         return mqtt.plugin.open(mqtt.MqttOptions.model_validate(options), station)
 

@@ -33,6 +33,8 @@ def chromium() -> Iterator[Any]:
     if _PROGRAM is None:
         pytest.skip("SKIPPED, NOT TESTED: there is no Chromium; apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=_PROGRAM, args=["--no-sandbox"], timeout=BROWSER_MS)
+        opened = driver.chromium.launch(
+            executable_path=_PROGRAM, args=["--no-sandbox", "--disable-dev-shm-usage"], timeout=BROWSER_MS
+        )
         yield opened
         opened.close()

@@ -43,6 +43,7 @@ def test_a_point_under_the_pointer_shows_its_card(opened: Any) -> None:
     assert row["command"] not in opened.locator("#card").inner_text()
     opened.locator(f'.point[data-key="{row["key"]}"] .mark').hover(force=True)
     card = opened.locator("#card")
+    card.get_by_text(row["content_sha256"]).wait_for()
     assert row["command"] in card.inner_text()
     assert row["content_sha256"] in card.inner_text()
     assert card.locator(".stack i").count() == 4
