@@ -1,6 +1,5 @@
 """`gelgate --help` and `gelgate VERB --help`: complete, quick, and without anything heavy."""
 
-import resource
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,8 +11,8 @@ from command_line import gelgate
 
 from edge.cli import EXIT_MEANINGS, build
 
-# An eighth of this is usual; a gateway's slow processor takes more, but not long.
-CPU_S = 0.9
+# 270 are usual. What a page of help costs is what it imports, on a gateway's slow processor too.
+MOST_MODULES = 400
 
 
 def commands(command: Any = None, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -88,13 +87,11 @@ def test_help_loads_nothing_heavy() -> None:
         "try: main()\n"
         "finally: print('loaded:', *sorted(sys.modules))\n"
     )
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     loaded = set(done.stdout.rpartition("loaded:")[2].split())
 
     assert (
         loaded & {"numpy", "cv2", "onnxruntime", "onnx", "torch", "pydantic", "paho", "usb", "sqlite3"}
         == set()
     )
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
+    assert 100 < len(loaded) < MOST_MODULES

@@ -83,7 +83,7 @@ def test_one_sensor_is_read_by_one_station(recording: Path) -> None:
         second.close()
 
 
-def test_two_sensors_of_one_bus_deliver_their_own_frames() -> None:
+def test_two_sensors_of_one_bus_deliver_their_own_frames(tmp_path: Path) -> None:
     """Read in turn; when one is unplugged the other goes on."""
     clock = FakeClock()
     bus = VirtualBus(clock)
@@ -93,7 +93,12 @@ def test_two_sensors_of_one_bus_deliver_their_own_frames() -> None:
         board = Board(f"GelSight Mini R0B {serial[:4]}-{serial[4:]}", serial, ((64, 48, 25.0),))
         cameras[serial] = VirtualCamera(board, payloads[serial], clock, port=port, pace=0)
         bus.plug_in(cameras[serial])
-    opened = {serial: UvcSensor.open(bus, choose(discover(bus), serial), clock) for serial in payloads}
+    opened = {
+        serial: UvcSensor.open(
+            bus, choose(discover(bus), serial), clock, lock_name=f"virtual-{tmp_path}-{serial}"
+        )
+        for serial in payloads
+    }
     try:
         for _ in range(3):
             for serial, sensor in opened.items():

@@ -19,6 +19,7 @@ CPU = torch.device("cpu")
 def test_drawn_ahead_is_drawn_in_place() -> None:
     """Steps 1 and 2 have the same bytes either way; a step out of order is refused; the process ends with the run."""
     torch.set_num_threads(1)
+    others = set(multiprocessing.active_children())
     with drawn_ahead(SMALL, 1) as take:
         for step in (1, 2):
             found, expected = take(step), draw_step(SMALL, step, CPU)
@@ -27,16 +28,18 @@ def test_drawn_ahead_is_drawn_in_place() -> None:
                 assert torch.equal(getattr(found, name), getattr(expected, name))
         with pytest.raises(GelgateError, match="was step 3, wanted step 7"):
             take(7)
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= others
 
 
 def test_a_dead_drawing_process_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed before its first batch, the next step reports its exit code."""
+    """Killed, usually before its first batch: the first step that it has not drawn reports its exit code."""
     monkeypatch.setattr(prefetch, "_PATIENCE_S", 0.2)
+    others = set(multiprocessing.active_children())
     with drawn_ahead(SMALL, 0) as take:
-        (drawer,) = multiprocessing.active_children()
+        (drawer,) = set(multiprocessing.active_children()) - others
         assert drawer.pid is not None
         os.kill(drawer.pid, signal.SIGKILL)
         drawer.join()
-        with pytest.raises(GelgateError, match="ended with exit code -9 before step 0"):
-            take(0)
+        # A busy machine kills it after some steps.
+        with pytest.raises(GelgateError, match=r"ended with exit code -9 before step \d"):
+            list(map(take, range(SMALL.steps + 1)))

@@ -65,7 +65,7 @@ def test_from_anomalib_to_a_verdict_on_mqtt(folder: Path) -> None:
         if line[:2] == ["export", "detect"]:
             assert "PaDiM of anomalib" in done.out
     (toml,) = re.findall(r"```toml\n(.*?)```", section("I trained this in anomalib"), re.DOTALL)
-    heard, is_complete = list[bytes](), Event()
+    heard, is_complete, is_subscribed = list[bytes](), Event(), Event()
 
     def note(client: Client, data: object, message: MQTTMessage) -> None:
         if message.topic.endswith("/result"):
@@ -77,12 +77,14 @@ def test_from_anomalib_to_a_verdict_on_mqtt(folder: Path) -> None:
         (folder / "station.toml").write_text(toml.replace("1883", str(broker.port)))
         client = Client(CallbackAPIVersion.VERSION2)
         client.on_message = note
+        client.on_subscribe = lambda *_: is_subscribed.set()
         client.connect(broker.host, broker.port)
         client.subscribe("gelgate/#", 1)
         client.loop_start()
         try:
+            assert is_subscribed.wait(60)
             ran(run)
-            assert is_complete.wait(30), heard
+            assert is_complete.wait(60), heard
         finally:
             client.loop_stop()
 
