@@ -199,7 +199,7 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
         protocol=_level(broker),
     )
     config.write_text(text, encoding="utf-8")
-    with _subscriber(broker, heatmaps) as received:
+    with _subscriber(broker, heatmaps) as (received, complete):
         loaded = load_config(config)
         with Gateway.open(
             loaded,
@@ -209,7 +209,7 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
             tally.summary = gateway.run(threading.Event())
             tally.status = gateway.status
             # Before the gateway closes: it waits two seconds for unsent messages, and a busy machine needs more.
-            _await(lambda: len(received) >= len(tally.verdicts))
+            _await(lambda: len(complete) >= len(tally.verdicts))
         tally.received = len(received)
     with Store(folder / "gelgate.db") as store:
         gel = store.gels()[-1]
@@ -240,12 +240,16 @@ def _known_truth(recording: Path) -> _Tally:
 
 
 @contextmanager
-def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]]:
-    """A subscriber: press id to verdict, in the order of arrival; pictures are saved with the verdict in their name."""
+def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str, str], set[str]]]:
+    """A subscriber: press id to verdict, in the order of arrival, and the presses of which the picture has come, too.
+
+    Pictures are saved with the verdict in their name.
+    """
     from edge.messaging.mqtt_broker import Broker, Received
     from edge.messaging.mqtt_connection import Connection
 
     results: dict[str, str] = {}
+    complete: set[str] = set()
 
     def arrived(message: Received) -> None:
         topic = message.topic.removeprefix(ROOT + "/")
@@ -257,12 +261,14 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[dict[str, str]
             (heatmaps / f"{len(results):02d}-{results.get(press, 'unknown')}.png").write_bytes(
                 message.payload
             )
+        elif topic == "last/press":  # after the picture
+            complete.add(json.loads(message.payload)["press_id"])
 
     broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))
     connection = Connection.open(broker, on_received=arrived)
     try:
         connection.subscribe(f"{ROOT}/#")
-        yield results
+        yield results, complete
     finally:
         connection.close()
 
