@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.detectability.search import Judge
+from calibration.fitting.augmentation import Copies
 from calibration.fitting.features import extract
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner
@@ -20,10 +21,11 @@ from calibration.fitting.registration import in_pose_of
 from calibration.map_limits.head_limit import limited_like
 from calibration.map_limits.head_relief import relieved_like
 from edge import registry
-from edge.core.detector import Nominal
+from edge.core.detector import Features, Nominal
 from edge.core.errors import DatasetError
 from edge.model.bundle import Bundle, Graphs, bundle_files
 from edge.model.detectability import JudgedBy
+from edge.model.limit_facts import copies_of_each
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 
@@ -133,13 +135,19 @@ class _Folds:
         detector = registry.detector(manifest.method)
         settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
         parameters = detector.parameters(manifest.mode or "corrected", **settings)
-        self.learner = Learner(detector, grid, parameters, manifest.provenance.seed or 0, threads)
         session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
         part = bundle.registration
         frames = learnt.frames if part is None else in_pose_of(part, learnt.frames)
-        features = extract(session, frames, grid, lambda fraction: None)
+
+        def take(frames: NDArray[np.uint8]) -> Features:
+            return extract(session, frames, grid, lambda fraction: None)
+
+        seed, each = manifest.provenance.seed or 0, copies_of_each(manifest.facts)
+        copies = Copies.of(learnt, each, grid.pixels_per_mm, seed, take)
+        self.learner = Learner(detector, grid, parameters, seed, threads, copies)
+        features = take(frames)
         free = learnt.no_contact
-        no_contact = None if free is None else extract(session, free, grid, lambda fraction: None)
+        no_contact = None if free is None else take(free)
         self.nominal = Nominal(features, learnt.touched if part is None else None, no_contact)
 
     def judge(self, held: NDArray[np.int64]) -> Judge:

@@ -19,6 +19,7 @@ from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEntry, ToleranceEntry
+from edge.model.promise import GIVEN
 from edge.model.scorer import Scorer, map_peaks
 
 __all__ = [
@@ -154,7 +155,9 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     """
     n = len(presses)
     if n == 0:
-        raise FitError(f"no nominal press was given; give at least {MIN_PRESSES}")
+        raise FitError(
+            f"no nominal press was given; give at least {MIN_PRESSES}, or 1 with a picture of the free gel"
+        )
     if presses.frames.shape[1:3] != frame:
         raise FitError(
             f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them again"
@@ -169,7 +172,11 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     if distinct < n:
         found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
     pieces = len(set(pieces_of(presses.specimens or (None,) * n)))
-    if alpha is not None and pieces < needed(alpha):
+    if alpha is not None and n == 1:
+        found.append(
+            f"1 press promises no false-alarm rate; {needed(alpha)} presses are needed for {alpha:g}"
+        )
+    elif alpha is not None and pieces < needed(alpha):
         counted = (
             f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
         )
@@ -230,9 +237,7 @@ def check_given(threshold: float | None) -> None:
 
 def given_threshold(value: float, alpha: float) -> ThresholdEntry:
     """A threshold given by the user; it promises no rate."""
-    return ThresholdEntry(
-        value=value, method="given by hand", alpha=alpha, alpha_floor=1.0, nominal_scores=()
-    )
+    return ThresholdEntry(value=value, method=GIVEN, alpha=alpha, alpha_floor=1.0, nominal_scores=())
 
 
 def placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:

@@ -10,6 +10,7 @@ import typer
 
 from calibration.fitting.options import (
     Alpha,
+    AugmentOption,
     Backbone,
     GelId,
     Holdout,
@@ -80,6 +81,7 @@ def fit(
     scattered: Scattered = False,
     limit: Limit = "chosen",
     register: RegisterOption = "auto",
+    augment: AugmentOption = "auto",
     leave_out: LeaveOut = None,
     trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
@@ -111,7 +113,8 @@ def fit(
         with_trunk=trunk,
         is_scattered=scattered,
         limit=_limit(limit),
-        register=_register(register),
+        register=_chosen("--register", register),
+        augment=_chosen("--augment", augment),
         revision=revision or next_revision(output),
         gel_id=gel,
     )
@@ -120,12 +123,12 @@ def fit(
     make(partial(fit_files, presses, config), output, overwrite)
 
 
-def _register(word: str) -> "Register":
+def _chosen(option: str, word: str) -> "Register":
     """Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     if word not in ("auto", "never", "always"):
-        raise ConfigError(f"--register is auto, never or always, found '{word}'")
+        raise ConfigError(f"{option} is auto, never or always, found '{word}'")
     return cast("Register", word)
 
 
@@ -273,7 +276,7 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 def summary(fitted: "Fitted", output: Path) -> None:
     """The summary of the bundle, in a few lines."""
-    from edge.model.limit_facts import limit_sentence, missing_sentence
+    from edge.model.limit_facts import augmentation_sentence, limit_sentence, missing_sentence
     from edge.model.promise import promise
 
     manifest = fitted.manifest
@@ -282,6 +285,8 @@ def summary(fitted: "Fitted", output: Path) -> None:
         typer.echo(f"warning: {warning}", err=True)
     if why := manifest.facts.get("registration"):
         typer.echo(f"registration: {why}")
+    if sentence := augmentation_sentence(manifest.facts):
+        typer.echo(f"augmentation: {sentence}")
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
     if sentence := limit_sentence(manifest.facts):
         typer.echo(f"limit: {sentence}")

@@ -4,16 +4,21 @@ The detector has the mathematics; the procedure (which presses, which folds, whi
 """
 
 import time
-from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from collections.abc import Callable, Container, Sequence
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.augmentation import (
+    EACH,
+    Copies,
+    augmentation_of,
+    rendered_copies,
+)
 from calibration.fitting.bundle_measurements import (
-    check_given,
     contact_range,
     cost_card,
     free_gel_warnings,
@@ -28,25 +33,27 @@ from calibration.fitting.bundle_measurements import (
 from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.heads import check_head
 from calibration.fitting.held_out import Learner
 from calibration.fitting.limit_choice import Choice
 from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.pose_decision import PoseChoice, Register, chosen_pose
+from calibration.fitting.pose_decision import PoseChoice, chosen_pose
 from calibration.fitting.relief_step import ReliefChoice, relief_of, with_relief
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
-from calibration.fitting.threshold import check_alpha, conformal_threshold, require_enough
-from calibration.fitting.trunks import Trunk
+from calibration.fitting.threshold import (
+    MIN_PRESSES,
+    conformal_threshold,
+    of_copies,
+    require_enough,
+)
 from calibration.map_limits.head_limit import bank_with, head_with_limit, limit_arrays
 from calibration.map_limits.kinds import PLAIN
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
-from edge.core.detector import Bank, Detector, Features, Mode, Nominal, Progress
-from edge.core.errors import FitError
-from edge.core.imaging.region import Region
-from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.model.gel_facts import gel_facts
 from edge.model.limit_facts import MISSING
@@ -66,55 +73,6 @@ from edge.model.tile_runner import most_typical, untouched_tiles
 T = TypeVar("T")
 
 __all__ = ["FitConfig", "Fitted", "fit_bundle", "fit_files"]
-
-
-@dataclass(frozen=True)
-class FitConfig:
-    """The settings of a fit.
-
-    overrides: the detector's parameters that differ from the mode's. alpha: the requested false-alarm rate.
-    threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
-    to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
-    with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
-    compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
-    `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. revision:
-    see `Facts`. gel_id: the gel of the presses, where it is known.
-    """
-
-    part: str
-    position: str
-    profile: SensorProfile
-    region: Region
-    detector: Detector
-    trunk: Trunk
-    mode: Mode = "corrected"
-    overrides: Mapping[str, object] = field(default_factory=dict)
-    alpha: float = 0.05
-    threshold: float | None = None
-    seed: int = 0
-    threads: int = 2
-    folds: int = 5
-    with_trunk: bool = True
-    is_scattered: bool = False
-    limit: Literal["chosen", "plain"] = "chosen"
-    revision: int | None = None
-    register: Register = "never"
-    gel_id: str | None = None
-
-    def __post_init__(self) -> None:
-        check_alpha(self.alpha)
-        check_given(self.threshold)
-        if self.folds < 2:
-            raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
-
-    @property
-    def why_plain(self) -> str:
-        """Why there is one limit for all places whatever it finds; empty where a limit is chosen."""
-        if self.threshold is not None:
-            return "the threshold was given"
-        if self.mode == "paper":
-            return "the published methods have no other"
-        return "it was asked for" if self.limit == "plain" else ""
 
 
 @dataclass(frozen=True)
@@ -169,10 +127,13 @@ class _Fit:
         self.specimens = presses.specimens or (None,) * len(presses)
         promised = config.alpha if config.threshold is None else None
         self.warnings = warnings(presses, (config.region.height, config.region.width), promised)
-        if config.threshold is None:
-            require_enough(len(presses), config.alpha)
+        self.augmentation = augmentation_of(config.augment, presses, self.detector.name, config.mode)
+        self.fewest = 2 if self.augmentation.each and len(presses) < MIN_PRESSES else MIN_PRESSES
+        self.is_held_out = config.threshold is None and not (self.augmentation.each and len(presses) == 1)
+        if self.is_held_out:
+            require_enough(len(presses), config.alpha, self.fewest)
             rng = np.random.default_rng(config.seed)
-            self.folds, said = held_out_folds(self.specimens, config.folds, rng)
+            self.folds, said = held_out_folds(self.specimens, config.folds, rng, self.fewest)
             self.warnings += said
         self.colours = nominal_colours(presses.frames)
         self.warnings += colour_warnings(self.colours)
@@ -198,29 +159,37 @@ class _Fit:
             {} if scores is None or self.limits is None else self.limits.known_scores(scores, self.choice)
         )
         self.graphs = Graphs(trunk=self.config.trunk.graph, head=head)
-        self.apart = [] if scores is None else apart_warnings(scores, self.presses.names)
+        self.apart = (
+            [] if scores is None or len(scores) < MIN_PRESSES else apart_warnings(scores, self.presses.names)
+        )
         self.warnings += self.apart
         return self._measured(bank, scores)
 
+    @property
+    def why_plain(self) -> str:
+        """Why nothing is learnt from held-out presses but a threshold; empty where it is."""
+        few = f"of fewer than {MIN_PRESSES} presses nothing can be held out to choose by"
+        return self.config.why_plain or (few if len(self.presses) < MIN_PRESSES else "")
+
     def _limit_step(self) -> LimitStep | None:
-        """None where the threshold is given."""
+        """None where no press is held out."""
         config = self.config
-        if config.threshold is not None:
+        if not self.is_held_out:
             return None
         view = config.profile, config.region
         return LimitStep(
-            self.learner, self.posed, view, self._taken, self.folds, config.alpha, config.why_plain
+            self.learner, self.posed, view, self._taken, self.folds, config.alpha, self.why_plain
         )
 
     def _choice(self, bank: Bank, nominal: Nominal) -> Choice:
         if self.limits is None:
-            return Choice(PLAIN, self.config.why_plain)
+            return Choice(PLAIN, self.why_plain)
         return self.limits.choice(bank, nominal)
 
     def _relief(self, nominal: Nominal, head: bytes) -> ReliefChoice:
         config = self.config
-        if self.limits is None or config.why_plain:
-            return ReliefChoice(config.why_plain)
+        if self.limits is None or self.why_plain:
+            return ReliefChoice(self.why_plain)
         return relief_of(
             self.posed, (config.profile, config.region), nominal, self._taken, self.folds, self.learner, head
         )
@@ -236,7 +205,9 @@ class _Fit:
         return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
 
     def _limit(self, scores: NDArray[np.float64], slack: float = 0.0) -> ThresholdEntry:
-        return conformal_threshold(scores, self.config.alpha, slack, specimens=self.specimens)
+        return conformal_threshold(
+            scores, self.config.alpha, slack, specimens=self.specimens, fewest=self.fewest
+        )
 
     def _timed(self, stage: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
@@ -264,9 +235,23 @@ class _Fit:
         )
         self.pose = self._pose()
         self.posed = self.pose.posed(self.presses)
+        self.learner = replace(self.learner, copies=self._copies())
         features = extract(self.session, self.posed.frames, self.grid, self._progress("features"))
         free = self.presses.no_contact
         return features, None if free is None else self._taken(free)
+
+    def _copies(self) -> Copies | None:
+        config, is_registered = self.config, self.pose.learnt is not None
+        self.augmentation = augmentation_of(
+            config.augment, self.presses, self.detector.name, config.mode, is_registered
+        )
+        return Copies.of(
+            self.presses,
+            self.augmentation.each,
+            config.profile.pixels_per_mm,
+            config.seed,
+            self._taken,
+        )
 
     def _pose(self) -> PoseChoice:
         """How presses are registered; where they are not, a method that compares places needs them at one place."""
@@ -296,7 +281,7 @@ class _Fit:
         black_score = scorer.score_in_pose(black).anomaly_score
         tolerance = measured_tolerance(scorer, golden, self.config.threads)
         cost = cost_card(scorer, self.posed.frames, self.config.threads, self.seconds)
-        threshold = self._threshold(scores, tolerance)
+        threshold = self._threshold(scores, tolerance, scorer)
         is_refused = refuses(self.colours, black)
         self.warnings += black_warnings(black_score, threshold, is_refused, self.apart)
         facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
@@ -305,14 +290,18 @@ class _Fit:
         self.report("golden", 1.0)
         return fitted
 
-    def _threshold(self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry) -> ThresholdEntry:
+    def _threshold(
+        self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry, scorer: Scorer
+    ) -> ThresholdEntry:
         alpha = self.config.alpha
         if self.config.threshold is not None:
             return given_threshold(self.config.threshold, alpha)
         if self.choice.chosen is not None:
             return self.choice.chosen.threshold
-        if scores is None:
-            raise FitError("no threshold: neither given nor found from the presses")
+        if scores is None:  # one press: copies that the bank has not learnt
+            rng = np.random.default_rng(self.config.seed + 1)
+            fresh, _ = rendered_copies(self.presses, EACH, self.config.profile.pixels_per_mm, rng)
+            return of_copies([scorer.score_in_pose(rgb).anomaly_score for rgb in fresh], alpha)
         return self._limit(scores, tolerance.around(float(scores.max())))
 
     def _files(
@@ -357,6 +346,7 @@ class _Fit:
                 "limit": self.choice.facts(),
                 MISSING: self.relief.facts(),
                 **self.pose.facts,
+                **self.augmentation.facts,
                 **self.again,
                 **gel_facts(config.gel_id),
                 **{k: v for k, v in bank.facts.items() if k != "repairs"},

@@ -19,16 +19,16 @@ Folds = list[NDArray[np.int64]]
 
 
 def held_out_folds(
-    specimens: Sequence[str | None], count: int, rng: np.random.Generator
+    specimens: Sequence[str | None], count: int, rng: np.random.Generator, fewest: int = MIN_PRESSES
 ) -> tuple[Folds, list[str]]:
     """The folds, and a warning where pieces are too few to hold out all presses of one.
 
-    Each fold leaves at least three presses, for MIN_PRESSES presses or more.
+    Each fold leaves one press less than `fewest` at least, of as many presses or more.
     """
     n, pieces = len(specimens), len(set(pieces_of(specimens)))
     count = n if n < LEAVE_ONE_OUT_BELOW else count
     found = folds(specimens, count, rng)
-    if pieces >= MIN_PIECES and n - max(len(held) for held in found) >= MIN_PRESSES - 1:
+    if pieces >= min(MIN_PIECES, fewest) and n - max(len(held) for held in found) >= fewest - 1:
         return found, []
     warning = (
         f"the presses are of {pieces} piece{'' if pieces == 1 else 's'}, too few to hold one out: the threshold "

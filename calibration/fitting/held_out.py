@@ -8,6 +8,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from calibration.fitting.augmentation import Copies
 from calibration.fitting.heads import head_of
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
@@ -19,17 +20,29 @@ __all__ = ["HeldOut", "Learner", "ScoredPresses", "held_out", "held_out_scores"]
 
 @dataclass(frozen=True)
 class Learner:
-    """A detector with everything to learn and to score. seed: fixes every random choice, the same for each bank."""
+    """A detector with everything to learn and to score.
+
+    seed: fixes every random choice, the same for each bank. copies: of the fit's nominal presses, which a bank learns
+    with them.
+    """
 
     detector: Detector
     grid: Grid
     parameters: Any
     seed: int
     threads: int
+    copies: Copies | None = None
 
-    def bank(self, nominal: Nominal, progress: Progress = lambda fraction: None) -> Bank:
-        """Errors: FitError."""
+    def bank(
+        self,
+        nominal: Nominal,
+        progress: Progress = lambda fraction: None,
+        presses: NDArray[np.int64] | None = None,
+    ) -> Bank:
+        """presses: which of the fit's presses these are, (n,); None for all. Errors: FitError."""
         rng = np.random.default_rng(self.seed)
+        if self.copies is not None:
+            nominal = self.copies.added(nominal, np.arange(nominal.presses) if presses is None else presses)
         return self.detector.fit(nominal, self.grid, self.parameters, rng, progress)
 
     def head(self, bank: Bank) -> bytes:
@@ -54,7 +67,8 @@ class Learner:
         """A bank of the other presses, with the same share of room as the final bank. Errors: FitError."""
         kept = np.setdiff1d(np.arange(nominal.presses), held)
         room = nominal.room * len(kept) / nominal.presses
-        return self.bank(replace(nominal, features=_chosen(nominal.features, kept), room=room))
+        others = replace(nominal, features=_chosen(nominal.features, kept), room=room)
+        return self.bank(others, presses=kept)
 
 
 @dataclass(frozen=True, eq=False)

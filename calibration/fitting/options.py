@@ -7,6 +7,7 @@ import typer
 
 __all__ = [
     "Alpha",
+    "AugmentOption",
     "Backbone",
     "GelId",
     "Holdout",
@@ -55,6 +56,13 @@ GelId = Annotated[
     str | None,
     typer.Option(
         "--gel", help="The gel of the presses, by its id in `gelgate gel show`.", show_default=False
+    ),
+]
+AugmentOption = Annotated[
+    str,
+    typer.Option(
+        help="Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free gel, "
+        "'never', 'always'."
     ),
 ]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]

@@ -36,6 +36,7 @@ __all__ = [
     "check_alpha",
     "conformal_threshold",
     "needed",
+    "of_copies",
     "pieces_of",
     "rate_range",
     "require_enough",
@@ -48,6 +49,9 @@ the median to it. A choice, not a theorem: it trades some sensitivity for fewer 
 MIN_PRESSES = 4
 """A fold then keeps three presses. Of two or one there is no covariance and no spread between presses, and the fold's
 scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the nominal scores."""
+
+COPIES_MARGIN = 1.3
+"""Other pieces score higher than copies of one: docs/detectors.md has the false alarms with this factor."""
 
 RANGE = 0.95
 """The probability that one bundle's own false-alarm rate is in the stated range."""
@@ -62,17 +66,18 @@ def conformal_threshold(
     slack: float = 0.0,
     kind: str = "cross-conformal",
     specimens: Sequence[str | None] = (),
+    fewest: int = MIN_PRESSES,
 ) -> ThresholdEntry:
     """The threshold at which a press of a new sound piece fails with probability alpha at most, if the pieces allow it.
 
     scores: anomaly scores of nominal presses by banks without them. slack: smallest margin above the largest score
     where the floor holds; the numerical tolerance. kind: how the scores were made, for the record.
     specimens: the piece of each press, None where unknown: such a press counts as its own piece.
-    Errors: FitError for fewer than MIN_PRESSES scores.
+    fewest: presses that a threshold needs. Errors: FitError for fewer scores.
     """
     check_alpha(alpha)
     found = np.asarray(scores, np.float64)
-    require_enough(len(found), alpha)
+    require_enough(len(found), alpha, fewest)
     if not np.isfinite(found).all():
         raise FitError("a nominal press has a score that is not finite; look at the pictures")
     keys = pieces_of(specimens or (None,) * len(found))
@@ -128,14 +133,29 @@ def needed(alpha: float) -> int:
     return math.ceil(1 / alpha - ROUNDING) - 1
 
 
-def require_enough(presses: int, alpha: float) -> None:
-    """Errors: FitError where a fold would keep too few presses."""
-    if presses < MIN_PRESSES:
+def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES) -> None:
+    """Errors: FitError where a fold would keep too few presses. fewest: with copies of them, fewer are enough."""
+    if presses < fewest:
         raise FitError(
             f"{presses} nominal press{'' if presses == 1 else 'es'} give{'s' if presses == 1 else ''} no threshold: "
             f"with one held out fewer than {MIN_PRESSES - 1} are left to learn from; give at least {MIN_PRESSES} "
             f"({needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
         )
+
+
+def of_copies(scores: Sequence[float] | NDArray[np.float64], alpha: float) -> ThresholdEntry:
+    """The threshold of a single press: above its copies, which no bank has learnt. It promises no rate.
+
+    scores: of the copies.
+    """
+    highest = float(np.max(scores))
+    return ThresholdEntry(
+        value=highest * COPIES_MARGIN,
+        method=f"{COPIES_MARGIN:g} times the highest score of {len(scores)} copies of the one press",
+        alpha=alpha,
+        alpha_floor=1.0,
+        nominal_scores=(),
+    )
 
 
 def rate_range(pieces: int, alpha: float) -> tuple[float, float]:

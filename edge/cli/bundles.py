@@ -52,7 +52,7 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import limit_sentence, missing_sentence
+    from edge.model.limit_facts import augmentation_sentence, limit_sentence, missing_sentence
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
     from edge.model.promise import promise
 
@@ -98,6 +98,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
             )
         )
     rows += [
+        ("augmentation", augmentation_sentence(manifest.facts) or "none"),
         ("threshold", f"{limit.value:.6g} ({limit.method})"),
         ("limit", limit_sentence(manifest.facts) or "plain"),
         ("missing relief", missing_sentence(manifest.facts) or "not checked"),

@@ -1,9 +1,36 @@
-"""What a bundle's score map is compared with, and whether missing relief fails: entries of the manifest's `facts`."""
+"""What a bundle's score map is compared with, whether missing relief fails, and rendered copies in its bank.
+
+All are entries of the manifest's `facts`.
+"""
 
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["LIMIT", "MISSING", "limit_sentence", "missing_sentence"]
+__all__ = [
+    "AUGMENTATION",
+    "LIMIT",
+    "MISSING",
+    "augmentation_sentence",
+    "copies_of_each",
+    "limit_sentence",
+    "missing_sentence",
+]
+
+AUGMENTATION = "augmentation"
+"""The entry's name: `each`, the rendered copies of every nominal press that the bank learnt, and `why`; else absent."""
+
+
+def augmentation_sentence(facts: Mapping[str, Any]) -> str:
+    """For `fit` and `inspect`; empty for a bundle that does not say."""
+    found = facts.get(AUGMENTATION)
+    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+
+
+def copies_of_each(facts: Mapping[str, Any]) -> int:
+    """The copies of every nominal press in the bundle's bank, 0 for none."""
+    found = facts.get(AUGMENTATION)
+    return int(found.get("each", 0)) if isinstance(found, Mapping) else 0
+
 
 LIMIT = "limit"
 """The entry's name among the manifest's facts: `kind`, `why`, and `found`, the share of rendered damage by kind."""

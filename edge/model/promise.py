@@ -2,13 +2,17 @@
 
 from edge.model.manifest import ThresholdEntry
 
-__all__ = ["promise"]
+__all__ = ["GIVEN", "promise"]
+
+GIVEN = "given by hand"
+"""The method of a threshold that no press was asked for."""
 
 
 def promise(limit: ThresholdEntry) -> str:
     """One or two sentences for `fit`, `inspect`, `info` and the manifest's reader."""
     if not limit.n:
-        return "no rate is promised: the threshold was given"
+        is_given = limit.method == GIVEN
+        return f"no rate is promised: the threshold {'was given' if is_given else f'is {limit.method}'}"
     rate = f"at most {_percent(limit.alpha)}"
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"

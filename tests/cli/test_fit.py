@@ -73,6 +73,11 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
         (("--set", "gian=1"), "no such parameter"),
         (("--alpha", "2"), "false-alarm rate"),
         (("--register", "often"), "--register is auto, never or always, found 'often'"),
+        (("--augment", "often"), "--augment is auto, never or always, found 'often'"),
+        (
+            ("--augment", "always"),
+            "no copies of the presses can be added: they need a picture of the free gel",
+        ),
     ],
 )
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(

@@ -1,0 +1,202 @@
+"""How far one, two, four or more presses get, with and without rendered copies: the table of docs/detectors.md.
+
+Run with `pytest tests/bench/test_few_presses.py -m bench -s`. Ten random parts on which nothing was chosen, each with a
+draw of its presses of its own; smaller draws are part of larger ones. Each press is of another piece. 20 sound and 20
+damaged presses of further pieces are scored. Ten minutes of one quiet core; with FEW_PRESSES_CACHE naming a folder each
+row is kept there, and a run that was cut goes on.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from random_part_presses import RandomPartPresses
+
+from calibration.fitting.augmentation import EACH, MOST, Copies, rendered_copies
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.folds import held_out_folds
+from calibration.fitting.held_out import Learner, held_out_scores
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.threshold import MIN_PRESSES, conformal_threshold, of_copies
+from calibration.fitting.trunks import open_trunk
+from calibration.metrics import aupro, auroc
+from calibration.studies.intervals import mean_interval
+from edge import registry
+from edge.core.detector import Features, Grid, Nominal
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.model.session import open_session
+
+pytestmark = pytest.mark.bench
+
+METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
+# Of judgement, drawn once; developed on 5501.
+SHAPES, PARTS = 5502, 10
+SHOTS = (1, 2, 4, 8, 16, 32)
+MOST_COPIED, MOST_LIMITED = 8, 4
+"""Presses up to which copies are tried, and thresholds are found."""
+SCORED, FREE = 20, 4
+ALPHA = 0.05
+PROFILE = profile("cropped_lr")
+REGION = Region.centre(PROFILE.size)
+TAPS = ("layer1", "layer2")
+
+
+class Part:
+    """The presses of one random part and their features."""
+
+    def __init__(self, shapes: int, number: int) -> None:
+        self._simulated = RandomPartPresses(shapes, number, max(SHOTS) + 2 * SCORED)
+        self._session = open_session(open_trunk("tactile_resnet18", TAPS).graph, 1, "trunk")
+        self.grid = trunk_grid(self._session, TAPS, (REGION.height, REGION.width), PROFILE.pixels_per_mm)
+
+    def features(self, frames: NDArray[np.uint8]) -> Features:
+        return extract(self._session, frames, self.grid, lambda done: None)
+
+    @cached_property
+    def scored(self) -> tuple[Features, list[NDArray[np.bool_]]]:
+        """Sound presses, then damaged ones, and the damage of each."""
+        first = max(SHOTS)
+        sound = [self._simulated.press(1000 + k, 1, first + k) for k in range(SCORED)]
+        damaged = [self._simulated.damaged(2000 + k, first + SCORED + k) for k in range(SCORED)]
+        frames = [REGION.crop(rgb) for rgb in (*sound, *(rgb for rgb, _ in damaged))]
+        none = np.zeros((REGION.height, REGION.width), np.bool_)
+        return self.features(np.stack(frames)), [none] * SCORED + [REGION.crop(mask) for _, mask in damaged]
+
+    @cached_property
+    def pool(self) -> list[NDArray[np.uint8]]:
+        return [self._simulated.press(k, 1, k) for k in range(max(SHOTS))]
+
+    def presses(self, shots: int) -> NominalPresses:
+        drawn = {f"part_pos_s{k:03d}_p01": rgb for k, rgb in enumerate(self.pool[:shots])}
+        free = [self._simulated.free_gel(number) for number in range(FREE)]
+        return named_presses(drawn, PROFILE, REGION, no_contact=free)
+
+
+class Fit:
+    """One draw with or without copies; each method is fitted on the same features."""
+
+    def __init__(self, part: Part, shots: int, is_copied: bool) -> None:
+        self._part, self._presses = part, part.presses(shots)
+        assert self._presses.no_contact is not None
+        self._nominal = part.features(self._presses.frames)
+        self._free = part.features(self._presses.no_contact)
+        self._copies = self._rendered(min(EACH, MOST // shots), 0) if is_copied else None
+        self._fresh = self._rendered(EACH, 1) if is_copied and shots == 1 else None
+
+    def _rendered(self, each: int, seed: int) -> Copies:
+        rng = np.random.default_rng(seed)
+        frames, of = rendered_copies(self._presses, each, PROFILE.pixels_per_mm, rng)
+        return Copies(self._part.features(frames), of)
+
+    def measured(self, method: str) -> dict[str, Any]:
+        """Image AUROC, AU-PRO, and at the fitted limit the shares of damaged and sound presses that fail."""
+        detector = registry.detector(method)
+        parameters = detector.parameters()
+        taps = detector.taps(parameters)
+
+        def read(features: Features) -> Features:
+            return {tap: features[tap] for tap in taps}
+
+        grid = Grid(self._part.grid.frame, read(self._part.grid.taps), self._part.grid.pixels_per_mm)  # type: ignore[arg-type]
+        copies = None if self._copies is None else Copies(read(self._copies.features), self._copies.press)
+        learner = Learner(detector, grid, parameters, 0, 1, copies)
+        nominal = Nominal(read(self._nominal), self._presses.touched, read(self._free))
+        bank = learner.bank(nominal)
+        features, masks = self._part.scored
+        found = learner.scored(bank, read(features), range(len(masks)))
+        fresh = []
+        if self._fresh is not None:
+            fresh = learner.scores(bank, read(self._fresh.features), range(EACH)).tolist()
+        is_limited = 1 < nominal.presses <= MOST_LIMITED and (copies or nominal.presses >= MIN_PRESSES)
+        held_out = self._held_out(learner, nominal) if is_limited else []
+        return {
+            "auroc": auroc(found.scores, np.array([mask.any() for mask in masks])),
+            "aupro": aupro(found.maps, masks),
+            "scores": found.scores.tolist(),
+            "fresh": fresh,
+            "held_out": held_out,
+        }
+
+    def _held_out(self, learner: Learner, nominal: Nominal) -> list[float]:
+        folds, said = held_out_folds(self._presses.specimens, 5, np.random.default_rng(0), 2)
+        assert not said
+        found: list[float] = held_out_scores(learner, nominal, folds).tolist()
+        return found
+
+
+def rows(shapes: int = SHAPES, parts: Sequence[int] = range(PARTS)) -> list[dict[str, Any]]:
+    """A row per part, shots, with and without copies, and method; those in the cache are not measured again."""
+    folder = os.environ.get("FEW_PRESSES_CACHE")
+    file = Path(folder) / f"rows_{shapes}.jsonl" if folder else None
+    found = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
+    known = {tuple(row[name] for name in ("part", "shots", "copied", "method")) for row in found}
+    for number in parts:
+        part = Part(shapes, number)
+        for shots, is_copied in designs():
+            if all((number, shots, is_copied, method) in known for method in METHODS):
+                continue
+            fit = Fit(part, shots, is_copied)
+            for method in METHODS:
+                row = {"part": number, "shots": shots, "copied": is_copied, "method": method}
+                found.append({**row, **fit.measured(method)})
+                if file:
+                    with file.open("a") as out:
+                        out.write(json.dumps(found[-1]) + "\n")
+    return found
+
+
+def designs() -> Iterator[tuple[int, bool]]:
+    """Every number of presses without copies, and the few with them."""
+    for shots in SHOTS:
+        yield shots, False
+        if shots <= MOST_COPIED:
+            yield shots, True
+
+
+def at_the_limit(row: Mapping[str, Any]) -> tuple[float, float] | None:
+    """The shares of damaged and of sound presses above the fitted limit; None where none is measured."""
+    if row["fresh"]:
+        limit = of_copies(row["fresh"], ALPHA)
+    elif row["held_out"]:
+        limit = conformal_threshold(row["held_out"], ALPHA, fewest=2)
+    else:
+        return None
+    is_above = np.array(row["scores"]) > limit.value
+    return float(is_above[SCORED:].mean()), float(is_above[:SCORED].mean())
+
+
+def line(found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied: bool) -> str:
+    """A line of the table: means over the parts, with 95 % intervals."""
+    chosen = [
+        row for row in found if (row["method"], row["shots"], row["copied"]) == (method, shots, is_copied)
+    ]
+    cells = []
+    for measure in ("auroc", "aupro"):
+        values = [row[measure] for row in chosen]
+        low, high = mean_interval(np.array(values))
+        cells.append(f"{np.mean(values):.3f} ({low:.2f} to {high:.2f})")
+    limits = [one for one in map(at_the_limit, chosen) if one]
+    shares = [f"{share:.0%}" for share in np.mean(limits, axis=0)] if limits else ["", ""]
+    return f"| {method} | {shots} | {'copies' if is_copied else 'presses'} | {' | '.join(cells + shares)} |"
+
+
+def test_few_presses() -> None:
+    """Prints the table."""
+    cv2.setNumThreads(1)
+    found = rows()
+    print(
+        "\n| method | presses | bank of | image AUROC | AU-PRO@0.01 | damaged found | sound failed |\n"
+        "|---|---|---|---|---|---|---|"
+    )
+    for method in METHODS:
+        for shots, is_copied in designs():
+            print(line(found, method, shots, is_copied))
+    assert all(np.isfinite(row["aupro"]) for row in found)

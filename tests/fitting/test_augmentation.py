@@ -1,0 +1,220 @@
+"""Rendered copies of few presses: what they show, when a bank learns them, and the threshold that they allow."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import tiny
+import turned_parts as parts
+from registered_bundle import PROFILE, PlaceDetector, nominal
+
+from calibration.fitting.augmentation import (
+    EACH,
+    MOST,
+    Augment,
+    Copies,
+    augmentation_of,
+    rendered_copies,
+)
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.held_out import Learner
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.trunks import Trunk
+from edge.core.detector import Features, Mode, Nominal
+from edge.core.errors import FitError
+from edge.core.imaging.region import Region
+from edge.core.registration.pose import Pose
+from edge.model.promise import promise
+from edge.model.scorer import Scorer
+
+U8 = np.typing.NDArray[np.uint8]
+
+
+def few(count: int, **changes: object) -> NominalPresses:
+    """Presses of one part that lie nearly at one place."""
+    return nominal(parts.anywhere(parts.BLOCK, count, shift_px=2.0, turn_rad=0.01)[1], **changes)
+
+
+def fitted(presses: NominalPresses, augment: Augment = "auto", **changes: object) -> Fitted:
+    config = FitConfig(
+        part="block",
+        position="top",
+        profile=PROFILE,
+        region=Region(0, 0, parts.SIDE, parts.SIDE),
+        detector=PlaceDetector(),
+        trunk=Trunk("tiny", tiny.tiny_trunk()),
+        augment=augment,
+    )
+    return fit_files(presses, dataclasses.replace(config, **changes), created="2026-01-01")  # type: ignore[arg-type]
+
+
+def copies(presses: NominalPresses, each: int = 4, seed: int = 0) -> U8:
+    return rendered_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(seed))[0]
+
+
+def test_a_copy_shows_the_part_elsewhere() -> None:
+    """Every copy differs from its press and from the other copies, and the same seed gives the same copies."""
+    presses = few(2)
+    found, of = rendered_copies(presses, 4, PROFILE.pixels_per_mm, np.random.default_rng(0))
+
+    assert found.shape == (8, parts.SIDE, parts.SIDE, 3)
+    assert of.tolist() == [0] * 4 + [1] * 4
+    assert len({rgb.tobytes() for rgb in (*found, *presses.frames)}) == 10
+    np.testing.assert_array_equal(found, copies(presses))
+
+
+def test_what_the_free_gel_shows_stays_where_it_is() -> None:
+    """A speck of the gel lies at one place in every copy, where the part moves."""
+    free = parts.free_gel().copy()
+    free[20:24, 100:104] = 20
+    press = parts.press(parts.BLOCK, Pose(), noise=0.0).copy()
+    press[20:24, 100:104] = 20
+    found = copies(NominalPresses(press[None], ("",), no_contact=free[None]), 8).astype(np.float64)
+
+    ratio = found[:, 20:24, 100:104].mean(axis=(1, 2, 3)) / found[:, 20:24, 90:98].mean(axis=(1, 2, 3))
+    assert ratio.max() < 0.3
+
+
+def test_a_press_that_adds_nothing_is_copied_as_the_free_gel_in_other_light() -> None:
+    """Nothing is moved there: every pixel is brighter or darker by one share, within rounding."""
+    free = parts.free_gel()
+    found = copies(NominalPresses(free[None], ("",), no_contact=free[None]), 6).astype(np.float64)
+    gains = found.mean(axis=(1, 2, 3)) / free.mean()
+
+    np.testing.assert_allclose(found, free * gains[:, None, None, None], atol=1.5)
+    assert np.ptp(gains) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("augment", "count", "method", "mode", "each"),
+    [
+        ("auto", 1, "padim", "corrected", EACH),
+        ("auto", 8, "padim", "corrected", MOST // 8),
+        ("auto", 9, "padim", "corrected", 0),
+        ("auto", 2, "padim", "paper", 0),
+        ("auto", 2, "subspace", "corrected", 0),
+        ("never", 1, "padim", "corrected", 0),
+        ("always", 2, "padim", "paper", EACH),
+        ("always", 2, "subspace", "corrected", EACH),
+        ("always", 16, "padim", "corrected", MOST // 16),
+        ("always", 2 * MOST, "padim", "corrected", 1),
+    ],
+)
+def test_how_many_copies_a_bank_learns(
+    augment: Augment, count: int, method: str, mode: Mode, each: int
+) -> None:
+    """`auto` adds them where they pay: few presses, no published settings, not subspace; their number is bounded."""
+    presses = NominalPresses(
+        np.zeros((count, 4, 4, 3), np.uint8), ("",) * count, no_contact=np.zeros((1, 4, 4, 3), np.uint8)
+    )
+    assert augmentation_of(augment, presses, method, mode).each == each
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_registered", "reason"),
+    [
+        ({"no_contact": None}, False, "they need a picture of the free gel; give one with --no-contact"),
+        ({}, True, "the presses are registered, and lie in one pose already"),
+    ],
+)
+def test_copies_that_cannot_be_had(changes: dict[str, object], is_registered: bool, reason: str) -> None:
+    """A sentence for the manifest where they are optional, an error where they are asked for."""
+    presses = few(2, **changes)
+
+    found = augmentation_of("auto", presses, "padim", "corrected", is_registered)
+    assert found.each == 0
+    assert found.facts["augmentation"]["why"].startswith(f"no copies are added: {reason}")
+    with pytest.raises(FitError, match="no copies of the presses can be added"):
+        augmentation_of("always", presses, "padim", "corrected", is_registered)
+
+
+def test_a_press_that_is_held_out_takes_its_copies_along() -> None:
+    """The bank without press 1 is the mean of presses 0 and 2 and of their copies, worked by hand."""
+
+    def features(values: list[float]) -> Features:
+        return {
+            "layer1": np.stack([np.full((3, 4, 4), v, np.float32) for v in values]),
+            "layer2": np.stack([np.full((3, 2, 2), v, np.float32) for v in values]),
+        }
+
+    of = Copies(features([2.0, 50.0, 4.0]), np.array([0, 1, 2]))
+    learner = Learner(tiny.TINY, tiny.tiny_grid(), tiny.TinyParameters(), 0, 1, of)
+    presses = Nominal(features([0.0, 100.0, 6.0]))
+
+    without = learner.bank_without(presses, np.array([1]))
+    assert without.arrays["mean"].mean() == pytest.approx((0 + 2 + 4 + 6) / 4)
+    assert learner.bank(presses).arrays["mean"].mean() == pytest.approx((0 + 2 + 4 + 6 + 50 + 100) / 6)
+
+
+def test_one_press_makes_a_bundle_that_promises_nothing() -> None:
+    """The manifest says how the bank was made, where the threshold is from, and that no rate is promised."""
+    manifest = fitted(few(1)).manifest
+
+    assert "the bank is of 1 press and 32 rendered copies of each" in manifest.facts["augmentation"]["why"]
+    assert manifest.threshold.nominal_scores == ()
+    assert "highest score of 32 copies of the one press" in manifest.threshold.method
+    assert promise(manifest.threshold).startswith("no rate is promised: the threshold is 1.")
+    assert "1 press promises no false-alarm rate; 19 presses" in " ".join(manifest.provenance.warnings)
+    assert manifest.facts["limit"]["why"].startswith("of fewer than 4 presses nothing can be held out")
+
+
+def test_one_press_separates_sound_from_damaged() -> None:
+    """Another press of the part passes, and the same with a dark square fails."""
+    found = fitted(few(1))
+    scorer = Scorer(found.bundle())
+    sound = parts.anywhere(parts.BLOCK, 1, 77, shift_px=2.0, turn_rad=0.01)[1][0]
+    damaged = sound.copy()
+    damaged[40:64, 40:64] = 20
+
+    assert found.manifest.decide(scorer.score(sound).anomaly_score).kind == "pass"
+    assert found.manifest.decide(scorer.score(damaged).anomaly_score).kind == "fail"
+
+
+@pytest.mark.parametrize(("count", "floor"), [(2, 1 / 3), (3, 1 / 4)])
+def test_two_or_three_presses_promise_what_their_number_allows(count: int, floor: float) -> None:
+    """Each is scored by a bank of the others and their copies."""
+    limit = fitted(few(count)).manifest.threshold
+
+    assert limit.n == count
+    assert limit.alpha_floor == pytest.approx(floor)
+    assert promise(limit).startswith(f"{count} presses: at best {100 * floor:.2g} % (1 in {count + 1})")
+
+
+def test_without_copies_few_presses_have_no_threshold() -> None:
+    """As it was: a fold would have too few presses to learn from."""
+    with pytest.raises(FitError, match="3 nominal presses give no threshold"):
+        fitted(few(3), "never")
+    with pytest.raises(FitError, match="1 nominal press gives no threshold"):
+        fitted(few(1, no_contact=None))
+
+
+def test_one_press_twice_is_one_picture() -> None:
+    """It shows nothing of how presses differ, with or without copies."""
+    presses = few(1)
+    twice = dataclasses.replace(presses, frames=np.concatenate([presses.frames] * 2), names=("a", "b"))
+
+    with pytest.raises(FitError, match="all 2 presses are one picture"):
+        fitted(twice)
+
+
+def test_no_press_makes_no_bundle() -> None:
+    """The sentence says how few are enough."""
+    with pytest.raises(FitError, match="give at least 4, or 1 with a picture of the free gel"):
+        fitted(nominal(np.empty((0, parts.SIDE, parts.SIDE, 3), np.uint8)))
+
+
+def test_registered_presses_are_not_copied() -> None:
+    """They lie in one pose already: an error where copies are asked for."""
+    presses = nominal(parts.anywhere(parts.BLOCK, 6)[1])
+
+    with pytest.raises(FitError, match="the presses are registered"):
+        fitted(presses, "always", register="always")
+
+
+def test_many_presses_fit_as_they_always_did() -> None:
+    """With more than eight presses `auto` changes no byte of bank, graphs and golden frames."""
+    presses = few(9)
+    with_auto, without = fitted(presses, "auto").files, fitted(presses, "never").files
+    assert {name: data for name, data in with_auto.items() if name != "manifest.json"} == {
+        name: data for name, data in without.items() if name != "manifest.json"
+    }
