@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -38,7 +38,6 @@ from calibration.fitting.trunks import DEFAULT_BACKBONE
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
     from calibration.fitting.nominal_presses import NominalPresses
-    from calibration.fitting.pose_decision import Register
     from calibration.fitting.sources import Sources
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
@@ -112,9 +111,7 @@ def fit(
         folds=folds,
         with_trunk=trunk,
         is_scattered=scattered,
-        limit=_limit(limit),
-        register=_chosen("--register", register),
-        augment=_chosen("--augment", augment),
+        **_choices(limit, register, augment),
         revision=revision or next_revision(output),
         gel_id=gel,
     )
@@ -123,13 +120,14 @@ def fit(
     make(partial(fit_files, presses, config), output, overwrite)
 
 
-def _chosen(option: str, word: str) -> "Register":
-    """Errors: ConfigError."""
+def _choices(limit: str, register: str, augment: str) -> dict[str, Any]:
+    """What a fit chooses itself unless it is decided by hand. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    if word not in ("auto", "never", "always"):
-        raise ConfigError(f"{option} is auto, never or always, found '{word}'")
-    return cast("Register", word)
+    for option, word in {"--register": register, "--augment": augment}.items():
+        if word not in ("auto", "never", "always"):
+            raise ConfigError(f"{option} is auto, never or always, found '{word}'")
+    return {"limit": _limit(limit), "register": register, "augment": augment}
 
 
 def _limit(word: str) -> Literal["chosen", "plain"]:
