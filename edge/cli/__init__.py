@@ -49,7 +49,7 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
 
 # `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
 _ORDER: Final = (
-    "demo", "devices", "record", "simulate", "acquire", "fit", "evaluate", "check", "run", "overview", "watch",
+    "demo", "devices", "record", "simulate", "acquire", "fit", "carry", "evaluate", "check", "run", "overview", "watch",
     "page", "gel", "reference", "acts", "history", "replay", "db", "msa",
     "inspect", "verify", "sign", "keys", "export", "wrap", "describe", "topics", "docs", "install-service",
     "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",

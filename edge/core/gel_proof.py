@@ -87,7 +87,7 @@ class GelProof:
         return (
             f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {self.sentence}, at most "
             f"{PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure). {todo[0].upper()}{todo[1:]} "
-            "`gelgate gel prove`; or fit a bundle on this gel"
+            "`gelgate gel prove`; or carry it over (`gelgate carry`), or fit a bundle on this gel"
         )
 
 

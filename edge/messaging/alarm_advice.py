@@ -31,8 +31,8 @@ ADVICE: Final[Mapping[str, str]] = {
     "press_again": "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     "gel": "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate gel "
     "replace`",
-    "gel_proof": "press as many sound parts as the text says, then `gelgate gel prove`; or fit a bundle on this gel: "
-    "see Gel change",
+    "gel_proof": "press as many sound parts as the text says, then `gelgate gel prove`; or carry the bundle over "
+    "(`gelgate carry`), or fit one on this gel: see Gel change",
     "reference": "`gelgate reference press`, then press the master piece; where it is out of limits, the text names "
     "what to check first",
     "gel_scar": "wipe the gel; if the alarm comes back at the next press, change it: see Gel change",

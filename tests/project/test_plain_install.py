@@ -35,6 +35,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("verify pz0", 0, "sound"),
     ("inspect pz0", 0, "padim"),
     ("wrap theirs.onnx nominal -o theirs --part PZ0 --licence MIT", 0, "written"),
+    ("carry pz0 nominal -o carried --gel G2", 3, "expected 4 to 8"),
     ("acquire nominal -o pressed --part PZ0", 0, "gelgate fit"),
     ("evaluate pz0 dataset --part * --position * --bootstrap 20 --sheet sheet.png", 0, "image_auroc"),
     ("check --config gelgate.toml", 0, "ok"),
@@ -45,6 +46,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("reference chart --config gelgate.toml", 0, "no reference press"),
     ("msa plan --pieces 2 --operators 2 --repeats 2 -o plan.toml", 0, "8 presses"),
     ("evaluate-scars --set nothing", 3, "no set is named"),
+    ("evaluate-new-gel --set nothing", 3, "no set is named"),
     (
         "calibrate nominal/frames --simulator --no-contact nominal/frames/000000.jpg --ball-radius-mm 3 -o s.toml",
         3,
@@ -52,6 +54,7 @@ VERBS: list[tuple[str, int, str]] = [
     ),
     ("page --allow-from 10.0.0.1", 3, "bind"),
     ("gel show --config gelgate.toml", 0, "12"),
+    ("gel prove --config gelgate.toml", 0, "is proven on it"),
     ("history --config gelgate.toml", 0, "12 presses"),
     ("history --config gelgate.toml -o presses.csv", 0, "12 presses in presses.csv"),
     ("history --config gelgate.toml -o presses.parquet", 3, "gelgate[parquet]"),

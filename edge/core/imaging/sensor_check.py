@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from edge.core.imaging.quality import Reason, Rejection
 
-__all__ = ["NominalColours", "check_sensor", "colour_cells", "colour_distance", "likely_cause"]
+__all__ = [
+    "NominalColours",
+    "check_sensor",
+    "colour_cells",
+    "colour_distance",
+    "is_other_kind",
+    "likely_cause",
+]
 
 # Correlation of the colours over the gel. Between public frames of seven units of one kind it is 0.71 to 0.99; between
 # that kind and five others -0.38 to 0.35, and 0.63 to 0.78 for one that has the same lamps.
@@ -90,7 +97,7 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
     pattern = _common_pattern(cells, nominal.cells)
     gains = np.median(cells / np.maximum(nominal.cells, _LEAST_LEVEL), axis=(0, 1))
     balanced = cells / np.maximum(gains, _LEAST_GAIN)
-    if pattern < _OTHER_KIND:
+    if is_other_kind(cells, nominal):
         return (
             "most likely this is another kind of sensor: check that it is the one learnt, or fit again on it"
         )
@@ -109,6 +116,11 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
         "gel, light or sensor is another one: check that this is the sensor that was learnt and that all its lights "
         "burn, or fit again on it"
     )
+
+
+def is_other_kind(cells: F64, nominal: NominalColours) -> bool:
+    """Whether the colours run over the gel otherwise than with any unit of this kind of sensor."""
+    return _common_pattern(cells, nominal.cells) < _OTHER_KIND
 
 
 def _common_pattern(cells: F64, nominal: F64) -> float:

@@ -1,0 +1,222 @@
+"""A bundle carried over to another gel of its sensor by a few presses: the bank stays, its limit is found again.
+
+The trunk and the bank hold what the part looks like, and lose little by a new gel; the scores shift, so the limit, the
+coarse colours, the free gel and the golden frames are those of the new gel. docs/new-gel.md has the measurements.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.bundle_measurements import golden_frames, measured_tolerance, provenance
+from calibration.fitting.colours import nominal_colours
+from calibration.fitting.fit import Fitted
+from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.threshold import conformal_threshold
+from edge.core.contact.wear import wear
+from edge.core.detector import Bank
+from edge.core.errors import FitError, PoseNotFound
+from edge.core.imaging.sensor_check import colour_cells, is_other_kind
+from edge.model.bundle import Bundle, GoldenFrame, bundle_files
+from edge.model.detectability import CARD
+from edge.model.gel_facts import gel_facts
+from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
+from edge.model.scorer import Scorer
+from edge.model.tile_runner import most_typical
+
+__all__ = ["FEWEST", "MOST", "CarryConfig", "carried"]
+
+FEWEST, MOST = 4, 8
+"""Presses. With fewer their median is no measure; with more a fit is the better use of them."""
+
+# Between development gels of one sensor the median score changes by 1.2 times at most; beyond this the presses are of
+# something else than what was learnt, or of another unit.
+_MOST_CHANGE: Final = 1.6
+# Two pictures of one gel differ by less shading (levels) and less of a colour's level, and by no mark; of two gels by
+# ten times as much.
+_SAME_SHADING, _SAME_LEVEL = 0.6, 0.02
+# Facts that hold for the old gel's scores alone.
+_OF_OLD_GEL: Final = (CARD, "press_again")
+
+
+@dataclass(frozen=True)
+class CarryConfig:
+    """gel_id: the new gel, where it is known. revision: of the new bundle. threads: of the scorer."""
+
+    created: str
+    gel_id: str | None = None
+    revision: int | None = None
+    threads: int = 2
+
+
+def carried(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:
+    """The bundle for the gel of these presses. Errors: FitError for presses that do not allow it."""
+    _check_bundle(bundle)
+    _check_presses(bundle, presses)
+    scorer = Scorer(bundle, config.threads)
+    scores = _scores(scorer, presses)
+    _check_change(np.array(bundle.manifest.threshold.nominal_scores), scores)
+    golden = golden_frames(scorer, presses.frames) if bundle.registration is None else list(bundle.golden)
+    tolerance = measured_tolerance(scorer, golden, config.threads)
+    threshold = _threshold(bundle.manifest.threshold, presses, scores, tolerance)
+    facts = _facts(bundle, presses, config, threshold, tolerance)
+    fitted = Fitted(*_files(bundle, presses, facts, golden))
+    Scorer(fitted.bundle(), config.threads).check_golden()
+    return fitted
+
+
+def _check_bundle(bundle: Bundle) -> None:
+    manifest = bundle.manifest
+    if manifest.threshold.n == 0:
+        raise FitError(
+            f"bundle {bundle.where} has a threshold that was given by hand and no scores of presses, so it cannot be "
+            "scaled; fit a bundle on the new gel"
+        )
+    if manifest.backbone is not None and bundle.graphs.trunk is None:
+        raise FitError(f"bundle {bundle.where} comes without its trunk; put trunks/<sha256>.onnx next to it")
+
+
+def _check_presses(bundle: Bundle, presses: NominalPresses) -> None:
+    """Errors: FitError for a wrong number, no free gel, the old gel, presses elsewhere, or another kind of sensor."""
+    if not FEWEST <= len(presses) <= MOST:
+        raise FitError(
+            f"found {len(presses)} presses on the new gel, expected {FEWEST} to {MOST}; with more, fit a bundle on it"
+        )
+    if presses.no_contact is None or presses.free_view is None:
+        raise FitError(
+            "the free new gel is not known; give a picture of it with --no-contact, or a recording"
+        )
+    _check_gel(bundle, presses)
+    if why := list(_misplaced(bundle, presses)):
+        raise FitError(
+            f"presses lie where no learnt press does: {', '.join(why)}; hold the part as at the fit"
+        )
+    colours = bundle.manifest.colours
+    cells = colour_cells(np.ascontiguousarray(presses.frames[0]), (8, 8))
+    if colours is not None and is_other_kind(cells, colours.nominal()):
+        raise FitError(
+            "the colours over the gel run otherwise than in the learnt presses: another kind of sensor; use presses of "
+            "the sensor of the bundle, or fit again"
+        )
+
+
+def _check_gel(bundle: Bundle, presses: NominalPresses) -> None:
+    known = {frame.rgb.tobytes() for frame in bundle.golden}
+    for name, frame in zip(presses.names, presses.frames, strict=True):
+        if frame.tobytes() in known:
+            raise FitError(
+                f"press {name} was learnt for this bundle, so it is of the old gel; press the new gel"
+            )
+    if bundle.free_view is None or presses.free_view is None:
+        return
+    change = wear(bundle.free_view.astype(np.float32), presses.free_view.astype(np.float32))
+    is_marked = change.specks > 0 or change.scratch_length > 0
+    if not is_marked and change.shading_levels < _SAME_SHADING and change.level_change < _SAME_LEVEL:
+        raise FitError(
+            f"the free gel differs by {change.shading_levels:.2f} levels and no mark from that of the bundle: it is "
+            "the old gel; press the new one, and give its own free gel"
+        )
+
+
+def _misplaced(bundle: Bundle, presses: NominalPresses) -> Sequence[str]:
+    """The presses whose contact the station would refuse."""
+    nominal = bundle.manifest.contact
+    if nominal is None:
+        return []
+    ranges = (nominal.x, nominal.y, nominal.area)
+    found = {
+        name: (touch.x, touch.y, touch.area)
+        for name, touch in zip(presses.names, presses.touches, strict=True)
+    }
+    return [
+        name
+        for name, values in found.items()
+        if not all(low <= value <= high for value, (low, high) in zip(values, ranges, strict=True))
+    ]
+
+
+def _scores(scorer: Scorer, presses: NominalPresses) -> NDArray[np.float64]:
+    scores = []
+    for name, frame in zip(presses.names, presses.frames, strict=True):
+        try:
+            scores.append(scorer.score(frame).anomaly_score)
+        except PoseNotFound as error:
+            raise FitError(f"press {name} does not show the learnt part: {error}") from error
+    return np.array(scores)
+
+
+def _check_change(before: NDArray[np.float64], now: NDArray[np.float64]) -> None:
+    middle = float(np.median(before))
+    if not middle > 0:
+        raise FitError(
+            f"the median score of the learnt presses is {middle:.3g}, so scores cannot be compared; fit a bundle on "
+            "this gel"
+        )
+    change = float(np.median(now)) / middle
+    if not 1 / _MOST_CHANGE <= change <= _MOST_CHANGE:
+        raise FitError(
+            f"these presses score {change:.2f} times as high as the learnt ones in the median, expected "
+            f"{1 / _MOST_CHANGE:.2f} to {_MOST_CHANGE:g} times: another part, damaged parts, or a gel too different to "
+            "carry the bank over; check the parts, or fit a bundle on this gel"
+        )
+
+
+def _threshold(
+    old: ThresholdEntry, presses: NominalPresses, scores: NDArray[np.float64], tolerance: ToleranceEntry
+) -> ThresholdEntry:
+    """It promises what the new presses alone show: the bank has not seen them."""
+    specimens = presses.specimens or (None,) * len(presses)
+    slack = tolerance.around(float(scores.max()))
+    found = conformal_threshold(scores, old.alpha, slack, "split-conformal", specimens)
+    method = (
+        f"carried over to another gel ({found.value / old.value:.3g} times the limit before): {found.method}"
+    )
+    return found.model_copy(update={"method": method})
+
+
+def _facts(
+    bundle: Bundle,
+    presses: NominalPresses,
+    config: CarryConfig,
+    threshold: ThresholdEntry,
+    tolerance: ToleranceEntry,
+) -> Facts:
+    old = bundle.manifest
+    facts: dict[str, Any] = {name: fact for name, fact in old.facts.items() if name not in _OF_OLD_GEL}
+    came = {"carried_from": bundle.digest, "presses": len(presses)}
+    known = gel_facts(config.gel_id).get("gel", {})
+    said = provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
+    return Facts(
+        **{
+            **{name: getattr(old, name) for name in Facts.model_fields},
+            "revision": config.revision or (old.revision or 0) + 1,
+            "facts": {**facts, "gel": {**known, **came}},
+            "threshold": threshold,
+            "tolerance": tolerance,
+            "colours": nominal_colours(presses.frames),
+            "accuracy": None,
+            "provenance": said,
+        }
+    )
+
+
+def _files(
+    bundle: Bundle, presses: NominalPresses, facts: Facts, golden: Sequence[GoldenFrame]
+) -> tuple[Any, dict[str, bytes]]:
+    manifest = bundle.manifest
+    packing = {name: entry.packing for name, entry in manifest.bank.items()}
+    free = presses.no_contact
+    return bundle_files(
+        facts,
+        bundle.graphs,
+        Bank(dict(bundle.bank), packing, {}) if manifest.bank else None,
+        golden,
+        backbone=manifest.backbone.id if manifest.backbone else "",
+        with_trunk=manifest.backbone is None or manifest.backbone.in_bundle,
+        free_gel=most_typical(free) if bundle.free_gel is not None and free is not None else None,
+        free_view=presses.free_view,
+        registration=bundle.registration,
+    )

@@ -1,0 +1,253 @@
+"""A bundle carried over to another gel: what stays, what is found again, what is promised, and what is refused."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import gelgate
+from numpy.typing import NDArray
+from station import gel
+from tiny import TINY, tiny_trunk
+from tiny_fit import config as tiny_config
+from tiny_fit import presses as tiny_presses
+
+from calibration.fitting.carry import CarryConfig, carried
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.trunks import Trunk
+from edge.core.errors import FitError
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.model.bundle import Bundle, write_bundle
+from edge.model.gel_facts import made_on
+from edge.model.promise import promise
+from edge.model.scorer import Scorer
+
+U8 = NDArray[np.uint8]
+SENSOR = profile("cropped_lr")
+REGION = Region.centre(SENSOR.size)
+# Red, green and blue of the old gel, and of the new one in shares of them.
+OLD, TINT = (1.0, 1.0, 1.0), (1.004, 0.9965, 1.001)
+CONFIG = CarryConfig("2026-02-01", "G2", threads=1)
+
+
+def picture(rng: np.random.Generator, depth: float, tint: Sequence[float], *, dent: bool = False) -> U8:
+    """RGB; every gel but the old one has a speck outside of the inspected region."""
+    rgb = gel(rng, depth, dent)[..., ::-1].astype(np.float32) * np.array(tint, np.float32)
+    if tint != OLD:
+        rgb[100:112, 20:32] -= 60
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+
+
+@cache
+def pressed(
+    count: int, seed: int = 3, tint: tuple[float, ...] = TINT, *, dent: bool = False, depth: float = 1.0
+) -> NominalPresses:
+    """Presses on a gel of this tint, with its free gel."""
+    rng = np.random.default_rng(seed)
+    free = [picture(rng, 0.0, tint) for _ in range(4)]
+    names = {f"s{k:03d}_p0": picture(rng, depth, tint, dent=dent) for k in range(count)}
+    return named_presses(names, SENSOR, REGION, no_contact=free)
+
+
+@cache
+def old_fit() -> Fitted:
+    """Fitted on twelve presses on the old gel."""
+    config = FitConfig(
+        "bolt",
+        "crest",
+        SENSOR,
+        REGION,
+        TINY,
+        Trunk("tiny", tiny_trunk()),
+        threads=1,
+        limit="plain",
+        revision=4,
+    )
+    return fit_files(pressed(12, 1, OLD), config, created="2026-01-01")
+
+
+@cache
+def old() -> Bundle:
+    return old_fit().bundle()
+
+
+@cache
+def new() -> Bundle:
+    return carried(old(), pressed(8), CONFIG).bundle()
+
+
+def test_bank_and_graphs_stay_and_the_rest_is_of_the_new_gel() -> None:
+    """Nothing is learnt again but what belongs to the gel; a station takes it in the place of the old one."""
+    manifest = new().manifest
+
+    assert (manifest.head, manifest.backbone) == (old().manifest.head, old().manifest.backbone)
+    np.testing.assert_array_equal(new().bank["mean"], old().bank["mean"])
+    assert manifest.colours != old().manifest.colours
+    assert not np.array_equal(new().free_view, old().free_view)  # type: ignore[arg-type]
+    assert manifest.revision == 5
+    assert made_on(manifest).gel_id == "G2"
+    assert manifest.facts["gel"]["carried_from"] == old().digest
+
+
+def test_its_golden_frames_are_presses_on_the_new_gel() -> None:
+    """A station that scores them again checks what it inspects with."""
+    frames = {frame.tobytes() for frame in pressed(8).frames}
+
+    assert [golden.rgb.tobytes() in frames for golden in new().golden] == [True, True, False]
+    assert Scorer(new(), 1).check_golden() <= new().manifest.tolerance.score
+
+
+def test_sound_presses_on_the_new_gel_pass_and_damaged_ones_fail() -> None:
+    """With the old limit nearly all sound presses fail, for the tint alone is above it; with the new one as few as it
+    promises."""
+    scorer, limit = Scorer(new(), 1), new().manifest.threshold.value
+    sound = [scorer.score(frame).anomaly_score for frame in pressed(12, 9).frames]
+    damaged = [scorer.score(frame).anomaly_score for frame in pressed(4, 9, dent=True).frames]
+
+    assert sum(score > old().manifest.threshold.value for score in sound) >= 10
+    assert sum(score > limit for score in sound) <= 2  # 1 in 9 on average
+    assert limit < min(damaged)
+
+
+def test_it_promises_what_eight_presses_show_and_no_more() -> None:
+    """1 in 9 on average; 1 - .1^(1/8) = 25 % for this bundle, 90 % sure."""
+    limit = new().manifest.threshold
+
+    assert limit.alpha_floor == pytest.approx(1 / 9)
+    assert limit.by_press is not None
+    assert limit.by_press.rate == pytest.approx(1 - 0.1 ** (1 / 8))
+    assert promise(limit).startswith("8 presses: at best 11 % (1 in 9), not the 5 % asked for,")
+
+
+def test_the_limit_is_that_of_the_new_scores_alone() -> None:
+    """A quarter of their spread above the highest: the rule of a fit with too few presses for its rate."""
+    scores = np.array([Scorer(old(), 1).score(frame).anomaly_score for frame in pressed(8).frames])
+    highest, middle = scores.max(), np.median(scores)
+
+    limit = new().manifest.threshold
+    assert limit.nominal_scores == pytest.approx(sorted(scores))
+    assert limit.value == pytest.approx(highest + (highest - middle) / 4, rel=2e-3)
+
+
+@pytest.mark.parametrize("count", [3, 9])
+def test_another_number_of_presses_is_refused(count: int) -> None:
+    """Few are no measure; more are worth a fit."""
+    with pytest.raises(FitError, match=f"found {count} presses on the new gel, expected 4 to 8"):
+        carried(old(), pressed(count), CONFIG)
+
+
+def test_presses_without_a_free_gel_are_refused() -> None:
+    """The sentence says how to give one."""
+    with pytest.raises(
+        FitError, match="the free new gel is not known; give a picture of it with --no-contact"
+    ):
+        carried(old(), replace(pressed(8), no_contact=None, free_view=None), CONFIG)
+
+
+def test_presses_of_the_old_gel_are_refused() -> None:
+    """Other frames of it by its free gel, and a learnt frame by its bytes."""
+    with pytest.raises(FitError, match="from that of the bundle: it is the old gel"):
+        carried(old(), pressed(8, 5, OLD), CONFIG)
+
+    frames = pressed(8).frames.copy()
+    frames[2] = old().golden[0].rgb
+    with pytest.raises(FitError, match="press s002_p0 was learnt for this bundle, so it is of the old gel"):
+        carried(old(), replace(pressed(8), frames=frames), CONFIG)
+
+
+def test_presses_of_something_else_are_refused() -> None:
+    """Their median score says it: dents on every one."""
+    with pytest.raises(
+        FitError, match=r"times as high as the learnt ones in the median, expected 0\.62 to 1\.6 times"
+    ):
+        carried(old(), pressed(8, dent=True, tint=(1.3, 0.7, 1.0)), CONFIG)
+
+
+def test_presses_elsewhere_are_refused() -> None:
+    """By the range of contacts that a station refuses outside of."""
+    touches = tuple(replace(touch, x=0.9) for touch in pressed(8).touches)
+    with pytest.raises(FitError, match="presses lie where no learnt press does: s000_p0, s001_p0"):
+        carried(old(), replace(pressed(8), touches=touches), CONFIG)
+
+
+def test_presses_of_another_kind_of_sensor_are_refused() -> None:
+    """The colours run over the gel otherwise: turned by half."""
+    other = replace(pressed(8), frames=np.ascontiguousarray(pressed(8).frames[:, ::-1]))
+    with pytest.raises(FitError, match="the colours over the gel run otherwise than in the learnt presses"):
+        carried(old(), other, CONFIG)
+
+
+def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
+    """There are no scores to compare with."""
+    config = FitConfig(
+        "bolt", "crest", SENSOR, REGION, TINY, Trunk("tiny", tiny_trunk()), threads=1, threshold=0.1
+    )
+    given = fit_files(pressed(12, 1, OLD), config, created="2026-01-01").bundle()
+    with pytest.raises(FitError, match="has a threshold that was given by hand"):
+        carried(given, pressed(8), CONFIG)
+
+
+def test_a_fit_may_name_its_gel() -> None:
+    """A station then knows on which gel the bundle is proven; by default it does not."""
+    named = fit_files(tiny_presses(6), tiny_config(gel_id="G7"), created="2026-01-01").manifest
+
+    assert made_on(named).gel_id == "G7"
+    assert made_on(old().manifest).gel_id is None
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """The old bundle, five presses on the new gel, and its free gel."""
+    write_bundle(tmp_path / "old", old_fit().files)
+    rng = np.random.default_rng(8)
+    (tmp_path / "presses").mkdir()
+    for k in range(5):
+        save(tmp_path / "presses" / f"s{k:03d}_p0.png", picture(rng, 1.0, TINT))
+    save(tmp_path / "free.png", picture(rng, 0.0, TINT))
+    return tmp_path
+
+
+def save(path: Path, rgb: U8) -> None:
+    cv2.imwrite(str(path), rgb[..., ::-1])
+
+
+def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: Path) -> None:
+    """It loads, with the sentences that `fit` prints."""
+    words = [
+        "carry",
+        files / "old",
+        files / "presses",
+        "--no-contact",
+        files / "free.png",
+        "-o",
+        files / "new",
+    ]
+    done = gelgate(*map(str, words), "--gel", "G2", "--threads", "1")
+
+    assert done.code == 0, done.err
+    assert "carried over to another gel" in done.out
+    assert "5 presses: at best 17 % (1 in 6)" in done.out
+    assert made_on(Bundle.load(files / "new").manifest).gel_id == "G2"
+
+
+def test_on_the_command_line_presses_of_another_size_are_refused(files: Path) -> None:
+    """One sentence, and nothing is written."""
+    save(files / "presses" / "s000_p0.png", np.full((100, 100, 3), 90, np.uint8))
+    words = [
+        "carry",
+        files / "old",
+        files / "presses",
+        "--no-contact",
+        files / "free.png",
+        "-o",
+        files / "new",
+    ]
+    done = gelgate(*map(str, words))
+
+    assert "1 of 5 pictures cannot be used" in done.err
+    assert not (files / "new").exists()
