@@ -22,7 +22,7 @@ def evaluate_new_gel(
     ] = False,
     json: Annotated[Path | None, typer.Option(help="Write every figure to this JSON file.")] = None,
 ) -> None:
-    """What a bundle loses on a new gel, and what brings it back.
+    """What a bundle loses on a new gel, and how to keep it.
 
     On simulated parts, each pressed on two gels of one sensor. Prints for each detector and each way to keep a bundle
     AU-PRO, image AUROC, and false alarms and detection at the limit."""

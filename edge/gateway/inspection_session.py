@@ -57,7 +57,7 @@ class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
     gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. on_judged: called
-    before that, for outputs that cannot wait. refusal: why a part may not be judged now, beside that of `labels`.
+    before that, for outputs that cannot wait. refusal: why a part may not be judged now, next to that of `labels`.
     """
 
     def __init__(

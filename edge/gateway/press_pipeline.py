@@ -31,7 +31,7 @@ __all__ = ["PressPipeline"]
 class PressPipeline:
     """Judges the one frame of each press. on_event gets every contact event. admission: by the overview camera. labels:
     which presses are no part's; the overview camera is not asked about these. scars: of the mounted gel; None leaves
-    them out. refusal: why a part may not be judged now, beside that of `labels`."""
+    them out. refusal: why a part may not be judged now, next to that of `labels`."""
 
     def __init__(
         self,

@@ -94,7 +94,7 @@ def test_it_is_said_after_a_restart_too(config: Config) -> None:
 
 
 def test_an_alarm_is_counted(config: Config) -> None:
-    """A damaged part on the new gel is one, for nobody knows that it is damaged."""
+    """A damaged part on the new gel is one, for the station does not know that it is damaged."""
     with SteppedStation(config()) as station:
         until_press(station, 1)
         replace(station)
