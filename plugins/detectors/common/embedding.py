@@ -154,11 +154,12 @@ class Embedding:
         x = x.reshape(*x.shape[:2], -1)
         if f"projection_{tap}" in self.arrays:
             projection = self.arrays[f"projection_{tap}"].astype(dtype)
-            native = np.empty((len(x), x.shape[2], projection.shape[1]), dtype)
+            # Cell by cell, as `at` reads them: one cell of all presses is one piece of memory.
+            native = np.empty((x.shape[2], len(x), projection.shape[1]), dtype)
             # Press by press: a copy of all in the other order would take as much memory as the features.
-            for press, found in zip(x, native, strict=True):
-                np.matmul(press.T.astype(dtype, order="C"), projection, out=found)
-            return native
+            for number, press in enumerate(x):
+                native[:, number] = press.T.astype(dtype, copy=False) @ projection
+            return native.swapaxes(0, 1)
         scale = self.arrays["scales"][self.choice.taps.index(tap)] if "scales" in self.arrays else 1.0
         chosen: NDArray[np.floating] = np.swapaxes(x[:, self._chosen(tap)], 1, 2).astype(dtype) * dtype(scale)
         return chosen
@@ -199,7 +200,7 @@ class Embedded:
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Descriptors at flat cells of the grid: float64 (len(cells), n, d)."""
         taps = self.embedding.choice.taps
-        parts = [self.native[tap][:, self.embedding.index(tap)[cells]].swapaxes(0, 1) for tap in taps]
+        parts = [self.native[tap].swapaxes(0, 1)[self.embedding.index(tap)[cells]] for tap in taps]
         if self.embedding.choice.projection == "semi_orthogonal":
             total = parts[0].astype(np.float64, order="C")
             for part in parts[1:]:

@@ -8,6 +8,7 @@ all tiles share the bank.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -68,10 +69,12 @@ class PatchBank:
         arrays["mean"] = rotation.mean
         if rotation.basis is not None:
             arrays["basis"] = rotation.basis
-        rows = np.concatenate(
-            [self.rows(_press(features, taps, k), grid, arrays, np.float32) for k in range(n)]
-        )
-        return arrays, rows.astype(np.float32, copy=False)
+        each = (self.rows(_press(features, taps, k), grid, arrays, np.float32)[0] for k in range(n))
+        first = next(each)
+        rows = np.empty((n, *first.shape), np.float32)
+        for row, found in zip(rows, chain([first], each), strict=True):
+            row[:] = found
+        return arrays, rows
 
     def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
         """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where this is not known.

@@ -84,13 +84,14 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
     there, away = np.empty((seeds, cells), np.int64), np.empty((seeds, cells), np.float32)
     back = np.full((seeds, cells), np.inf, np.float32)
     step = max(1, PRODUCT_LIMIT // cells)
+    product = np.empty((min(step, cells), cells), np.float32)
     for seed, first in itertools.product(range(seeds), range(0, cells, step)):
-        part = slice(first, first + step)
-        squared = asking[part] @ asked_of[seed].T
+        part = slice(first, min(first + step, cells))
+        squared = np.matmul(asking[part], asked_of[seed].T, out=product[: part.stop - first])
         there[seed, part] = found = squared.argmin(axis=1)
         away[seed, part] = squared[np.arange(len(found)), found]
         np.minimum(back[seed], squared.min(axis=0), out=back[seed])
-    return Nearest(there, away, back)
+    return Nearest(there, away, back, asking[:, -2] + asked_of[:, :, -1])
 
 
 def _match(asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, steps: Steps) -> Match:

@@ -27,11 +27,13 @@ class Match(NamedTuple):
 class Nearest(NamedTuple):
     """Both directions between a press and each of k realisations, by the product. there: int64 (k, cells), for each
     patch of the press the nearest of the realisation. away: float32 (k, cells), its squared distance. back: float32
-    (k, cells), for each patch of the realisation the distance to the nearest patch of the press."""
+    (k, cells), for each patch of the realisation the distance to the nearest patch of the press. lengths: float32
+    (k, cells), the sum of the squared lengths of both patches at each place."""
 
     there: NDArray[np.int64]
     away: NDArray[np.float32]
     back: NDArray[np.float32]
+    lengths: NDArray[np.float32]
 
 
 class Joined(NamedTuple):
@@ -71,9 +73,8 @@ def prefer_own_place(
 ) -> Joined:
     """Among equally near patches the one at the same place wins, so that constant gel keeps its channels."""
     every, here = np.arange(len(asked)), squared_distances(asked, seed)
-    lengths = sum(np.einsum("pc,pc->p", each, each) for each in (asked, seed))
     is_there = here <= found.squared * (1 + EQUAL)
-    is_back = here <= np.maximum(nearest.back, 0) * (1 + EQUAL) + ROUNDING * lengths
+    is_back = here <= np.maximum(nearest.back, 0) * (1 + EQUAL) + ROUNDING * nearest.lengths
     return Joined(
         np.where(is_there, here, found.squared),
         np.where(is_there, every, found.there),

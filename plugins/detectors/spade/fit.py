@@ -176,8 +176,8 @@ def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.
     found = []
     for tap in p.descriptor_taps(grid):
         down, across = p.regions_of(grid, tap)
-        means = down @ features[tap].astype(np.float64) @ across.T
-        found.append(means.reshape(len(means), -1))
+        # Press by press: all of them in float64 would be twice the features.
+        found.append(np.stack([(down @ x.astype(np.float64) @ across.T).ravel() for x in features[tap]]))
     return np.concatenate(found, axis=1)
 
 
