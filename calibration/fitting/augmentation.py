@@ -98,10 +98,10 @@ def augmentation_of(
     if why:
         return Augmentation(0, f"no copies are added: {why}")
     each = max(1, min(EACH, MOST // n))
-    counted = "1 press" if n == 1 else f"{n} presses"
+    counted, of = ("1 press", "it") if n == 1 else (f"{n} presses", "each")
     return Augmentation(
         each,
-        f"the bank is of {counted} and {each} rendered cop{'y' if each == 1 else 'ies'} of each: shifted by up to "
+        f"the bank is of {counted} and {each} rendered cop{'y' if each == 1 else 'ies'} of {of}: shifted by up to "
         f"{_MOST_SD * _SHIFT_MM:.1f} mm, turned by up to {_MOST_SD * _TURN_DEG:.1f} degrees, tilted, and pressed "
         "deeper and lighter",
     )

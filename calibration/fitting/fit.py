@@ -131,7 +131,7 @@ class _Fit:
         self.fewest = 2 if self.augmentation.each and len(presses) < MIN_PRESSES else MIN_PRESSES
         self.is_held_out = config.threshold is None and not (self.augmentation.each and len(presses) == 1)
         if self.is_held_out:
-            require_enough(len(presses), config.alpha, self.fewest)
+            require_enough(len(presses), config.alpha, self.fewest, self.augmentation.why)
             rng = np.random.default_rng(config.seed)
             self.folds, said = held_out_folds(self.specimens, config.folds, rng, self.fewest)
             self.warnings += said

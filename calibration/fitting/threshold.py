@@ -133,13 +133,17 @@ def needed(alpha: float) -> int:
     return math.ceil(1 / alpha - ROUNDING) - 1
 
 
-def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES) -> None:
-    """Errors: FitError where a fold would keep too few presses. fewest: with copies of them, fewer are enough."""
+def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES, why: str = "") -> None:
+    """Errors: FitError where a fold would keep too few presses.
+
+    fewest: with copies of them, fewer are enough. why: why there are no copies.
+    """
     if presses < fewest:
         raise FitError(
             f"{presses} nominal press{'' if presses == 1 else 'es'} give{'s' if presses == 1 else ''} no threshold: "
             f"with one held out fewer than {MIN_PRESSES - 1} are left to learn from; give at least {MIN_PRESSES} "
             f"({needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
+            f"{why and f'; {why}'}"
         )
 
 

@@ -65,3 +65,13 @@ def test_a_piece_that_is_nearly_all_presses_is_not_held_out_whole() -> None:
     parts, said = held_out_folds([*"aaaaaaaaaabc"], 5, np.random.default_rng(0))
     assert min(12 - len(part) for part in parts) >= 3
     assert said
+
+
+def test_where_one_press_is_enough_two_pieces_are_held_out_in_turn() -> None:
+    """With copies of the presses a bank of one piece shows how presses differ: no warning, a fold for each piece."""
+    rng = np.random.default_rng(0)
+    found, said = held_out_folds(("a", "b", "b"), 5, rng, fewest=2)
+
+    assert said == []
+    assert sorted(held.tolist() for held in found) == [[0], [1, 2]]
+    assert held_out_folds(("a", "b", "b", "b"), 5, rng)[1] != []
