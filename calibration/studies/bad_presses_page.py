@@ -27,8 +27,8 @@ def page(rows: "pd.DataFrame") -> Page:
     scored = only_scored(rows)
     head = (
         "# What do damaged presses among the nominal ones cost?\n\n"
-        f"Parts {', '.join(sorted(rows['part'].unique()))}, each bank at its method's stable fraction; damaged presses "
-        f"take the place of nominal ones. Medians over {seeds_of(rows, 'bad')} seeds.\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}. Each bank is of a share of the nominal presses; damaged "
+        f"presses take the place of some. Medians over {seeds_of(rows, 'bad')} seeds.\n"
     )
     setups = [_setup(title, group) for title, group in by_setup(scored)]
     sections = [head, cells_table(rows, "bad"), *setups, split_table(scored, "bad"), refusals(rows)]
@@ -44,7 +44,9 @@ def _setup(title: str, rows: "pd.DataFrame") -> str:
     lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]
     change = f"Change of AU-PRO@0.01 from {_percent(shares[0])} to {_percent(shares[-1])}.\n"
     heading = ["method", "part", "mean difference", "direction"]
-    return "\n".join([f"## {title}\n", *tables, change, table(heading, lines)])
+    used = ", ".join(f"{m} {_percent(g['fraction'].max())}" for m, g in rows.groupby("method"))
+    share = f"Share of the nominal presses: {used}.\n"
+    return "\n".join([f"## {title}\n", share, *tables, change, table(heading, lines)])
 
 
 def _percent(share: float) -> str:

@@ -56,3 +56,4 @@ def test_the_study_has_rows_and_a_page(tmp_path: Path) -> None:
     ]
     assert {row["test_defective"] for row in rows} == {1}
     assert f"| subspace | PZ3 | {rows[0]['aupro_001']:.4f} | {rows[1]['aupro_001']:.4f} |" in text
+    assert "Share of the nominal presses: subspace 100 %." in text

@@ -239,3 +239,13 @@ def test_the_page_has_every_answer_of_every_setup() -> None:
     assert "| spade | 0.8045 | 0.8045 to 0.8045 | strong advantage |" in text
     assert "### Few presses: AU-PRO@0.01 with 8 presses or fewer\n\n**undecided between" in text
     assert "damaged presses among" not in text
+
+
+def test_bad_presses_are_compared_at_a_share_that_every_method_has() -> None:
+    """One method alone has a row of the largest share: the next one is compared."""
+    levels = {method: 0.8 if method == "spade" else 0.6 for method in METHODS}
+    rows = rows_of("bad-presses", levels, bad=0.05) + rows_of("bad-presses", {"padim": 0.9}, bad=0.1)
+    standing = recommended(rows, ["bad-presses"])[0].standing
+
+    assert standing is not None
+    assert standing.best == "spade"
