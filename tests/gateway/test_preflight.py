@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from parts import parts_config, variant
+from ports import free_port
 from station import station_config
 
 from edge.clock import SystemClock
@@ -120,10 +121,8 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
 def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """A port that is taken is found by the check, not by the start; a free one is free again afterwards."""
     path = station_config(tmp_path, recording, bundle)
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
+    port = free_port()
+    with socket.create_server(("127.0.0.1", port)):
         path.write_text(path.read_text() + f"[metrics]\nport = {port}\n")
         with preflight(load_config(path), SystemClock()) as checked:
             (finding,) = [finding for finding in checked.findings if finding.part == "metrics"]

@@ -280,7 +280,7 @@ def soak(folder: Path, rounds: int, seed: int = 0, say: Callable[[str], None] = 
     return outcome
 
 
-def _await(is_so: Callable[[], bool], within_s: float = 10.0) -> None:
+def _await(is_so: Callable[[], bool], within_s: float = 60.0) -> None:
     """The last messages may still be on their way from the broker."""
     deadline = time.monotonic() + within_s
     while not is_so() and time.monotonic() < deadline:
