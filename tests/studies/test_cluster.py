@@ -119,7 +119,7 @@ def test_a_scheduler_that_is_lost_ends_the_study_with_a_sentence(
         @contextmanager
         def hurried(what: str, total: int) -> Iterator[Advance]:
             """From the first row on the silence is short."""
-            yield lambda done: monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 3.0)
+            yield lambda done: monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 3.0 if done else 20.0)
 
         with pytest.raises(StoreError, match=f"the Dask scheduler at '{address}' is lost; the rows so far"):
             run(cells(40), killing, rows, dask=address, progress=hurried)
