@@ -37,7 +37,7 @@ class Chosen(NamedTuple):
 
 
 def together(rows: int, width: int) -> int:
-    """How many groups of so many rows are picked from at once, which limits the memory."""
+    """How many groups of this many rows are picked from at once, which limits the memory."""
     return max(1, PAIRS // rows**2 if rows < MANY_ROWS else HELD // (rows * width))
 
 
