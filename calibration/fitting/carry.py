@@ -72,7 +72,7 @@ def _check_bundle(bundle: Bundle) -> None:
     manifest = bundle.manifest
     if manifest.threshold.n == 0:
         raise FitError(
-            f"bundle {bundle.where} has a threshold that was given by hand and no scores of presses, so it cannot be "
+            f"bundle {bundle.where} has no scores of presses, so its threshold ({manifest.threshold.method}) cannot be "
             "scaled; fit a bundle on the new gel"
         )
     if manifest.backbone is not None and bundle.graphs.trunk is None:

@@ -188,7 +188,7 @@ def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
         "bolt", "crest", SENSOR, REGION, TINY, Trunk("tiny", tiny_trunk()), threads=1, threshold=0.1
     )
     given = fit_files(pressed(12, 1, OLD), config, created="2026-01-01").bundle()
-    with pytest.raises(FitError, match="has a threshold that was given by hand"):
+    with pytest.raises(FitError, match=r"no scores of presses, so its threshold \(given by hand\) cannot be"):
         carried(given, pressed(8), CONFIG)
 
 
