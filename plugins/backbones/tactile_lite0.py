@@ -1,4 +1,4 @@
-"""The trunk for real touch: the first block of the tactile trunk and EfficientNet-Lite0 with ImageNet weights.
+"""The trunk for real touch: the first block of a tactile trunk, and EfficientNet-Lite0 with ImageNet weights.
 
 Small edges of real gels are seen better by few layers, and by features that were not learnt from simulated presses
 alone; docs/backbone.md compares. `calibration.training.joined_trunk` makes the graph from its two parts.
@@ -28,7 +28,7 @@ class TactileLite0:
         known = json.loads(read_file(f"{self.name}.json"))
         return {
             "topology": self.name,
-            "weights": "layer1.0 of tactile_resnet18, and EfficientNet-Lite0 learnt from ImageNet photographs",
+            "weights": "the first block of a tactile resnet18, and EfficientNet-Lite0 learnt from ImageNet photographs",
             "weights_sha256": known["made_of"]["efficientnet_lite0"],
             "licence": known["licence"],
         }
