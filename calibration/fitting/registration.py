@@ -15,8 +15,8 @@ from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import SlopeColours
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose
-from edge.core.registration.pose_search import SIDE_PX, TURNS, PoseSearch, shrunk
-from edge.core.registration.registrar import PartInPose, Registered, Registrar, blended, in_pose
+from edge.core.registration.pose_search import SIDE_PX, PoseSearch, shrunk
+from edge.core.registration.registrar import PartInPose, Registered, Registrar, depth_of, faded, in_pose
 
 __all__ = ["LearntPose", "completed", "in_pose_of", "learn_pose"]
 
@@ -31,7 +31,7 @@ _LEARNT_SHARE = 0.35
 # The mean press must explain this much of the presses, else there is no relief to register by.
 _LEAST_TYPICAL = 0.6
 # A part that agrees this well with itself at any turn has none: real balls 0.92 and more, a gear of 12 teeth 0.41.
-_ROUND = 0.8
+_ROUND, _ROUND_TURNS = 0.8, 72
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
 # another part agrees by up to 0.53 on five simulated parts and a real ball.
 _MISMATCH_TIMES, _LEAST_MATCH = 4.0, (0.55, 0.8)
@@ -116,7 +116,7 @@ def _aligned(
 def _roundness(light: FreeLight, part: PartInPose) -> float:
     """How well the part agrees with itself at any turn, by these colours of slopes."""
     slopes = shrunk(part.colours.slopes(shrunk(light.added(part.template))), SIDE_PX // 2)
-    return CoarseSearch(slopes, TURNS).roundness(slopes)
+    return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
 
 
 def _in_the_middle(poses: Sequence[Pose]) -> list[Pose]:
@@ -155,8 +155,8 @@ def completed(registered: Sequence[Registered]) -> U8:
         for other in (registered[k] for k in rng.permutation(len(registered))):
             if seen.all():
                 break
-            weight, more = blended(other.seen & ~seen)
-            rgb += weight[..., None] * (other.rgb - rgb)
+            more = other.seen & ~seen
+            rgb += faded(depth_of(more))[..., None] * (other.rgb - rgb)
             seen |= more
         frames.append(np.rint(rgb).astype(np.uint8))
     return np.stack(frames)

@@ -89,6 +89,15 @@ def test_what_is_stored_is_what_was_learnt() -> None:
     np.testing.assert_array_equal(in_pose_of(part, presses), learnt.frames)
 
 
+def test_a_bundle_without_a_rim_of_its_own_keeps_that_of_its_fit() -> None:
+    """One that states no rim leaves 3 % of the side unscored, as when it was fitted; a new one scores it."""
+    entry = registered().manifest.registration
+    assert entry is not None
+    older = type(entry).model_validate(entry.model_dump(exclude={"unscored_share"}))
+
+    assert (entry.unscored_share, older.unscored_share) == (0.0, 0.03)
+
+
 def test_a_picture_of_another_size_is_refused() -> None:
     """A bundle whose mean press does not fit its region is corrupt."""
     manifest, files = registered().manifest, dict(registered().files)

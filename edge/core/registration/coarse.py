@@ -7,20 +7,23 @@ is found where most of it fits.
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.registration.pose import Pose, turned_slopes
 
-__all__ = ["GRID", "Candidate", "CoarseSearch"]
+__all__ = ["Candidate", "CoarseSearch"]
 
 F32 = NDArray[np.float32]
 
-GRID = 64
-"""Cells along each side of the transform. The field has fewer, so little wraps round from one side to the other."""
+# The transform has this many times the cells of the field, so that little wraps round from one side to the other.
+_ROOM = 8 / 7
 
 # Candidates differ by more than this many turns, rows or columns.
-_APART = (3, 2, 2)
+_APART = (2, 2, 2)
+# A coarse match within this share of the best may become the best when it is refined.
+_NEARLY = 0.8
 
 
 @dataclass(frozen=True)
@@ -32,31 +35,32 @@ class Candidate:
 
 
 class CoarseSearch:
-    """A part at evenly spaced turns. slopes: float32 (h, w, 2) of the part, h and w at most 64. turns: how many."""
+    """A part at evenly spaced turns. slopes: float32 (h, w, 2) of the part. turns: how many."""
 
     def __init__(self, slopes: F32, turns: int) -> None:
-        if max(slopes.shape[:2]) > GRID:
-            raise ValueError(f"the coarse search takes at most {GRID} cells a side, found {slopes.shape[:2]}")
-        self._turns = [2 * math.pi * k / turns for k in range(turns)]
-        turned = np.stack([turned_slopes(slopes, Pose(turn_rad=-turn)) for turn in self._turns])
+        self._grid = cv2.getOptimalDFTSize(math.ceil(_ROOM * max(slopes.shape[:2])))
+        self._step_rad = 2 * math.pi / turns
+        turned = np.stack([turned_slopes(slopes, Pose(turn_rad=-k * self._step_rad)) for k in range(turns)])
         norms = np.sqrt((turned.astype(np.float64) ** 2).sum(axis=(1, 2, 3), keepdims=True))
         turned /= np.maximum(norms, np.finfo(np.float32).tiny).astype(np.float32)
-        self._spectra = np.conj(_spectra(turned)).transpose(1, 0, 2, 3)
+        self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
 
     def candidates(self, slopes: F32, count: int) -> list[Candidate]:
         """The best poses, best first, none next to another: a regular part fits nearly as well a pitch further on.
 
-        slopes: of a press, in cells.
+        Those that fit much worse than the best are left out. slopes: of a press, in cells.
         """
         found = self._matches(slopes)
-        best = []
-        for _ in range(count):
-            turn, row, column = (int(k) for k in np.unravel_index(int(found.argmax()), found.shape))
-            pose = Pose(float(_signed(column)), float(_signed(row)), self._turns[turn])
-            best.append(Candidate(pose, float(found[turn, row, column])))
+        best: list[Candidate] = []
+        while len(best) < count:
+            at = np.unravel_index(int(found.argmax()), found.shape)
+            match = float(found[at])
+            if best and match < _NEARLY * best[0].match:
+                break
+            best.append(Candidate(self._between(found, at), match))
             turns, rows, columns = (
-                np.arange(at - away, at + away + 1) % n
-                for at, away, n in zip((turn, row, column), _APART, found.shape, strict=True)
+                np.arange(k - away, k + away + 1) % n
+                for k, away, n in zip(at, _APART, found.shape, strict=True)
             )
             found[np.ix_(turns, rows, columns)] = -1
         return best
@@ -66,21 +70,34 @@ class CoarseSearch:
         return float(self._matches(slopes).max(axis=(1, 2)).min())
 
     def _matches(self, slopes: F32) -> F32:
-        """Of each turn and shift, float32 (turns, 64, 64)."""
-        across, down = _spectra(slopes)
+        """Of each turn and shift, float32 (turns, grid, grid)."""
+        across, down = self._spectra_of(slopes)
         product = self._spectra[0] * across
         product += self._spectra[1] * down
         norm = math.sqrt(float((slopes.astype(np.float64) ** 2).sum()))
         product *= np.float32(1 / max(norm, float(np.finfo(np.float32).tiny)))
-        return np.asarray(np.fft.irfft2(product, (GRID, GRID)), np.float32)
+        return np.asarray(np.fft.irfft2(product, (self._grid, self._grid)), np.float32)
+
+    def _between(self, found: F32, at: tuple[np.intp, ...]) -> Pose:
+        """The pose of a peak, between the turns and the cells: by a parabola along each axis."""
+        turn, row, column = (float(k) + _vertex(found, at, axis) for axis, k in enumerate(at))
+        return Pose(self._signed(column), self._signed(row), turn * self._step_rad)
+
+    def _signed(self, shift: float) -> float:
+        """A place in the correlation, whose upper half are shifts to the left and up."""
+        return (shift + self._grid // 2) % self._grid - self._grid // 2
+
+    def _spectra_of(self, slopes: F32) -> NDArray[np.complex64]:
+        """Of slopes (..., h, w, 2): complex64 (..., 2, grid, grid // 2 + 1)."""
+        planes = np.ascontiguousarray(np.moveaxis(slopes, -1, -3), np.float32)
+        return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
 
 
-def _signed(shift: int) -> int:
-    """A place in the correlation, whose upper half are shifts to the left and up."""
-    return (shift + GRID // 2) % GRID - GRID // 2
-
-
-def _spectra(slopes: F32) -> NDArray[np.complex64]:
-    """Of slopes (..., h, w, 2): complex64 (..., 2, 64, 33)."""
-    planes = np.ascontiguousarray(np.moveaxis(slopes, -1, -3), np.float32)
-    return np.asarray(np.fft.rfft2(planes, (GRID, GRID)), np.complex64)
+def _vertex(found: F32, at: tuple[np.intp, ...], axis: int) -> float:
+    """Of the parabola through a peak and its two neighbours along an axis, from the peak, at most half a step away."""
+    n = found.shape[axis]
+    before, peak, after = (
+        float(found[(*at[:axis], (at[axis] + step) % n, *at[axis + 1 :])]) for step in (-1, 0, 1)
+    )
+    bend = 2 * peak - before - after
+    return 0.0 if bend <= 0 else max(-0.5, min(0.5, (after - before) / (2 * bend)))

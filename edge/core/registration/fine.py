@@ -2,17 +2,18 @@
 
 Source: Baker and Matthews 2004, "Lucas-Kanade 20 years on", the inverse compositional form. Only the places whose
 slopes change most with the pose are read: they carry nearly all of the information. A part pressed deeper shows steeper
-slopes, so the part is scaled to the press.
+slopes, so the part is scaled to the press. Several poses are refined at once, for one costs nearly as much as six.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.registration.pose import Pose, turned_slopes, warped
+from edge.core.registration.pose import Pose, depth_inside, turned_slopes
 
 __all__ = ["Alignment", "FineSearch"]
 
@@ -53,54 +54,71 @@ class FineSearch:
         count = min(_PLACES, h * w) // _ROW * _ROW or h * w
         at = np.sort(np.argpartition(change, h * w - count)[h * w - count :])
         # Two planes of slopes one after the other, so that a place's weight is the same row of each.
-        self._columns = derivatives.reshape(3, -1, 2)[:, at].transpose(0, 2, 1).reshape(3, -1)
+        chosen = derivatives.reshape(3, -1, 2)[:, at]
+        self._columns = chosen.transpose(2, 1, 0).reshape(-1, 3)
         self._part = slopes.reshape(-1, 2)[at].T.ravel()
+        # What a place adds to the normal matrix and to the part's energy, if it is seen.
+        squares = np.einsum("ips,jps->pij", chosen, chosen).reshape(-1, 9)
+        energy = (slopes.reshape(-1, 2)[at] ** 2).sum(axis=1, keepdims=True)
+        self._sums = np.concatenate([squares, energy], axis=1)
         self._places = np.stack([at % w, at // w, np.ones_like(at)]).astype(np.float64)
+        scale = np.array([1.0, 1.0, float(max(h, w)) ** 2])
+        self._prior = np.diag(_PRIOR * scale)
 
-    def refined(self, slopes: F32, pose: Pose, rounds: int) -> Pose:
-        """The pose after that many rounds. slopes: of a press, in the size of the part's."""
+    def refined(self, slopes: F32, poses: Sequence[Pose], rounds: int) -> list[Pose]:
+        """The poses after that many rounds. slopes: of a press, in the size of the part's."""
+        found = list(poses)
         for _ in range(rounds):
-            pose = pose.after(self._step(*self._read(slopes, pose))[0])
-        return pose
+            found, _ = self._round(slopes, found)
+        return found
 
     def agreement(self, slopes: F32, pose: Pose) -> tuple[float, float]:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
         moved = turned_slopes(slopes, pose)
-        weight = (warped(np.ones(slopes.shape[:2], np.float32), pose) > 0.99).astype(np.float32)[..., None]
-        inside = float(np.vdot(moved, moved)) / max(float(np.vdot(slopes, slopes)), _TINY)
-        return _correlation(self._slopes * weight, moved * weight), min(inside, 1.0)
+        is_seen = depth_inside(pose, (self._w, self._h)) >= 0
+        part = self._slopes * is_seen[..., None]
+        energy = float(np.vdot(moved, moved))
+        moved *= is_seen[..., None]
+        inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)
+        return _correlation(part, moved), min(inside, 1.0)
 
     def aligned(self, slopes: F32, pose: Pose, rounds: int) -> Alignment:
-        """The pose after that many rounds, with its match over all places and its covariance."""
-        pose = self.refined(slopes, pose, rounds)
-        match, _ = self.agreement(slopes, pose)
-        return Alignment(pose, match, self._step(*self._read(slopes, pose))[1])
+        """The pose after that many rounds, with its match over all places and the covariance of the last round."""
+        before = self.refined(slopes, [pose], rounds - 1)
+        (pose,), covariance = self._round(slopes, before)
+        return Alignment(pose, self.agreement(slopes, pose)[0], covariance[0])
 
-    def _read(self, slopes: F32, pose: Pose) -> tuple[F32, F32]:
-        """The press at the places, in this pose, and 1 where it is seen there, float32 (2 * places,) each."""
-        x, y = pose.matrix((self._w, self._h)) @ self._places
+    def _round(self, slopes: F32, poses: Sequence[Pose]) -> tuple[list[Pose], F64]:
+        steps, covariance = self._steps(*self._read(slopes, poses))
+        return [pose.after(step) for pose, step in zip(poses, steps, strict=True)], covariance
+
+    def _read(self, slopes: F32, poses: Sequence[Pose]) -> tuple[F32, F32]:
+        """The press at the places in these poses, float32 (n, 2 * places), and 1 where it is seen, (n, places)."""
+        x, y = np.stack([pose.matrix((self._w, self._h)) for pose in poses], axis=1) @ self._places
         is_seen = (x >= 0) & (x <= self._w - 1) & (y >= 0) & (y <= self._h - 1)
-        at = np.stack([x, y], axis=-1).astype(np.float32).reshape(-1, min(_ROW, len(x)), 2)
-        across, down = cv2.remap(slopes, at, None, cv2.INTER_LINEAR).reshape(-1, 2).T  # type: ignore[call-overload]
-        cos, sin = math.cos(pose.turn_rad), math.sin(pose.turn_rad)
-        weight = np.tile(is_seen, 2).astype(np.float32)
-        return np.concatenate([cos * across + sin * down, cos * down - sin * across]) * weight, weight
+        at = np.stack([x, y], axis=-1).astype(np.float32).reshape(-1, min(_ROW, x.shape[1]), 2)
+        read = cv2.remap(slopes, at, None, cv2.INTER_LINEAR).reshape(*x.shape, 2)  # type: ignore[call-overload]
+        turns = np.array([pose.turn_rad for pose in poses])
+        cos, sin = np.cos(turns).astype(np.float32)[:, None], np.sin(turns).astype(np.float32)[:, None]
+        across, down, weight = read[..., 0], read[..., 1], is_seen.astype(np.float32)
+        turned = [(cos * across + sin * down) * weight, (cos * down - sin * across) * weight]
+        return np.concatenate(turned, axis=1), weight
 
-    def _step(self, moved: F32, weight: F32) -> tuple[Pose, F64]:
-        """The part's move that explains the press best, and the covariance of that move."""
-        part = self._part * weight
-        gain = max(float(part @ moved) / max(float(part @ part), _TINY), _LEAST_GAIN)
-        error = moved - np.float32(gain) * part
-        columns = self._columns * (np.float32(gain) * weight)
-        normal = (columns @ columns.T).astype(np.float64)
-        scale = np.array([1.0, 1.0, float(max(self._h, self._w)) ** 2])
-        prior = np.diag(_PRIOR * scale) * max(normal[0, 0] + normal[1, 1], _TINY)
+    def _steps(self, moved: F32, weight: F32) -> tuple[list[Pose], F64]:
+        """For each pose the part's move that explains the press best, and the covariance of that move (n, 3, 3)."""
+        sums = (weight @ self._sums).astype(np.float64)
+        gain = np.maximum((moved @ self._part) / np.maximum(sums[:, 9], _TINY), _LEAST_GAIN)
+        error = moved - gain[:, None].astype(np.float32) * (self._part * np.tile(weight, 2))
+        normal = sums[:, :9].reshape(-1, 3, 3) * (gain**2)[:, None, None]
+        prior = self._prior * np.maximum(normal[:, 0, 0] + normal[:, 1, 1], _TINY)[:, None, None]
         solved = np.linalg.inv(normal + prior)
-        x, y, turn = (solved @ (columns @ error).astype(np.float64)).tolist()
+        moves = np.einsum("nij,nj->ni", solved, gain[:, None] * (error @ self._columns))
         longest = _STEP_SHARE * max(self._h, self._w)
-        step = Pose(_within(x, longest), _within(y, longest), _within(turn, _STEP_RAD))
+        most = np.array([longest, longest, _STEP_RAD])
+        steps = [Pose(*move) for move in np.clip(moves, -most, most).tolist()]
         # Two slopes a place, and neighbouring places err alike: as many independent values as places.
-        return step, solved * float(error @ error) / max(1.0, float(weight.sum()) / 2)
+        spread = (error**2).sum(axis=1) / np.maximum(1.0, weight.sum(axis=1))
+        return steps, solved * spread[:, None, None]
 
 
 def _derivatives(slopes: F32, is_turning: bool) -> F32:
@@ -118,7 +136,3 @@ def _derivatives(slopes: F32, is_turning: bool) -> F32:
 def _correlation(one: F32, other: F32) -> float:
     energy = float(np.vdot(one, one)) * float(np.vdot(other, other))
     return float(np.vdot(one, other)) / max(math.sqrt(energy), _TINY)
-
-
-def _within(value: float, longest: float) -> float:
-    return min(max(value, -longest), longest)

@@ -38,12 +38,23 @@ class FreeLight:
         levels = fit_levels(_level_view(rgb), self._small)
         scale, offset = levels.gain.astype(np.float64), levels.offset.astype(np.float64)
         matrix = np.concatenate([np.diag(scale), offset[:, None]], axis=1)
-        same_level = cv2.transform(rgb.astype(np.float32), matrix)
-        return np.asarray((same_level - self._free) * self._inverse, np.float32)
+        added = np.asarray(cv2.transform(rgb.astype(np.float32), matrix), np.float32)
+        added -= self._free
+        added *= self._inverse
+        return np.asarray(added, np.float32)
 
     def picture(self, added: F32) -> U8:
         """The press that adds this, uint8 (h, w, 3)."""
-        return np.asarray(cv2.convertScaleAbs(np.maximum(self._free + self._light * added, 0)), np.uint8)
+        return np.asarray(cv2.convertScaleAbs(np.maximum(self.levels(added), 0)), np.uint8)
+
+    def levels(self, added: F32) -> F32:
+        """The levels of the press that adds this, float32 (h, w, 3), neither rounded nor clipped."""
+        return np.asarray(self._free + self._light * added, np.float32)
+
+    def changed(self, levels: F32, change: F32, weight: F32) -> U8:
+        """A picture with these levels and a weighted change of what is added, uint8 (h, w, 3). weight: (h, w)."""
+        shows = cv2.multiply(cv2.cvtColor(weight, cv2.COLOR_GRAY2RGB), self._light)
+        return np.asarray(cv2.add(levels, cv2.multiply(change, shows, dst=shows), dtype=cv2.CV_8U), np.uint8)
 
 
 def _level_view(rgb: U8) -> F32:

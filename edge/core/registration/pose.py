@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Pose", "turned_slopes", "warped"]
+__all__ = ["Pose", "depth_inside", "turned_slopes", "warped"]
 
 F32 = NDArray[np.float32]
 
@@ -62,6 +62,22 @@ def warped(picture: F32, pose: Pose, flags: int = cv2.INTER_LINEAR) -> F32:
     size = picture.shape[1], picture.shape[0]
     moved = cv2.warpAffine(picture, pose.matrix(size), size, flags=flags | cv2.WARP_INVERSE_MAP)
     return np.asarray(moved, np.float32)
+
+
+def depth_inside(pose: Pose, size: tuple[int, int]) -> F32:
+    """How far inside the press's field each place of the bank lies, float32 (h, w), pixels; below 0 outside it.
+
+    size: (w, h) of the picture, whose outermost pixel centres are its border.
+    """
+    w, h = size
+    (xx, xy, x0), (yx, yy, y0) = pose.matrix(size)
+    column, row = np.arange(w), np.arange(h)[:, None]
+    depth = np.full((h, w), np.inf, np.float32)
+    for across, down, last in (((xx * column + x0), xy * row, w - 1), ((yx * column + y0), yy * row, h - 1)):
+        at = across.astype(np.float32) + down.astype(np.float32)
+        np.minimum(depth, at, out=depth)
+        np.minimum(depth, np.float32(last) - at, out=depth)
+    return depth
 
 
 def turned_slopes(slopes: F32, pose: Pose) -> F32:

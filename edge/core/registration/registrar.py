@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.core.registration.colours import SlopeColours
 from edge.core.registration.fine import Alignment
 from edge.core.registration.light import FreeLight
-from edge.core.registration.pose import Pose, warped
+from edge.core.registration.pose import Pose, depth_inside, warped
 from edge.core.registration.pose_search import PoseSearch, shrunk
 
 __all__ = ["PartInPose", "PoseUncertainty", "Registered", "Registrar"]
@@ -22,8 +22,6 @@ Mask = NDArray[np.bool_]
 
 # Interpolation reads two pixels around a place, and a resized picture is less sharp at its rim.
 _RIM_PX = 2
-# A place is seen where nearly all of its weight comes from the field.
-_SEEN = 0.99
 # A part shows where its slopes are at least this share of its steepest, or within the closing of such places.
 _RELIEF_SHARE, _CLOSED_SHARE = 0.1, 0.05
 # Width of the seam between what is seen and what fills the rest.
@@ -37,7 +35,7 @@ class PartInPose:
     free: the free gel, uint8 (h, w, 3). template: the mean nominal press in the bank's pose, uint8 (h, w, 3). learnt:
     bool (h, w), places of the bank that enough nominal presses show. colours: of slopes. is_turning: False where the
     part has no turn. least_match: below it a press shows no such part. least_seen: the share of the part that must lie
-    in the field.
+    in the field. unscored_share: of the longer side, how near to the end of what a press shows places are not scored.
     """
 
     free: U8
@@ -47,6 +45,7 @@ class PartInPose:
     is_turning: bool = True
     least_match: float = 0.5
     least_seen: float = 0.5
+    unscored_share: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.free.shape == self.template.shape == (*self.learnt.shape, 3):
@@ -58,6 +57,8 @@ class PartInPose:
             raise ValueError(
                 f"least_match lies in (0, 1) and least_seen in [0, 1], found {self.least_match}, {self.least_seen}"
             )
+        if not 0 <= self.unscored_share < 0.5:
+            raise ValueError(f"unscored_share lies in [0, 0.5), found {self.unscored_share}")
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,13 @@ class Registrar:
         self.part = part
         self.light = FreeLight(part.free)
         self._template = self.light.added(part.template) * part.learnt[..., None]
+        self._ground = self.light.levels(self._template)
         slopes = part.colours.slopes(shrunk(self._template))
         self._search = PoseSearch(slopes, part.is_turning)
         self._factor = max(part.learnt.shape) / max(slopes.shape)
         self._shown = shown(part.colours.slopes(self._template)) & part.learnt
+        self._shown_px = max(1, int(np.count_nonzero(self._shown)))
+        self._away = depth_of(part.learnt)
 
     def register(self, rgb: U8) -> Registered:
         """The press in the bank's pose. rgb: uint8 (h, w, 3). Errors: ValueError for another size."""
@@ -135,12 +139,14 @@ class Registrar:
         added = self.light.added(rgb)
         found = self._search.find(self.part.colours.slopes(shrunk(added)))
         pose = found.pose.scaled(self._factor)
-        moved, in_field = in_pose(added, pose, self.part.colours)
-        seen_share = float(in_field[self._shown].mean()) if self._shown.any() else 0.0
-        weight, seen = blended(in_field & self.part.learnt)
+        moved = turned_colours(added, pose, self.part.colours)
+        away = field_depth(pose, self.part.learnt.shape)
+        seen_share = int(np.count_nonzero((away >= 1) & self._shown)) / self._shown_px
+        np.minimum(away, self._away, out=away)
+        moved -= self._template
         return Registered(
-            self.light.picture(self._template + weight[..., None] * (moved - self._template)),
-            seen,
+            self.light.changed(self._ground, moved, faded(away)),
+            away >= max(1, round(self.part.unscored_share * max(away.shape))),
             pose,
             self._uncertainty(found),
             found.match,
@@ -169,24 +175,35 @@ class Registrar:
 
 def in_pose(added: F32, pose: Pose, colours: SlopeColours) -> tuple[F32, Mask]:
     """What a press adds, (h, w, 3), and the places that its field shows, bool (h, w), as the bank sees both."""
-    moved = warped(added, pose, cv2.INTER_CUBIC)
-    turned = cv2.transform(moved, colours.turned(-pose.turn_rad))
-    field = np.zeros(added.shape[:2], np.float32)
-    field[_RIM_PX:-_RIM_PX, _RIM_PX:-_RIM_PX] = 1
-    return np.asarray(turned, np.float32), np.asarray(warped(field, pose) > _SEEN)
+    return turned_colours(added, pose, colours), np.asarray(field_depth(pose, added.shape[:2]) >= 1)
 
 
-def blended(shows: Mask) -> tuple[F32, Mask]:
-    """How much each place shows of a press, from 0 to 1, and the places that show nothing else near them.
-
-    A seam would score: so a press fades into what fills it, and places at the seam are not scored. shows: bool (h, w).
-    """
-    fade = max(1, round(_FADE_SHARE * max(shows.shape)))
-    framed = cv2.copyMakeBorder(
-        shows.astype(np.float32), fade, fade, fade, fade, cv2.BORDER_CONSTANT, value=0
+def turned_colours(added: F32, pose: Pose, colours: SlopeColours) -> F32:
+    """What a press adds, float32 (h, w, 3), as the bank sees it."""
+    return np.asarray(
+        cv2.transform(warped(added, pose, cv2.INTER_CUBIC), colours.turned(-pose.turn_rad)), np.float32
     )
-    away = cv2.distanceTransform((framed > 0).astype(np.uint8), cv2.DIST_L2, 3)[fade:-fade, fade:-fade]
-    return np.minimum(away / fade, 1).astype(np.float32), np.asarray(away >= fade)
+
+
+def field_depth(pose: Pose, shape: tuple[int, ...]) -> F32:
+    """How far from the end of what a press shows a place of the bank lies, float32 (h, w), px; 0 and less: unseen."""
+    depth = depth_inside(pose, (shape[1], shape[0]))
+    depth -= np.float32(_RIM_PX - 1)
+    return depth
+
+
+def depth_of(shows: Mask) -> F32:
+    """How far from the end of these places each of them lies, float32 (h, w), pixels; 0 for the others."""
+    framed = cv2.copyMakeBorder(shows.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    return np.asarray(cv2.distanceTransform(framed, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
+
+
+def faded(away: F32) -> F32:
+    """How much each place shows of a press, 0 to 1: it fades into what fills it, for a seam would score.
+
+    away: from the end of what the press shows, as `depth_of`.
+    """
+    return np.asarray(np.clip(away * np.float32(1 / max(1, round(_FADE_SHARE * max(away.shape)))), 0, 1))
 
 
 def shown(slopes: F32) -> Mask:

@@ -1,28 +1,47 @@
-"""The coarse search: its candidates."""
+"""The coarse search: its candidates, and how near they come."""
+
+import math
 
 import numpy as np
-import pytest
 import turned_parts as parts
 
-from edge.core.registration.coarse import GRID, CoarseSearch
+from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.pose import Pose
 
 
 def test_no_candidate_lies_next_to_another() -> None:
-    """A regular part fits nearly as well a pitch further on: each of the six best is a pose of its own."""
-    slopes = parts.slopes(parts.TEETH, Pose(), GRID).astype(np.float32)
+    """A regular part fits nearly as well a pitch further on: each of the best is a pose of its own."""
+    slopes = parts.slopes(parts.TEETH, Pose(), 64).astype(np.float32)
     found = CoarseSearch(slopes, 36).candidates(slopes, 6)
     places = [(one.pose.x_px, one.pose.y_px, round(one.pose.turn_rad * 18 / np.pi)) for one in found]
 
+    assert len(found) > 1
     assert all(
-        max(abs(a - b) for a, b in zip(one, other, strict=True)) > 2
+        max(abs(a - b) for a, b in zip(one, other, strict=True)) > 1
         for k, one in enumerate(places)
         for other in places[:k]
     )
-    assert (found[0].pose, round(found[0].match, 3)) == (Pose(), 1.0)
+    assert round(found[0].match, 3) == 1.0
+    assert math.hypot(found[0].pose.x_px, found[0].pose.y_px) < 0.1
 
 
-def test_a_field_of_more_cells_than_the_grid_is_refused() -> None:
-    """Found and expected are named."""
-    with pytest.raises(ValueError, match="at most 64 cells a side, found"):
-        CoarseSearch(np.zeros((65, 10, 2), np.float32), 4)
+def test_what_fits_much_worse_than_the_best_is_no_candidate() -> None:
+    """There are fewer than asked for, and each fits at least four fifths as well as the best."""
+    slopes = parts.slopes(parts.BLOCK, Pose(), 64).astype(np.float32)
+    found = CoarseSearch(slopes, 36).candidates(slopes, 40)
+
+    assert len(found) < 40
+    assert min(one.match for one in found) >= 0.8 * found[0].match
+
+
+def test_a_pose_between_the_turns_and_the_cells_is_found_there() -> None:
+    """Within 0.4 cells and a quarter of a step, where the nearest of each is half of one away."""
+    slopes = parts.slopes(parts.BLOCK, Pose(), 64).astype(np.float32)
+    true = Pose(3.5, -2.5, math.radians(45))
+    (found, *_) = CoarseSearch(slopes, 36).candidates(
+        parts.slopes(parts.BLOCK, true, 64).astype(np.float32), 8
+    )
+    rest = true.inverse().after(found.pose)
+
+    assert max(abs(rest.x_px), abs(rest.y_px)) < 0.4
+    assert abs(math.degrees(rest.turn_rad)) < 2.5

@@ -23,3 +23,17 @@ def test_what_is_added_gives_the_press_again() -> None:
     again = light.picture(light.added(press)).astype(np.float64)
 
     assert float(np.abs(again - press).mean()) < 0.6
+
+
+def test_a_change_is_shown_by_its_weight() -> None:
+    """Without weight the picture stays, with all of it it is that of the sum, and between it lies between."""
+    light = FreeLight(parts.free_gel())
+    part = light.added(parts.press(parts.BLOCK, noise=0))
+    other = light.added(parts.press(parts.OTHER, noise=0))
+    change, ones = other - part, np.ones(part.shape[:2], np.float32)
+    none, half, all_of_it = (
+        light.changed(light.levels(part), change, ones * share) for share in (0.0, 0.5, 1.0)
+    )
+
+    for found, expected in ((none, part), (half, (part + other) / 2), (all_of_it, other)):
+        assert np.abs(found.astype(np.int16) - light.picture(expected)).max() <= 1

@@ -1,6 +1,7 @@
 """A press is brought to the bank's pose: how exactly, with which uncertainty, and when it is refused."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -10,9 +11,9 @@ import turned_parts as parts
 from scipy import optimize
 
 from calibration.fitting.registration import LearntPose, learn_pose
-from edge.core.registration.pose import Pose
+from edge.core.registration.pose import Pose, depth_inside
 from edge.core.registration.pose_search import PoseSearch
-from edge.core.registration.registrar import Registrar
+from edge.core.registration.registrar import Registrar, depth_of
 
 
 @cache
@@ -134,6 +135,29 @@ def test_unseen_places_never_score() -> None:
 
     assert found.score(scores) == 1.0
     assert found.in_press(scores).max() == 1.0
+
+
+def test_places_are_scored_up_to_the_end_of_what_the_press_shows() -> None:
+    """All that shows but two pixels for the interpolation is scored, unless the bundle leaves a rim out."""
+    rgb = parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4))
+    found = registrar("BLOCK").register(rgb)
+    with_rim = Registrar(replace(registrar("BLOCK").part, unscored_share=0.03)).register(rgb)
+    depth = depth_inside(found.pose, (parts.SIDE, parts.SIDE))
+    learnt = depth_of(registrar("BLOCK").part.learnt) >= 1
+
+    np.testing.assert_array_equal(found.seen, (depth >= 2) & learnt)
+    assert with_rim.pose == found.pose
+    assert not with_rim.seen[depth < 4].any()
+    assert with_rim.seen[(depth > 8) & (depth_of(registrar("BLOCK").part.learnt) > 8)].all()
+
+
+def test_the_press_fades_into_the_mean_press() -> None:
+    """Where nothing is seen the picture is the mean nominal press."""
+    found = registrar("BLOCK").register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4), noise=0.0))
+    template = registrar("BLOCK").part.template
+    away = np.abs(found.rgb.astype(np.float32) - template).max(axis=2)
+
+    assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
 
 
 def test_the_map_comes_back_to_where_the_damage_lies() -> None:
