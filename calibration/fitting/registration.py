@@ -110,7 +110,8 @@ def _aligned(
         mean, learnt = _mean(added, poses, colours)
     free = light.picture(np.zeros_like(mean))
     template = light.picture(mean * learnt[..., None])
-    return PartInPose(free, template, learnt, colours, is_turning), typical
+    # A round part shows other light towards the end of the field, and its colours are not turned with it.
+    return PartInPose(free, template, learnt, colours, is_turning, scores_relief_to_end=is_turning), typical
 
 
 def _roundness(light: FreeLight, part: PartInPose) -> float:
@@ -155,8 +156,9 @@ def completed(registered: Sequence[Registered]) -> U8:
         for other in (registered[k] for k in rng.permutation(len(registered))):
             if seen.all():
                 break
-            more = other.seen & ~seen
-            rgb += faded(depth_of(more))[..., None] * (other.rgb - rgb)
-            seen |= more
+            weight = faded(depth_of(other.seen & ~seen))
+            rgb += weight[..., None] * (other.rgb - rgb)
+            # A seam is filled again by the next press: the mean press there would vary less than presses do.
+            seen |= weight >= 1
         frames.append(np.rint(rgb).astype(np.uint8))
     return np.stack(frames)

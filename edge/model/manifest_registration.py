@@ -13,8 +13,8 @@ class RegistrationEntry(Entry):
     """`PartInPose`: free, template and learnt are pictures of the region, learnt white where the bank is learnt.
 
     colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
-    ball. least_match, least_seen: a press below either is rejected. unscored_share: bundles that do not state it were
-    fitted with a rim of 3 % of the side that is not scored.
+    ball. least_match, least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not
+    state it; they were fitted with a seam around what a press shows that is not scored.
     """
 
     free: FileEntry
@@ -24,7 +24,7 @@ class RegistrationEntry(Entry):
     is_turning: bool
     least_match: float = Field(gt=0, lt=1)
     least_seen: float = Field(ge=0, le=1)
-    unscored_share: float = Field(default=0.03, ge=0, lt=0.5)
+    scores_relief_to_end: bool = False
 
     @property
     def files(self) -> tuple[FileEntry, ...]:

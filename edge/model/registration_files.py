@@ -29,7 +29,7 @@ def registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry]
         is_turning=part.is_turning,
         least_match=part.least_match,
         least_seen=part.least_seen,
-        unscored_share=part.unscored_share,
+        scores_relief_to_end=part.scores_relief_to_end,
     )
 
 
@@ -48,7 +48,7 @@ def read_registration(
             is_turning=entry.is_turning,
             least_match=entry.least_match,
             least_seen=entry.least_seen,
-            unscored_share=entry.unscored_share,
+            scores_relief_to_end=entry.scores_relief_to_end,
         )
     except ValueError as error:
         raise BundleCorrupt(f"bundle {archive.where}: registration: {error}; fit again") from error

@@ -89,13 +89,21 @@ def test_what_is_stored_is_what_was_learnt() -> None:
     np.testing.assert_array_equal(in_pose_of(part, presses), learnt.frames)
 
 
-def test_a_bundle_without_a_rim_of_its_own_keeps_that_of_its_fit() -> None:
-    """One that states no rim leaves 3 % of the side unscored, as when it was fitted; a new one scores it."""
+def test_a_bundle_that_states_no_seam_keeps_that_of_its_fit() -> None:
+    """It leaves all of the seam unscored, as when it was fitted; a new one scores the relief in it."""
     entry = registered().manifest.registration
     assert entry is not None
-    older = type(entry).model_validate(entry.model_dump(exclude={"unscored_share"}))
+    older = type(entry).model_validate(entry.model_dump(exclude={"scores_relief_to_end"}))
 
-    assert (entry.unscored_share, older.unscored_share) == (0.0, 0.03)
+    assert (entry.scores_relief_to_end, older.scores_relief_to_end) == (True, False)
+
+
+@pytest.mark.parametrize(("part", "expected"), [("BLOCK", True), ("BALL", False)])
+def test_a_round_part_keeps_the_seam_unscored(part: str, expected: bool) -> None:
+    """It shows other light at the end of the field; other parts are scored up to there."""
+    presses = parts.anywhere(getattr(parts, part), 8)[1]
+
+    assert learn_pose(presses, parts.free_gel()).part.scores_relief_to_end == expected
 
 
 def test_a_picture_of_another_size_is_refused() -> None:

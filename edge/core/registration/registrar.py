@@ -35,7 +35,8 @@ class PartInPose:
     free: the free gel, uint8 (h, w, 3). template: the mean nominal press in the bank's pose, uint8 (h, w, 3). learnt:
     bool (h, w), places of the bank that enough nominal presses show. colours: of slopes. is_turning: False where the
     part has no turn. least_match: below it a press shows no such part. least_seen: the share of the part that must lie
-    in the field. unscored_share: of the longer side, how near to the end of what a press shows places are not scored.
+    in the field. scores_relief_to_end: relief is scored up to the end of what a press shows, and only
+    flat places keep the seam unscored; bundles of earlier fits leave all of it unscored.
     """
 
     free: U8
@@ -45,7 +46,7 @@ class PartInPose:
     is_turning: bool = True
     least_match: float = 0.5
     least_seen: float = 0.5
-    unscored_share: float = 0.0
+    scores_relief_to_end: bool = True
 
     def __post_init__(self) -> None:
         if not self.free.shape == self.template.shape == (*self.learnt.shape, 3):
@@ -57,8 +58,6 @@ class PartInPose:
             raise ValueError(
                 f"least_match lies in (0, 1) and least_seen in [0, 1], found {self.least_match}, {self.least_seen}"
             )
-        if not 0 <= self.unscored_share < 0.5:
-            raise ValueError(f"unscored_share lies in [0, 0.5), found {self.unscored_share}")
 
 
 @dataclass(frozen=True)
@@ -129,6 +128,8 @@ class Registrar:
         self._shown = shown(part.colours.slopes(self._template)) & part.learnt
         self._shown_px = max(1, int(np.count_nonzero(self._shown)))
         self._away = depth_of(part.learnt)
+        to_end = self._shown if part.scores_relief_to_end else np.zeros_like(self._shown)
+        self._least_depth = np.where(to_end, np.float32(1), np.float32(_fade_px(part.learnt.shape)))
 
     def register(self, rgb: U8) -> Registered:
         """The press in the bank's pose. rgb: uint8 (h, w, 3). Errors: ValueError for another size."""
@@ -146,7 +147,7 @@ class Registrar:
         moved -= self._template
         return Registered(
             self.light.changed(self._ground, moved, faded(away)),
-            away >= max(1, round(self.part.unscored_share * max(away.shape))),
+            away >= self._least_depth,
             pose,
             self._uncertainty(found),
             found.match,
@@ -203,7 +204,11 @@ def faded(away: F32) -> F32:
 
     away: from the end of what the press shows, as `depth_of`.
     """
-    return np.asarray(np.clip(away * np.float32(1 / max(1, round(_FADE_SHARE * max(away.shape)))), 0, 1))
+    return np.asarray(np.clip(away * np.float32(1 / _fade_px(away.shape)), 0, 1))
+
+
+def _fade_px(shape: tuple[int, ...]) -> int:
+    return max(1, round(_FADE_SHARE * max(shape)))
 
 
 def shown(slopes: F32) -> Mask:
