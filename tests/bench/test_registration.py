@@ -5,7 +5,7 @@ are pressed anywhere in the picture. The figures of docs/detectors.md are from h
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,6 +37,11 @@ SIMULATED: dict[str, Callable[[str], Trial]] = {
         f"RP{k}": partial(lambda k, condition: development_trial(k, condition=condition), k) for k in range(3)
     },
     **{name: partial(part_trial, name) for name in ("PZ1", "PZ3", "PZ5")},
+}
+# Random parts on which no choice of registration was made.
+JUDGED: dict[str, Callable[[str], Trial]] = {
+    f"RP{k}": partial(lambda k, condition: development_trial(k, condition=condition), k)
+    for k in range(60, 66)
 }
 BALLS = ("ball 6.31 mm, anywhere", "ball 9.47 mm, anywhere")
 METHODS = ("padim", "spade", "fapm", "subspace")
@@ -96,8 +101,18 @@ def _line(name: str, found: dict[str, list[tuple[float, float, int]]]) -> None:
 )
 def test_simulated_parts(condition: str, register: str) -> None:
     """Prints AU-PRO up to 1 % and image AUROC of six parts, as they lie, registered, and in a fixture."""
+    _print_parts(SIMULATED, condition, register)
+
+
+@pytest.mark.parametrize(("condition", "register"), [("parts anywhere", "always"), ("plain", "never")])
+def test_parts_of_judgement(condition: str, register: str) -> None:
+    """The same of six other parts, opened once, after every choice."""
+    _print_parts(JUDGED, condition, register)
+
+
+def _print_parts(parts: Mapping[str, Callable[[str], Trial]], condition: str, register: str) -> None:
     found: dict[str, list[tuple[float, float, int]]] = {method: [] for method in METHODS}
-    for name, make in SIMULATED.items():
+    for name, make in parts.items():
         trial = make(condition)
         rows = {method: _measures(trial, method, register) for method in METHODS}
         _line(f"{name} {condition} {register}", {method: [row] for method, row in rows.items()})
