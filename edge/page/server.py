@@ -101,9 +101,8 @@ class PageServer:
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
-    request_queue_size = (
-        MOST_CONNECTIONS  # so that a burst is accepted in its order, also on a loaded gateway
-    )
+    # A burst is accepted in its order, also on a loaded gateway.
+    request_queue_size = MOST_CONNECTIONS
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         self.address_family = AF_INET6 if ":" in address[0] else AF_INET

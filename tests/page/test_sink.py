@@ -5,6 +5,7 @@ import json
 import socket
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from http.server import BaseHTTPRequestHandler
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
-from edge.page.server import MOST_OF_ONE
+from edge.page.server import MOST_OF_ONE, _Server
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png
 from plugins.sinks.page import PageOptions, PageSink, plugin
@@ -249,6 +250,13 @@ def test_connections_are_bounded(sink: PageSink) -> None:
         while first.recv(65536):
             pass
         assert ask(sink.port, "/station.json")[0] == 200
+
+
+def test_a_burst_of_connections_waits_for_a_loaded_gateway() -> None:
+    """Before one is accepted all are made, so that they are accepted in their order."""
+    with _Server(("127.0.0.1", 0), BaseHTTPRequestHandler) as server, ExitStack() as opened:
+        for _ in range(MOST_OF_ONE + 1):
+            opened.enter_context(socket.create_connection(server.server_address, timeout=10))
 
 
 def test_the_page_is_small_and_loads_nothing_from_elsewhere(sink: PageSink) -> None:
