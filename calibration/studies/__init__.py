@@ -3,12 +3,16 @@
 From Python: `from calibration.studies import good_fraction, tradeoff, figure`; all that a notebook needs is here.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calibration.studies.notebook import bad_presses, cross_position, figure, good_fraction, resolution
-    from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
+
+    # Of a higher room, which this one may not name: `calibration.tradeoff.notebook` has their arguments.
+    tradeoff: Callable[..., Any]
+    tradeoff_figure: Callable[..., Any]
 
 __all__ = [
     "bad_presses",
