@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.gel_scars.record import Repeats
 
-__all__ = ["REACH_PX", "SEVERAL", "Blame", "Cause", "blame", "explained", "together", "within"]
+__all__ = ["MOSTLY", "REACH_PX", "SEVERAL", "Blame", "Cause", "blame", "explained", "together", "within"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -35,21 +35,21 @@ class Blame:
     why: str
 
 
-REACH_PX: Final = 3
-"""A mark explains what a map shows within this distance: 3 pixels of the view, 0.4 mm on a GelSight Mini."""
+REACH_PX: Final = 2
+"""A mark explains what a map shows within this distance: 2 pixels of the view, 0.25 mm on a GelSight Mini."""
 # The next pixel: of a mask, what is left of a scar there.
 _RIM_PX = 1.5
 # A mark of less than this share of a place does not explain it: a speck somewhere in a large dent.
-_LEAST_MARKED = 0.2
+_LEAST_MARKED = 0.25
 
-# Of a place, weighted by how far it is above the limit: from this share on the marks explain it, below the other one
-# they do not.
-_EXPLAINED, _UNEXPLAINED = 0.7, 0.3
+# Of a place, weighted by how far it is above the limit: from the first share on the marks explain it, from the second
+# one if it came back, below the last one they do not.
+_EXPLAINED, _HALF_EXPLAINED, _UNEXPLAINED = 0.75, 0.5, 0.3
 
 SEVERAL: Final = 2.7
 """Three presses of late: the place of the gel, not of the part, when the part lay elsewhere each time."""
-# At least in this share of the presses that showed the place.
-_MOSTLY = 0.5
+MOSTLY: Final = 0.5
+"""At least in this share of the presses that showed the place."""
 # The part's place varies by more than this between those presses, and by more than the place is wide: damage at one
 # place of the part moves with it, and would not come back to this place of the gel.
 _MOVED_MM = 1.0
@@ -79,14 +79,15 @@ def within(places: Mask, reach_px: float) -> Mask:
 
 def blame(share: float | None, repeats: Repeats, wide_mm: float) -> Blame:
     """The cause of one place. share: of `explained`, None where the free gel is not known. wide_mm: its width."""
-    if share is not None and share >= _EXPLAINED:
+    has_come_back = repeats.hits >= SEVERAL
+    if share is not None and share >= (_HALF_EXPLAINED if has_come_back else _EXPLAINED):
         return Blame(Cause.GEL, "the free gel shows a mark there; wipe the gel, and if it stays, replace it")
     if share is not None and share >= _UNEXPLAINED:
         return Blame(
             Cause.UNSURE,
             "the free gel shows a mark there that explains only a part of it; press it elsewhere",
         )
-    is_repeated = repeats.hits >= SEVERAL and repeats.rate >= _MOSTLY
+    is_repeated = has_come_back and repeats.rate >= MOSTLY
     if is_repeated and repeats.spread_mm >= max(_MOVED_MM, wide_mm):
         return Blame(
             Cause.GEL,

@@ -23,7 +23,7 @@ _NOISE_SIGMA = 0.7
 # 5 to 25 % of a press's signal is still there half a second after its release (docs/simulator.md).
 _MOST_LEFT = 0.3
 # Light is not linear in the slope: of what the last press has left, this share may remain when it is taken out.
-_LEFT_DOUBT = 0.6
+_LEFT_DOUBT = 0.3
 # A marker dot or a dark rim moves by a fraction of a pixel between presses: what such a move would change is no mark.
 _MOVES_PX = 0.25
 # A change of this many levels is a mark, or of this many times the median change where the pictures are noisier. Chosen

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 from edge.core.gel_scars.causes import (
+    MOSTLY,
     REACH_PX,
     SEVERAL,
     Blame,
@@ -106,8 +107,7 @@ class GelScars:
         """The record with this press."""
         shown, exceeds, harmless = press.shown(), excess > 0, None
         if change is not None:
-            quiet = shown & touched & ~within(exceeds, REACH_PX)
-            harmless = np.where(quiet, change, np.float32(0))
+            harmless = np.where(shown & touched & ~_active(exceeds, change), change, np.float32(0))
         return self.record.after(exceeds, shown, scars, press.place_mm, harmless)
 
     def _blamed(
@@ -133,11 +133,13 @@ class GelScars:
         return blames, scars
 
     def _causing(self, press: ScoredPress, excess: F32, marked: Mask, change: F32) -> Mask:
-        """The marks that may be the cause: one that was there in quiet presses does not cause a clear fail."""
+        """The marks that may be the cause: one that was there in quiet presses does not cause a clear fail, unless most
+        presses of late exceeded there."""
         limit = abs(press.limit)
         if float(excess.max()) <= _SLIGHT * limit and float(excess.sum()) <= _SLIGHT_SUM * limit:
             return marked
-        return np.asarray(marked & (change * np.float32(_GROWN) > self.record.harmless))
+        has_grown = change * np.float32(_GROWN) > self.record.harmless
+        return np.asarray(marked & (has_grown | within(self.record.often(SEVERAL, MOSTLY), REACH_PX)))
 
     def _scar(self, place: Mask, marked: Mask | None) -> Mask:
         """Of a place that comes from the gel, what is masked: near its marks, or where it came back."""
@@ -146,6 +148,16 @@ class GelScars:
             near = near | within(marked, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
+
+
+def _active(exceeds: Mask, change: F32) -> Mask:
+    """What exceeded, and every mark that reaches there to its ends: a mark is quiet all along or not at all."""
+    near = within(exceeds, REACH_PX)
+    marked = marks(change)
+    if marked is None:
+        return near
+    _, labels = cv2.connectedComponents(marked.astype(np.uint8), connectivity=8)
+    return np.asarray(near | (marked & np.isin(labels, np.unique(labels[near & marked]))))
 
 
 def _wide_mm(place: Mask, press: ScoredPress) -> float:

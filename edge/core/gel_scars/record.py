@@ -75,9 +75,11 @@ class ScarRecord:
         """The change of the free gel that did not make a press fail, levels, float32 (h, w)."""
         return np.asarray(self.planes[_HARMLESS])
 
-    def often(self, least: float) -> Mask:
-        """Where at least this number of presses, decayed, exceeded: bool (h, w)."""
-        return np.asarray(self.planes[_HITS] >= least)
+    def often(self, least: float, rate: float = 0.0) -> Mask:
+        """Where at least this number of presses, decayed, exceeded, and this share of those that showed the place:
+        bool (h, w)."""
+        hits, quiet = self.planes[_HITS], self.planes[_QUIET]
+        return np.asarray((hits >= least) & (hits >= np.float32(rate) * (hits + quiet)))
 
     def after(
         self,

@@ -70,6 +70,18 @@ def test_what_the_last_press_has_left_is_no_mark_and_a_scratch_in_it_is() -> Non
     assert found(gel(1), marked(gel(2), 15) + rest, imprint)[60:62, 70:90].mean() > 0.9
 
 
+def test_a_hair_is_found_in_what_the_last_press_has_left() -> None:
+    """A line one pixel wide of 7 levels, across a rest of 6: what is left behind does not hide it."""
+    crests = np.where((X - 80) ** 2 + (Y - 60) ** 2 < 40**2, 80 * np.sin(Y / 5), 0).astype(np.float32)
+    imprint = np.asarray(crests[..., None] * np.array([1, 0.2, -0.8]), np.float32)
+    now = gel(2) + np.float32(0.07) * imprint
+    now[50:70, 80] += np.float32(7)
+    places = found(gel(1), now, imprint)
+
+    assert places[50:70, 79:82].any(axis=1).mean() > 0.8
+    assert places.mean() < 0.005
+
+
 def test_dots_that_move_a_little_are_no_marks() -> None:
     """A marker gel creeps by a hundredth of a millimetre between presses."""
     dots = np.ones(SHAPE, np.float32)

@@ -90,6 +90,30 @@ def test_a_mark_with_which_presses_were_quiet_does_not_explain_a_clear_fail() ->
         assert blame.cause is cause
 
 
+def test_a_mark_with_which_presses_were_quiet_explains_what_mostly_exceeds_there_of_late() -> None:
+    """Three quiet presses, three that exceed in a fixture: from the fourth on the mark explains it."""
+    gel = GelScars(first=FREE)
+    for _ in range(3):
+        gel.judge(press(), marked(20))
+    found = [gel.judge(press(5), marked(20)).blame for _ in range(4)]
+
+    assert [one and one.cause for one in found] == [Cause.PART] * 3 + [Cause.GEL]
+
+
+def test_a_mark_of_which_one_end_exceeds_is_not_quiet_at_the_other() -> None:
+    """A hair under a part that moves: the press after it exceeds at the other end."""
+    gel, free, ends = GelScars(first=FREE), FREE.copy(), press()
+    free[57:59, 40:120] += 20
+    for columns in (slice(40, 56), slice(170, 186)):
+        score_map = np.full((224, 224), 0.2, np.float32)
+        score_map[100:108, columns] = 5
+        ends = ScoredPress(score_map, 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool))
+        blame = gel.judge(ends, free).blame
+
+        assert blame is not None
+        assert blame.cause is Cause.GEL
+
+
 def test_what_is_masked_lies_near_the_mark() -> None:
     """A place far wider than its mark, which has a faint rim of its own: what is beyond 2.5 mm of it is judged on."""
     gel, wide = GelScars(first=FREE), press()

@@ -32,6 +32,16 @@ def test_a_place_that_exceeds_in_every_press_has_rate_one() -> None:
     assert 2.9 < repeats.hits < 3
 
 
+def test_what_exceeds_often_may_also_be_what_mostly_exceeds() -> None:
+    """Three presses exceed after nine quiet ones: often, and in a quarter of the presses."""
+    record = pressed(pressed(ScarRecord.empty(SHAPE), 9), 3, spot())
+
+    assert np.array_equal(record.often(2.7), spot())
+    assert np.array_equal(record.often(2.7, 0.25), spot())
+    assert not record.often(2.7, 0.5).any()
+    assert not record.often(3.5).any()
+
+
 def test_the_part_s_places_are_kept_as_their_spread() -> None:
     """Presses at x = -1, 0 and 1 mm: a standard deviation of sqrt(2/3) mm, but for the fading."""
     record = ScarRecord.empty(SHAPE)
