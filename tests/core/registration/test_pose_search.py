@@ -36,9 +36,9 @@ def test_the_fast_search_finds_what_an_exhaustive_one_finds(true: Pose) -> None:
 
 
 def test_poses_refined_together_are_those_refined_alone() -> None:
-    """Within what float32 sums in another order give."""
+    """Within what float32 sums in another order give; one of them shows half of the part only."""
     search, press = FineSearch(_slopes(Pose())), _slopes(POSES[0])
-    near = [Pose(3.2 + x, -7.1 - x, 0.9 + turn) for x, turn in ((0.5, 0.02), (-1.0, 0.05), (1.5, -0.04))]
+    near = [Pose(3.2 + x, -7.1 - x, 0.9 + turn) for x, turn in ((50.0, 0.02), (-1.0, 0.05), (1.5, -0.04))]
     together = search.refined(press, near, 2)
     alone = [search.refined(press, [pose], 2)[0] for pose in near]
 
@@ -87,3 +87,14 @@ def test_agreement_counts_only_what_both_show() -> None:
 
     assert match == pytest.approx(1.0, abs=1e-3)
     assert inside == pytest.approx((moved**2).sum() / energy, abs=1e-3)
+
+
+def test_of_equal_poses_the_one_that_shows_more_of_the_press_is_found() -> None:
+    """A rack that is longer than the field looks the same a tooth further on, where less of it is compared."""
+    rack = tuple((12.0 * tooth, 0.0, 4.0, 5.0) for tooth in range(-20, 21))
+    search = PoseSearch(parts.slopes(rack, Pose(), SIDE).astype(np.float32))
+    rng = np.random.default_rng(3)
+    clear = parts.slopes(rack, Pose(2.0, 1.0, 0.05), SIDE)
+    found = [search.find((clear + rng.normal(0, 0.1, clear.shape)).astype(np.float32)).pose for _ in range(8)]
+
+    assert max(abs(pose.x_px - 2.0) for pose in found) < 1.0
