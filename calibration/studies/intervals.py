@@ -60,7 +60,8 @@ def is_drawn(row: Mapping[str, Any]) -> bool:
     if _number(row, "bad", 0.0) > 0 or _number(row, "target_fraction", 0.0) > 0:
         return True
     pool = min(_number(row, "pool", math.inf), _number(row, "most_presses", math.inf))
-    if math.isfinite(pool) and "target_fraction" not in row:
+    # In a frame of several studies, columns of the others are nan.
+    if math.isfinite(pool) and math.isnan(_number(row, "target_fraction", math.nan)):
         return _number(row, "presses", 0.0) < pool
     return _number(row, "fraction", 0.0) < 1
 

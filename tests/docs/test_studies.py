@@ -26,7 +26,7 @@ def of(rows: pd.DataFrame, study: str) -> Page:
     return PAGES[study](rows[rows["study"] == study].dropna(axis=1, how="all"))
 
 
-@pytest.mark.parametrize("study", ["good-fraction", "cross-position", "resolution"])
+@pytest.mark.parametrize("study", ["good-fraction", "cross-position", "resolution", "bad-presses"])
 def test_a_study_s_page_is_that_of_its_rows(study: str, rows: pd.DataFrame) -> None:
     """The committed page is what `gelgate report` writes, and every figure that it names is there."""
     found = of(rows, study)

@@ -38,6 +38,17 @@ def test_fewer_draws_have_no_interval() -> None:
         ({"presses": 110, "pool": 110, "fraction": 1.0}, False),
         ({"presses": 8, "pool": 110, "shots": 8, "fraction": math.nan}, True),
         ({"presses": 12, "pool": 110, "most_presses": 12, "fraction": 0.6}, False),
+        (
+            {
+                "presses": 12,
+                "pool": 110,
+                "most_presses": 12,
+                "fraction": 0.6,
+                "target_fraction": math.nan,
+                "bad": math.nan,
+            },
+            False,
+        ),
         ({"presses": 11, "pool": 110, "most_presses": 24, "fraction": 0.1}, True),
         ({"presses": 116, "pool": 110, "fraction": 1.0, "target_fraction": 0.05}, True),
         ({"presses": 110, "pool": 110, "fraction": 1.0, "target_fraction": 0.0}, False),
