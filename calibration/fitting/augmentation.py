@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.threshold import MIN_PRESSES
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.registration.light import FreeLight
@@ -36,8 +37,8 @@ Augment = Literal["auto", "always", "never"]
 FEW = 8
 """Up to this many presses `auto` adds copies. docs/detectors.md has the curve."""
 
-# Its directions are of every place together: copies add none that one press lacks.
-_NO_GAIN = frozenset({"subspace"})
+# They compare a place with every other, and find no more with copies: there `auto` adds them for a threshold alone.
+_NO_GAIN = frozenset({"patchcore", "subspace"})
 
 EACH, MOST = 32, 64
 """Copies of a press, and of all together, which bounds the time of a fit."""
@@ -89,7 +90,7 @@ def augmentation_of(
 ) -> Augmentation:
     """How many copies of each press a bank is learnt from. Errors: FitError where copies are asked for in vain."""
     n = len(presses)
-    is_useful = n <= FEW and mode != "paper" and method not in _NO_GAIN
+    is_useful = mode != "paper" and n <= FEW and (n < MIN_PRESSES or method not in _NO_GAIN)
     if augment == "never" or not n or (augment == "auto" and not is_useful):
         return Augmentation()
     why = _hindrance(presses, is_registered)

@@ -2,8 +2,8 @@
 
 Run with `pytest tests/bench/test_few_presses.py -m bench -s`. Ten random parts on which nothing was chosen, each with a
 draw of its presses of its own; smaller draws are part of larger ones. Each press is of another piece. 20 sound and 20
-damaged presses of further pieces are scored. Ten minutes of one quiet core; with FEW_PRESSES_CACHE naming a folder each
-row is kept there, and a run that was cut goes on.
+damaged presses of further pieces are scored. A quarter of an hour of one quiet core; with FEW_PRESSES_CACHE naming a
+folder each row is kept there, and a run that was cut goes on.
 """
 
 import json
@@ -198,8 +198,25 @@ def line(found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied:
     return f"| {method} | {shots} | {'copies' if is_copied else 'presses'} | {' | '.join(cells + shares)} |"
 
 
+def clamped_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The table of parts in a fixture and of those that a hand clamps: image AUROC / AU-PRO."""
+    yield "| method | clamped | 1 | 1, copies | 4, copies | 8 | 8, copies | 32 |\n|---|---|---|---|---|---|---|---|"
+    for method in METHODS:
+        for place, by in enumerate(("by hand", "in a fixture")):
+            cells = []
+            for shots, is_copied in ((1, False), (1, True), (4, True), (8, False), (8, True), (32, False)):
+                wanted = (place, method, shots, is_copied)
+                rows = [
+                    row
+                    for row in found
+                    if (row["part"] % 2, row["method"], row["shots"], row["copied"]) == wanted
+                ]
+                cells.append(_means(rows).replace(" | ", " / "))
+            yield f"| {method} | {by} | {' | '.join(cells)} |"
+
+
 def test_few_presses() -> None:
-    """Prints the table."""
+    """Prints the tables."""
     cv2.setNumThreads(1)
     found = rows()
     print(
@@ -209,6 +226,7 @@ def test_few_presses() -> None:
     for method in METHODS:
         for shots, is_copied in designs():
             print(line(found, method, shots, is_copied))
+    print("", *clamped_lines(found), sep="\n")
     assert all(np.isfinite(row["aupro"]) for row in found)
 
 

@@ -92,10 +92,12 @@ def test_a_press_that_adds_nothing_is_copied_as_the_free_gel_in_other_light() ->
         ("auto", 8, "padim", "corrected", MOST // 8),
         ("auto", 9, "padim", "corrected", 0),
         ("auto", 2, "padim", "paper", 0),
-        ("auto", 2, "subspace", "corrected", 0),
+        ("auto", 3, "subspace", "corrected", MOST // 3),
+        ("auto", 4, "subspace", "corrected", 0),
+        ("auto", 4, "patchcore", "corrected", 0),
         ("never", 1, "padim", "corrected", 0),
         ("always", 2, "padim", "paper", EACH),
-        ("always", 2, "subspace", "corrected", EACH),
+        ("always", 4, "subspace", "corrected", MOST // 4),
         ("always", 16, "padim", "corrected", MOST // 16),
         ("always", 2 * MOST, "padim", "corrected", 1),
     ],
@@ -103,7 +105,7 @@ def test_a_press_that_adds_nothing_is_copied_as_the_free_gel_in_other_light() ->
 def test_how_many_copies_a_bank_learns(
     augment: Augment, count: int, method: str, mode: Mode, each: int
 ) -> None:
-    """`auto` adds them where they pay: few presses, no published settings, not subspace; their number is bounded."""
+    """`auto` adds them where they pay: few presses, no published settings, methods that gain or a threshold."""
     presses = NominalPresses(
         np.zeros((count, 4, 4, 3), np.uint8), ("",) * count, no_contact=np.zeros((1, 4, 4, 3), np.uint8)
     )
