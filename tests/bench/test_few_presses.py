@@ -200,7 +200,8 @@ def line(found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied:
 
 def clamped_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The table of parts in a fixture and of those that a hand clamps: image AUROC / AU-PRO."""
-    yield "| method | clamped | 1 | 1, copies | 4, copies | 8 | 8, copies | 32 |\n|---|---|---|---|---|---|---|---|"
+    yield "| method | clamped | 1 | 1, copies | 4, copies | 8 | 8, copies | 32 | sound failed, 1, copies |"
+    yield "|---|---|---|---|---|---|---|---|---|"
     for method in METHODS:
         for place, by in enumerate(("by hand", "in a fixture")):
             cells = []
@@ -212,6 +213,9 @@ def clamped_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
                     if (row["part"] % 2, row["method"], row["shots"], row["copied"]) == wanted
                 ]
                 cells.append(_means(rows).replace(" | ", " / "))
+                if wanted[2:] == (1, True):
+                    failed = np.mean([limit[1] for limit in map(at_the_limit, rows) if limit])
+            cells.append(f"{failed:.0%}")
             yield f"| {method} | {by} | {' | '.join(cells)} |"
 
 
