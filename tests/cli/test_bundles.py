@@ -36,7 +36,7 @@ def test_inspect_tells_what_is_in_it(folder: Path) -> None:
         "picture 48x40",
         "8,4,32x32",
         "float32 3x4x4, 192 bytes, stored as int8 in",
-        "0.05 (set by hand)",
+        "0.05 (given by hand)",
         "unknown: frames of another sensor are not refused",
         "2026-01-01",
     ):

@@ -27,6 +27,7 @@ from edge.model.manifest import (
     ThresholdEntry,
     ToleranceEntry,
 )
+from edge.model.promise import GIVEN
 
 __all__ = [
     "PROFILE",
@@ -166,7 +167,7 @@ def tiny_facts(threshold: float = 0.05, **changes: Any) -> Facts:
         region=RegionEntry.of(REGION),
         grid=GridEntry.of(tiny_grid()),
         threshold=ThresholdEntry(
-            value=threshold, method="set by hand", alpha=0.05, alpha_floor=1.0, nominal_scores=()
+            value=threshold, method=GIVEN, alpha=0.05, alpha_floor=1.0, nominal_scores=()
         ),
         tolerance=ToleranceEntry(score=1e-5, score_map=1e-5, relative=1e-4, measured=0.0),
         provenance=Provenance(created="2026-01-01"),
