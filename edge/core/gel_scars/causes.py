@@ -44,7 +44,7 @@ _LEAST_MARKED = 0.25
 
 # Of a place, weighted by how far it is above the limit: from the first share on the marks explain it, from the second
 # one if it came back, below the last one they do not.
-_EXPLAINED, _HALF_EXPLAINED, _UNEXPLAINED = 0.75, 0.5, 0.3
+_EXPLAINED, _HALF_EXPLAINED, _UNEXPLAINED = 0.8, 0.5, 0.3
 
 SEVERAL: Final = 2.7
 """Three presses of late: the place of the gel, not of the part, when the part lay elsewhere each time."""

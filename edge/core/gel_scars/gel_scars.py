@@ -104,9 +104,10 @@ class GelScars:
     def _after(
         self, press: ScoredPress, excess: F32, scars: Mask, change: F32 | None, touched: Mask
     ) -> ScarRecord:
-        """The record with this press."""
+        """The record with this press. Where the part's place is known it varies, and a press that was quiet with a mark
+        says nothing of the next one."""
         shown, exceeds, harmless = press.shown(), excess > 0, None
-        if change is not None:
+        if change is not None and press.place_mm is None:
             harmless = np.where(shown & touched & ~_active(exceeds, change), change, np.float32(0))
         return self.record.after(exceeds, shown, scars, press.place_mm, harmless)
 

@@ -15,8 +15,8 @@ FIXTURE = Repeats(hits=3.5, rate=1.0, spread_mm=0.1)
     ("share", "repeats", "wide_mm", "cause"),
     [
         (1.0, NEVER, 1.0, Cause.GEL),  # the free gel shows it
-        (0.75, NEVER, 1.0, Cause.GEL),
-        (0.7, NEVER, 1.0, Cause.UNSURE),  # the free gel shows a part of it
+        (0.8, NEVER, 1.0, Cause.GEL),
+        (0.75, NEVER, 1.0, Cause.UNSURE),  # the free gel shows a part of it
         (0.5, FIXTURE, 1.0, Cause.GEL),  # half of it, and it came back
         (0.5, Repeats(2.0, 1.0, 0.1), 1.0, Cause.UNSURE),
         (0.4, FIXTURE, 1.0, Cause.UNSURE),

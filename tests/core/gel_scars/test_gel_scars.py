@@ -90,6 +90,17 @@ def test_a_mark_with_which_presses_were_quiet_does_not_explain_a_clear_fail() ->
         assert blame.cause is cause
 
 
+def test_a_quiet_press_of_a_part_that_lay_elsewhere_says_nothing_of_a_mark() -> None:
+    """Registration knows the place: the mark lay under flat metal before, and under a tooth now."""
+    gel = GelScars(first=FREE)
+    for k in range(3):
+        assert gel.judge(press(0, (3.0 * k, 0.0)), marked(20)).blame is None
+    blame = gel.judge(press(5, (1.0, 4.0)), marked(20)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.GEL
+
+
 def test_a_mark_with_which_presses_were_quiet_explains_what_mostly_exceeds_there_of_late() -> None:
     """Three quiet presses, three that exceed in a fixture: from the fourth on the mark explains it."""
     gel = GelScars(first=FREE)
