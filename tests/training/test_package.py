@@ -120,7 +120,7 @@ def test_the_card_has_the_trunk_for_real_touch() -> None:
         "facts": {
             "bytes": 7,
             "sha256": "ef" * 32,
-            "channels": {"tactile_resnet18": 64, "efficientnet_lite0": 24},
+            "channels": {"tactile": 64, "efficientnet_lite0": 24},
             "blocks": 1,
             "tactile_scale": 4.5,
         },
