@@ -205,11 +205,16 @@ def free_gel_warnings(presses: NominalPresses) -> list[str]:
 
 
 def scatter_warnings(
-    presses: NominalPresses, profile: SensorProfile, detector: Detector, is_scattered: bool = False
+    presses: NominalPresses,
+    profile: SensorProfile,
+    detector: Detector,
+    is_scattered: bool = False,
+    why_unregistered: str = "",
 ) -> list[str]:
     """Checks that a method that compares place with place is not fitted to scattered contacts.
 
-    Errors: FitError where it is; a warning instead where `is_scattered` allows it.
+    why_unregistered: said in the refusal. Errors: FitError where it is; a warning instead where `is_scattered` allows
+    it.
     """
     scatter = scatter_mm(presses, profile)
     if not detector.compares_places or scatter is None or scatter <= SCATTERED_MM:
@@ -219,7 +224,8 @@ def scatter_warnings(
         f"with place and will pass damage; hold the part at one place, or fit {' or '.join(_indifferent())}"
     )
     if not is_scattered:
-        raise FitError(f"{found}; --scattered fits {detector.name} all the same")
+        registered = f" ({why_unregistered}; see --register)" if why_unregistered else ""
+        raise FitError(f"{found}; --scattered fits {detector.name} all the same{registered}")
     return [found]
 
 

@@ -260,7 +260,7 @@ class _Fit:
         pose = chosen_pose(config.register, self.presses, self.learner, self._taken, view)
         if pose.learnt is None:
             self.warnings += scatter_warnings(
-                self.presses, config.profile, self.detector, config.is_scattered
+                self.presses, config.profile, self.detector, config.is_scattered, pose.why
             )
         return pose
 

@@ -383,6 +383,8 @@ def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> Non
     assert "fit inreach" in said
     with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
         fit_files(anywhere, config(detector=Padim(), profile=wide), created="test")
+    with pytest.raises(FitError, match=r"all the same \(no gain; see --register\)$"):
+        scatter_warnings(anywhere, wide, Padim(), why_unregistered="no gain")
     for given, method in ((anywhere, tiny.TINY), (fixed, Padim()), (presses(4), Padim())):
         assert scatter_warnings(given, wide, method) == []
     meant = config(detector=Padim(), profile=wide, is_scattered=True)
