@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command_line import gelgate
+from command_line import Outcome, gelgate
 from numpy.typing import NDArray
 from station import gel
 from tiny import TINY, tiny_trunk
@@ -216,18 +216,14 @@ def save(path: Path, rgb: U8) -> None:
     cv2.imwrite(str(path), rgb[..., ::-1])
 
 
+def called(files: Path, *options: str) -> Outcome:
+    words = files / "old", files / "presses", "--no-contact", files / "free.png", "-o", files / "new"
+    return gelgate("carry", *words, *options)
+
+
 def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: Path) -> None:
     """It loads, with the sentences that `fit` prints."""
-    words = [
-        "carry",
-        files / "old",
-        files / "presses",
-        "--no-contact",
-        files / "free.png",
-        "-o",
-        files / "new",
-    ]
-    done = gelgate(*map(str, words), "--gel", "G2", "--threads", "1")
+    done = called(files, "--gel", "G2", "--threads", "1")
 
     assert done.code == 0, done.err
     assert "carried over to another gel" in done.out
@@ -238,16 +234,7 @@ def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: 
 def test_on_the_command_line_presses_of_another_size_are_refused(files: Path) -> None:
     """One sentence, and nothing is written."""
     save(files / "presses" / "s000_p0.png", np.full((100, 100, 3), 90, np.uint8))
-    words = [
-        "carry",
-        files / "old",
-        files / "presses",
-        "--no-contact",
-        files / "free.png",
-        "-o",
-        files / "new",
-    ]
-    done = gelgate(*map(str, words))
+    done = called(files)
 
     assert "1 of 5 pictures cannot be used" in done.err
     assert not (files / "new").exists()
