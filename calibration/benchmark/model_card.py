@@ -106,6 +106,7 @@ def _environment(recipe: Mapping[str, Any]) -> Environment:
         keep_trailing_newline=True,
     )
     found.filters |= {
+        "words": _words,
         "changes": lambda row: _changes(recipe, row),
         "columns": _columns,
         "interval": _interval,
@@ -142,9 +143,14 @@ def _short(value: Any) -> str:
 
 def _changes(recipe: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     """How a trial differs from the run that ships: its settings and its note."""
-    changes = [f"{k} {v}" for k, v in row["recipe"].items() if v != recipe.get(k) and k != "start"]
+    changes = [f"{k} {_words(v)}" for k, v in row["recipe"].items() if v != recipe.get(k) and k != "start"]
     before = [f"started from the weights of {row['before']} earlier steps"] if row["before"] else []
     return "; ".join(filter(None, (row["note"], *before, ", ".join(changes)))) or "what ships"
+
+
+def _words(value: float | str | Sequence[str]) -> str:
+    """A setting's value; a list as its words."""
+    return ", ".join(value) if isinstance(value, list | tuple) else str(value)
 
 
 def _interval(measure: Mapping[str, Any] | None) -> str:
@@ -171,7 +177,7 @@ def _number(value: float | str) -> str:
 def _training_commands(facts: Mapping[str, Any]) -> list[str]:
     """One line per run that led to the weights; an interrupted run says after how many steps."""
     runs = [*facts.get("before", []), {"recipe": facts["recipe"], "steps": facts["recipe"]["steps"]}]
-    shipped = TrainConfig.shipped().model_dump() | {"start": None}
+    shipped = json.loads(TrainConfig.shipped().to_json())
     lines = []
     for number, run in enumerate(runs, start=1):
         changes = [

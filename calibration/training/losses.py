@@ -1,4 +1,4 @@
-"""The training objective, at each of the three stages.
+"""The training objective, at each stage that is learnt.
 
 geometry: a 1x1 head must read slopes, depth and gradient energy from the features of a cell.
 pair: features of two presses of one part are equal where the imprint is the same, and at least a margin apart where
@@ -49,7 +49,7 @@ def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Train
     """The losses of one batch. maps: the trunk's output for `batch.frames`."""
     geometry = _geometry(batch)
     parts: list[Tensor] = []
-    for stage, features in zip(STAGES, maps, strict=True):
+    for stage, features in zip(STAGES[: recipe.stages], maps, strict=True):
         stride = batch.change_mm.shape[-1] // features.shape[-1]
         target = F.avg_pool2d(geometry, stride)
         wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
@@ -58,7 +58,7 @@ def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Train
         changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
         pair = _pair(distance, changed, unchanged, recipe.margin)
         parts.append(torch.stack([wrong, *pair, _rank(distance, changed, unchanged)]))
-    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0], device=parts[0].device)
+    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0][: recipe.stages], device=parts[0].device)
     return Losses(*(weight @ torch.stack(parts) / weight.sum()))
 
 

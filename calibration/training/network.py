@@ -43,15 +43,19 @@ class ResidualBlock(nn.Module):  # type: ignore[misc]
 
 
 class TrunkNetwork(nn.Module):  # type: ignore[misc]
-    """Frames (n, 3, h, w), grey levels 0 to 255 RGB, to the maps of layer1, layer2 and layer3 (strides 4, 8, 16)."""
+    """Frames (n, 3, h, w), grey levels 0 to 255 RGB, to the maps of layer1, layer2 and layer3 (strides 4, 8, 16).
 
-    def __init__(self) -> None:
+    stages: how many of them, from layer1 on.
+    """
+
+    def __init__(self, stages: int = len(STAGES)) -> None:
         super().__init__()
+        self.stages = STAGES[:stages]
         self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
         self.bn1 = nn.BatchNorm2d(64)
         self.maxpool = nn.MaxPool2d(3, 2, 1)
         inputs = 64
-        for stage, outputs in zip(STAGES, _CHANNELS, strict=True):
+        for stage, outputs in zip(self.stages, _CHANNELS, strict=False):
             stride = 1 if stage == "layer1" else 2
             setattr(
                 self,
@@ -73,16 +77,16 @@ class TrunkNetwork(nn.Module):  # type: ignore[misc]
     def forward(self, frames: Tensor) -> list[Tensor]:
         x = self.maxpool(torch.relu(self.bn1(self.conv1(self.normalised(frames)))))
         maps = []
-        for stage in STAGES:
+        for stage in self.stages:
             x = getattr(self, stage)(x)
             maps.append(x)
         return maps
 
 
-def heads() -> nn.ModuleDict:
+def heads(stages: int = len(STAGES)) -> nn.ModuleDict:
     """One 1x1 convolution per stage, from features to the geometry under each cell."""
     return nn.ModuleDict(
-        {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES, _CHANNELS, strict=True)}
+        {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES[:stages], _CHANNELS, strict=False)}
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.training.train_config import STAGES
-from edge.core.errors import GelgateError
+from edge.core.errors import ConfigError, GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import State
@@ -37,12 +37,17 @@ _FORMAT = 1
 def package(run: Path, out: Path) -> dict[str, Any]:
     """Write `<name>.onnx` (float16 weights), `<name>_int8.onnx` and `<name>.json` into `out`; returns the facts.
 
-    Errors: ConfigError for a run without a complete checkpoint, GelgateError for a variant that is too large or a disk
-    that refuses.
+    Errors: ConfigError for a run without a complete checkpoint or without every stage, GelgateError for a variant that
+    is too large or a disk that refuses.
     """
     from calibration.training import checkpoint
 
     saved = checkpoint.load(run)
+    if saved.recipe.stages != len(STAGES):
+        raise ConfigError(
+            f"the run in '{run}' has learnt {saved.recipe.stages} of {len(STAGES)} stages; "
+            f"to package it, train with stages={len(STAGES)}"
+        )
     state = trunk_state(saved.weights)
     plain = build_trunk(state, "resnet18", STAGES)
     variants = {

@@ -39,6 +39,7 @@ def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
         side=recipe.side,
         device=device,
         high_resolution=recipe.high_resolution,
+        effects=recipe.effects,
     )
 
 

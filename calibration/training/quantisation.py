@@ -11,7 +11,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from calibration.training.network import ResidualBlock, TrunkNetwork
-from calibration.training.train_config import STAGES
 
 __all__ = ["rounded_activation", "rounded_maps", "rounded_weight"]
 
@@ -21,7 +20,7 @@ def rounded_maps(trunk: TrunkNetwork, frames: Tensor) -> list[Tensor]:
     x = rounded_activation(trunk.normalised(frames))
     x = trunk.maxpool(rounded_activation(torch.relu(_folded(x, trunk.conv1, trunk.bn1))))
     maps = []
-    for stage in STAGES:
+    for stage in trunk.stages:
         for block in getattr(trunk, stage):
             x = _block(x, block)
         maps.append(x)

@@ -81,8 +81,8 @@ class _Learner:
     def __init__(self, recipe: TrainConfig, device: torch.device) -> None:
         self.recipe, self.device = recipe, device
         torch.manual_seed(recipe.seed)
-        self.trunk = TrunkNetwork().to(device)
-        self.heads = heads().to(device)
+        self.trunk = TrunkNetwork(recipe.stages).to(device)
+        self.heads = heads(recipe.stages).to(device)
         self.trunk = self.trunk.to(memory_format=torch.channels_last)
         if device.type == "cuda":
             torch.backends.cudnn.benchmark = True
@@ -123,7 +123,8 @@ class _Learner:
     def validate(self) -> dict[str, float]:
         """Per stage, the share of changed cells above 99 % of unchanged ones, on pairs that training never draws."""
         self.model.eval()
-        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
+        stages = STAGES[: self.recipe.stages]
+        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in stages}
         with torch.no_grad():
             for number in range(_VALIDATION_BATCHES):
                 pairs = min(_VALIDATION_PAIRS, self.recipe.pairs)
@@ -136,7 +137,7 @@ class _Learner:
                     device=self.device,
                     high_resolution=0.0,
                 )
-                for stage, features in zip(STAGES, self._maps(batch), strict=True):
+                for stage, features in zip(stages, self._maps(batch), strict=True):
                     stride = self.recipe.side // features.shape[-1]
                     cells = changed_cells(batch.change_mm, stride, self.recipe)
                     reach = window_cells(self.recipe.window_mm, stride, batch.spacing)

@@ -9,18 +9,45 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from edge.core.errors import ConfigError
+from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["STAGES", "Distance", "TrainConfig"]
+__all__ = ["EFFECTS", "STAGES", "Distance", "TrainConfig"]
 
 STAGES = ("layer1", "layer2", "layer3")
+EFFECTS: Final = (
+    "pose_jitter",
+    "partial_contact",
+    "deformation",
+    "residual_imprint",
+    "dust",
+    "wear",
+    "shadows",
+    "specular",
+    "grain",
+    "markers",
+    "lens_blur",
+    "led_drift",
+    "noise",
+    "jpeg",
+)
+"""The simulator's effects that training draws. Illumination and the lens's falloff are part of a sensor's colours,
+which are always drawn; motion blur is not drawn (docs/backbone.md)."""
+
 # The behaviour of runs from before these settings existed.
-_BEFORE = {"window_mm": 0.0, "finest_weight": 1.0, "distance": "cosine", "start": ""}
+_BEFORE = {
+    "window_mm": 0.0,
+    "finest_weight": 1.0,
+    "distance": "cosine",
+    "start": "",
+    "effects": EFFECTS,
+    "stages": len(STAGES),
+}
 Distance = Literal["cosine", "euclidean"]
 
 
@@ -58,6 +85,18 @@ class TrainConfig(BaseModel):
         description="of the forward pass; int8 rounds as the int8 variant does, in a run with a start"
     )
     start: str = Field(description="SHA-256 of the weights that the run starts from; empty: random ones")
+    effects: tuple[str, ...] = Field(description="the simulator's effects that the presses have")
+    stages: int = Field(
+        ge=1, le=len(STAGES), description="of the network that are learnt, from layer1 on; 3 to package"
+    )
+
+    @field_validator("effects")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in EFFECTS:
+                raise ValueError(f"training draws no effect named '{name}'; {suggestion(name, EFFECTS)}")
+        return tuple(name for name in EFFECTS if name in names)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

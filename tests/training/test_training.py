@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from calibration.training import checkpoint as checkpoints
+from calibration.training.package import package
 from calibration.training.train import TrainingRun, learning_rate, train
-from calibration.training.train_config import TrainConfig
+from calibration.training.train_config import EFFECTS, TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 
 SMALL = TrainConfig.shipped(steps=6, pairs=2, side=64, precision="float32", max_rate=2e-3)
@@ -109,6 +110,18 @@ def test_the_loss_falls_on_a_repeated_batch(monkeypatch: pytest.MonkeyPatch) -> 
     assert found[-1].total(recipe).item() < found[0].total(recipe).item()
 
 
+def test_a_run_of_one_stage_learns_layer1_alone(tmp_path: Path) -> None:
+    """Its checkpoint has no other layer, and its log no other stage."""
+    recipe = TrainConfig.shipped(steps=1, pairs=2, side=64, precision="float32", stages=1)
+    train(recipe, TrainingRun(tmp_path, threads=1, device="cpu"))
+    learnt = {name.split(".")[1] for name in weights(tmp_path) if name.startswith("trunk.")}
+    assert learnt == {"conv1", "bn1", "layer1"}
+    (entry,) = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [name for name in entry if name.startswith("recall")] == ["recall_fpr01_layer1"]
+    with pytest.raises(ConfigError, match=r"has learnt 1 of 3 stages; to package it, train with stages=3"):
+        package(tmp_path, tmp_path / "out")
+
+
 def test_other_settings_are_refused(whole: Path, tmp_path: Path) -> None:
     """A resume with another margin names the setting and both values."""
     changed = TrainConfig(**{**vars(SMALL), "margin": 0.5})
@@ -185,6 +198,9 @@ def test_the_rate_is_one_cycle() -> None:
         ({"stpes": 3}, "'stpes' is not known; did you mean 'steps'?"),
         ({"unchanged_mm": 0.03}, "unchanged_mm 0.03 is not below changed_mm 0.02"),
         ({"precision": "int8"}, "needs a run to start from"),
+        ({"stages": 4}, "'stages' is 4"),
+        ({"effects": ["jpeg", "niose"]}, "training draws no effect named 'niose'; did you mean 'noise'?"),
+        ({"effects": ["motion_blur"]}, "training draws no effect named 'motion_blur'"),
         ({"geometry_weight": 0.0, "pair_weight": 0.0, "rank_weight": 0.0}, "loss weights are all 0"),
     ],
 )
@@ -198,4 +214,5 @@ def test_a_recipe_from_before_a_setting_keeps_its_meaning() -> None:
     """A file without these settings is of a run without window, with equal stages and unit features."""
     old = TrainConfig.from_json('{"steps": 5, "side": 128}')
     assert (old.window_mm, old.finest_weight, old.distance) == (0.0, 1.0, "cosine")
+    assert (old.effects, old.stages) == (EFFECTS, 3)
     assert TrainConfig.from_json(TrainConfig.shipped().to_json()) == TrainConfig.shipped()

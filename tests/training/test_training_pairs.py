@@ -14,8 +14,8 @@ from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.training import render
 from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
-from calibration.training.random_sampling import draws_for
-from calibration.training.train_config import Distance, TrainConfig
+from calibration.training.random_sampling import Draws, draws_for
+from calibration.training.train_config import EFFECTS, Distance, TrainConfig
 from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs, under_dots
 
 CPU = torch.device("cpu")
@@ -89,6 +89,48 @@ def test_light_agrees_with_the_simulator() -> None:
     glossy = optics.specular(expected.copy(), nx, ny)
     found = render.gloss(lit, fx, fy, torch.tensor([22.0]))
     assert np.abs(found[0].numpy() - glossy).max() < 1.0
+
+
+@pytest.fixture(scope="module")
+def complete() -> Pairs:
+    """A batch with every effect."""
+    return pairs(3, pairs=4)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_that_is_left_out_changes_no_other(name: str, complete: Pairs) -> None:
+    """The frames differ; the imprints are the same bits, unless the effect is one of pose or gel."""
+    without = pairs(3, pairs=4, effects=[other for other in EFFECTS if other != name])
+    assert not torch.equal(complete.frames, without.frames)
+    is_shape = name in ("pose_jitter", "partial_contact", "deformation")
+    assert torch.equal(complete.surface_mm, without.surface_mm) != is_shape
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_that_is_left_out_shifts_no_stream(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The numbers of all effects are drawn: the next draw of every stream is the same with it and without."""
+    opened: list[Draws] = []
+
+    def opening(*words: object) -> Draws:
+        opened.append(draws_for(*words))  # type: ignore[arg-type]
+        return opened[-1]
+
+    monkeypatch.setattr("calibration.training.training_pairs.draws_for", opening)
+    pairs(0, pairs=2)
+    pairs(0, pairs=2, effects=[other for other in EFFECTS if other != name])
+    host, drawn, host_again, drawn_again = (float(stream.uniform(0, 1)) for stream in opened)
+    assert (host, drawn) == (host_again, drawn_again)
+
+
+def test_without_pose_jitter_both_presses_of_a_pair_are_in_one_pose(complete: Pairs) -> None:
+    """What is left is the damage and tool marks of some micrometres."""
+
+    def apart(batch: Pairs) -> float:
+        first, second = batch.surface_mm.chunk(2)
+        return float(((first - second).abs() - batch.change_mm).max())
+
+    assert apart(pairs(3, pairs=4, effects=[name for name in EFFECTS if name != "pose_jitter"])) < 0.02
+    assert apart(complete) > 0.05
 
 
 def test_a_batch_is_a_function_of_seed_purpose_and_step() -> None:
