@@ -20,10 +20,11 @@ from calibration.simulator.plan import placed_damage
 from calibration.simulator.renderer import MASK_DEPTH_MM
 from edge import registry
 from edge.core.contact.mask import touched_mask
-from edge.core.contact.reference import Reference
+from edge.core.contact.reference import Reference, View
 from edge.core.errors import PoseNotFound
 from edge.core.gel_scars.gel_scars import GelScars, Judged
 from edge.core.gel_scars.press import ScoredPress
+from edge.core.gel_scars.without_marks import without_marks
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scored, Scorer
@@ -99,10 +100,7 @@ class Station:
 
     def scored(self, rgb: U8) -> Scored | None:
         """None where the part is not found."""
-        try:
-            return self.scorer.score(np.ascontiguousarray(self.scorer.bundle.region.crop(rgb)))
-        except PoseNotFound:
-            return None
+        return self._scored(self._cropped(rgb))
 
     def passes(self, scored: Scored | None, masked: NDArray[np.bool_] | None = None) -> bool:
         """masked: bool (h, w), places that are not judged."""
@@ -111,20 +109,36 @@ class Station:
         rest = scored.score_map if masked is None else np.where(masked, -np.inf, scored.score_map)
         return bool(rest.max() <= self._limit(scored))
 
-    def press(self, scored: Scored, contact: NDArray[np.bool_]) -> ScoredPress:
+    def press(self, scored: Scored, rgb: U8, contact: NDArray[np.bool_]) -> ScoredPress:
         """As the gateway gives it to the record of the gel."""
         bundle, found = self.scorer.bundle, scored.registered
         x_mm, y_mm = bundle.profile.mm_per_pixel
+        cropped, size, region = self._cropped(rgb), bundle.profile.size, bundle.region
+
+        def score_map(change: View) -> F32 | None:
+            again = self._scored(without_marks(cropped, change, size, region))
+            return None if again is None else again.score_map
+
         return ScoredPress(
             scored.score_map,
             self._limit(scored),
-            bundle.region,
-            bundle.profile.size,
+            region,
+            size,
             (x_mm, y_mm),
             contact,
             None if found is None else found.unseen_in_press,
             None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+            score_map,
         )
+
+    def _cropped(self, rgb: U8) -> U8:
+        return np.ascontiguousarray(self.scorer.bundle.region.crop(rgb))
+
+    def _scored(self, cropped: U8) -> Scored | None:
+        try:
+            return self.scorer.score(cropped)
+        except PoseNotFound:
+            return None
 
     def _limit(self, scored: Scored) -> float:
         manifest = self.scorer.bundle.manifest
@@ -181,7 +195,7 @@ class Run:
             return
         self.presses += 1
         contact = touched_mask(Reference(free, 1, 0).difference(as_view(rgb)))
-        judged = self._gel.judge(self.station.press(scored, contact), free, left)
+        judged = self._gel.judge(self.station.press(scored, rgb, contact), free, left)
         if judged.blame is not None:
             self._add(number, piece, age, imprint, defect, judged)
         if judged.blind_share > MOST_BLIND:

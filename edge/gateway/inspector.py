@@ -152,6 +152,13 @@ class Inspector:
             return Inspection(Verdict.rejected(rejection), rgb=rgb, latency_ms=latency)
         return self._scored(rgb, latency)
 
+    def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
+        """Of another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
+        try:
+            return self.scorer.score(rgb).score_map
+        except (PoseNotFound, NotScorable):
+            return None
+
     def _scored(self, rgb: NDArray[np.uint8], latency: dict[str, float]) -> Inspection:
         try:
             scored = self.scorer.score(rgb)

@@ -157,7 +157,7 @@ class PressPipeline:
         if self._scars is not None and self._label is not None:
             self._scars.leave_out(self.tracker)
         elif self._scars is not None:
-            inspection = self._scars.judge(inspection, self._inspector.bundle, self.tracker)
+            inspection = self._scars.judge(inspection, self._inspector, self.tracker)
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
         # A frame that was made on demand has its recorded time.
         judged_ns = started_ns if frame.is_on_demand else frame.timestamp_ns

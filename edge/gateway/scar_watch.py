@@ -10,9 +10,9 @@ from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.gel_scars.free_views import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged
 from edge.core.gel_scars.press import ScoredPress
-from edge.gateway.inspector import Inspection, ScarFindings
+from edge.core.gel_scars.without_marks import without_marks
+from edge.gateway.inspector import Inspection, Inspector, ScarFindings
 from edge.gateway.masking import masked
-from edge.model.bundle import Bundle
 from edge.store.scar_files import ScarFolder
 
 __all__ = ["ScarSettings", "ScarWatch"]
@@ -70,16 +70,16 @@ class ScarWatch:
         """After each view that was looked at."""
         self._free.see(tracker.state, tracker.level)
 
-    def judge(self, inspection: Inspection, bundle: Bundle, tracker: ContactTracker) -> Inspection:
+    def judge(self, inspection: Inspection, inspector: Inspector, tracker: ContactTracker) -> Inspection:
         """The same with its cause, and without the places that are known to be scarred."""
         left, self._left = self._left, tracker.chosen_imprint
-        press = _scored(inspection, bundle, tracker)
+        press = _scored(inspection, inspector, tracker)
         if press is None:
             return inspection
         is_masking = self._settings.is_masking and _is_highest(inspection)
         judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
-        return masked(inspection, self._findings(inspection, judged), bundle)
+        return masked(inspection, self._findings(inspection, judged), inspector.bundle)
 
     def leave_out(self, tracker: ContactTracker) -> None:
         """A press that is no part's: one piece pressed again and again at one place would look like a scar."""
@@ -126,19 +126,22 @@ def _too_blind(gel_id: str, judged: Judged, settings: ScarSettings) -> str:
     )
 
 
-def _scored(inspection: Inspection, bundle: Bundle, tracker: ContactTracker) -> ScoredPress | None:
+def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracker) -> ScoredPress | None:
     """None for a press without a score."""
-    verdict, found = inspection.verdict, inspection.registered
-    if inspection.score_map is None or verdict is None or verdict.threshold is None:
+    verdict, found, rgb = inspection.verdict, inspection.registered, inspection.rgb
+    if rgb is None or inspection.score_map is None or verdict is None or verdict.threshold is None:
         return None
+    bundle = inspector.bundle
+    size, region = bundle.profile.size, bundle.region
     x_mm, y_mm = bundle.profile.mm_per_pixel
     return ScoredPress(
         inspection.score_map,
         verdict.threshold - (verdict.tolerance or 0.0),
-        bundle.region,
-        bundle.profile.size,
+        region,
+        size,
         (x_mm, y_mm),
         tracker.chosen_mask,
         None if found is None else found.unseen_in_press,
         None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+        lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.core.gel_scars.record import ScarRecord
+from edge.core.gel_scars.record import PLANES, ScarRecord
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.store.reference_files import as_name
 
@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 class ScarFolder:
-    """A folder of `<serial>/<gel id>.scars.npy`: float32 (8, 120, 160), 610 kB each."""
+    """A folder of `<serial>/<gel id>.scars.npy`: float32 (7, 120, 160), 540 kB each."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -28,7 +28,7 @@ class ScarFolder:
         """The record, or None when there is none or it cannot be read."""
         path = self._path(serial, gel_id)
         try:
-            record = ScarRecord(np.load(path, allow_pickle=False))
+            record = ScarRecord(np.load(path, allow_pickle=False)[:PLANES])
             if record.planes.shape[1:] != (VIEW_SIZE[1], VIEW_SIZE[0]):
                 raise ValueError(f"it is {record.planes.shape}")
         except FileNotFoundError:

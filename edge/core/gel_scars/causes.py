@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.gel_scars.record import Repeats
 
-__all__ = ["MOSTLY", "REACH_PX", "SEVERAL", "Blame", "Cause", "blame", "explained", "together", "within"]
+__all__ = ["MOSTLY", "SEVERAL", "Blame", "Cause", "blame", "is_explained", "remaining", "together"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -35,16 +34,9 @@ class Blame:
     why: str
 
 
-REACH_PX: Final = 2
-"""A mark explains what a map shows within this distance: 2 pixels of the view, 0.25 mm on a GelSight Mini."""
-# The next pixel: of a mask, what is left of a scar there.
-_RIM_PX = 1.5
-# A mark of less than this share of a place does not explain it: a speck somewhere in a large dent.
-_LEAST_MARKED = 0.25
-
-# Of a place, weighted by how far it is above the limit: from the first share on the marks explain it, from the second
-# one if it came back, below the last one they do not.
-_EXPLAINED, _HALF_EXPLAINED, _UNEXPLAINED = 0.8, 0.5, 0.3
+# Of how far a place is above the limit, this share at most is left where a mark of the gel causes it, and more than the
+# second one where the part does, when the press is scored without the marks.
+_OF_THE_GEL, _OF_THE_PART = 0.2, 0.5
 
 SEVERAL: Final = 2.7
 """Three presses of late: the place of the gel, not of the part, when the part lay elsewhere each time."""
@@ -57,44 +49,42 @@ _MOVED_MM = 1.0
 _MANY, _ALWAYS = 4.6, 0.8
 
 
-def explained(excess: F32, marked: Mask, masked: Mask) -> float:
-    """The share of a place that marks of the free gel explain, 0 to 1.
+def remaining(excess: F32, without_marks: F32) -> float:
+    """The share of a place that is left without the marks of the gel, 0 to 1.
 
-    excess: how far each pixel is above the limit, float32 (h, w), 0 elsewhere. marked, masked: bool (h, w).
+    excess: how far each pixel of the place is above the limit, float32 (h, w), 0 elsewhere. without_marks: the same of
+    the press without the marks, at every place.
     """
-    total, place = float(excess.sum()), excess > 0
-    near = within(masked, _RIM_PX)
-    if (marked & within(place, _RIM_PX)).sum() >= _LEAST_MARKED * place.sum():
-        near = near | within(marked, REACH_PX)
-    return float(excess[near].sum()) / total if total > 0 else 0.0
+    total = float(excess.sum())
+    return min(1.0, float(without_marks[excess > 0].sum()) / total) if total > 0 else 1.0
 
 
-def within(places: Mask, reach_px: float) -> Mask:
-    """Pixels at most this far from one of the places, bool (h, w)."""
-    if not places.any():
-        return places
-    away = cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(away <= reach_px)
+def is_explained(left: float | None) -> bool:
+    """Whether the marks alone give the place. left: of `remaining`."""
+    return left is not None and left <= _OF_THE_GEL
 
 
-def blame(share: float | None, repeats: Repeats, wide_mm: float) -> Blame:
-    """The cause of one place. share: of `explained`, None where the free gel is not known. wide_mm: its width."""
-    has_come_back = repeats.hits >= SEVERAL
-    if share is not None and share >= (_HALF_EXPLAINED if has_come_back else _EXPLAINED):
-        return Blame(Cause.GEL, "the free gel shows a mark there; wipe the gel, and if it stays, replace it")
-    if share is not None and share >= _UNEXPLAINED:
+def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
+    """The cause of one place. left: of `remaining`, None where the free gel is not known. wide_mm: its width."""
+    if is_explained(left):
+        return Blame(
+            Cause.GEL,
+            "without the marks that the free gel shows it is not there; wipe the gel, and if it stays, "
+            "replace it",
+        )
+    if left is not None and left <= _OF_THE_PART:
         return Blame(
             Cause.UNSURE,
             "the free gel shows a mark there that explains only a part of it; press it elsewhere",
         )
-    is_repeated = has_come_back and repeats.rate >= MOSTLY
+    is_repeated = repeats.hits >= SEVERAL and repeats.rate >= MOSTLY
     if is_repeated and repeats.spread_mm >= max(_MOVED_MM, wide_mm):
         return Blame(
             Cause.GEL,
             "the same place of the gel exceeded the limit in the presses before, while the part lay at different "
             "places; wipe the gel, and if it stays, replace it",
         )
-    if share is None:
+    if left is None:
         return Blame(
             Cause.UNSURE,
             "the free gel was not seen since the last press, so a mark on it cannot be excluded; lift for a second "
@@ -103,10 +93,10 @@ def blame(share: float | None, repeats: Repeats, wide_mm: float) -> Blame:
     if repeats.hits >= _MANY and repeats.rate >= _ALWAYS:
         return Blame(
             Cause.UNSURE,
-            "the same place exceeded the limit in press after press with the part at one place, though the free gel "
-            "shows no mark there; press a part that is known to be good, or press elsewhere",
+            "the same place exceeded the limit in press after press with the part at one place, though no mark of the "
+            "free gel explains it; press a part that is known to be good, or press elsewhere",
         )
-    return Blame(Cause.PART, "the free gel shows no mark there")
+    return Blame(Cause.PART, "it is there without the marks of the free gel too")
 
 
 def together(blames: list[Blame]) -> Blame | None:

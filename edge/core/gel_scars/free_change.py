@@ -3,13 +3,15 @@
 Light and shading are taken out, and the imprint that the last press has left behind.
 """
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import View, fit_levels
 
-__all__ = ["free_change", "marks"]
+__all__ = ["Marks", "marks"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -30,10 +32,23 @@ _MOVES_PX = 0.25
 # on simulated gels (docs/gel-scars.md): every scar that makes a sound part fail has more.
 _MARK_LEVELS = 1.2
 _MARK_TIMES = 5.0
+# A mark is wider than what is clearly seen of it: its change counts up to this distance, and fades there over so many
+# pixels (sigma), because a sharp end would be an edge in the picture.
+_AROUND_PX = 3
+_FADES_SIGMA = 1.0
 
 
-def free_change(first: View, now: View, left: View | None = None) -> F32:
-    """How far the free gel has changed at each place, in levels, float32 (h, w); shading, light and `left` taken out.
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Where the free gel is marked, bool (h, w), and how it has changed there, signed levels, float32 (h, w, 3): 0 away
+    from the marks."""
+
+    places: Mask
+    change: View
+
+
+def marks(first: View, now: View, left: View | None = None) -> Marks | None:
+    """Of the free gel; None where it has changed all over: the camera was moved, or another gel is mounted.
 
     first, now: pictures of the free gel, means of several frames. left: what the press before added to it, whose rest
     may still be there. All float32 (h, w, 3). Errors: ValueError for two shapes.
@@ -49,21 +64,28 @@ def free_change(first: View, now: View, left: View | None = None) -> F32:
         detail = detail - rest
         doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
     seen = np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))).max(axis=2)
-    return np.asarray(np.maximum(seen - doubtful, 0), np.float32)
+    places = _clear(np.maximum(seen - doubtful, 0))
+    return None if places is None else Marks(places, _at(places, detail))
 
 
-def marks(change: F32) -> Mask | None:
-    """Where the free gel is marked, bool (h, w); single pixels are noise. None where it has changed all
-    over: the camera was moved, or another gel is mounted.
-
-    change: of `free_change`.
-    """
-    typical = float(np.median(change))
+def _clear(levels: F32) -> Mask | None:
+    """Where a change is a mark, bool (h, w); single pixels are noise. None where it is one all over."""
+    typical = float(np.median(levels))
     if typical > _MARK_LEVELS:
         return None
-    far = (change > max(_MARK_LEVELS, _MARK_TIMES * typical)).astype(np.uint8)
+    far = (levels > max(_MARK_LEVELS, _MARK_TIMES * typical)).astype(np.uint8)
     neighbours = cv2.boxFilter(far, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray((far > 0) & (neighbours >= 2))
+
+
+def _at(places: Mask, detail: View) -> View:
+    """What lies at these places and around, and 0 elsewhere."""
+    if not places.any():
+        return np.zeros_like(detail)
+    scale = _scale(detail)
+    away = cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5)
+    share = cv2.GaussianBlur((away <= _AROUND_PX * scale).astype(np.float32), (0, 0), _FADES_SIGMA * scale)
+    return np.asarray(detail * share[..., None], np.float32)
 
 
 def _moved(first: View) -> F32:

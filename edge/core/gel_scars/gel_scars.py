@@ -1,6 +1,6 @@
 """The scars of one gel over its presses: the cause of what a press shows, and the places that are not judged."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import cv2
@@ -8,18 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
-from edge.core.gel_scars.causes import (
-    MOSTLY,
-    REACH_PX,
-    SEVERAL,
-    Blame,
-    Cause,
-    blame,
-    explained,
-    together,
-    within,
-)
-from edge.core.gel_scars.free_change import free_change, marks
+from edge.core.gel_scars.causes import SEVERAL, Blame, Cause, blame, is_explained, remaining, together
+from edge.core.gel_scars.free_change import Marks, marks
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.record import ScarRecord
 from edge.core.imaging.decode import VIEW_SIZE
@@ -32,13 +22,10 @@ Mask = NDArray[np.bool_]
 # What a scar raises around itself is masked up to this distance from the mark, in pixels of the view: 1 mm. On
 # simulated gels the map exceeds its limit up to 0.7 mm away.
 _HALO_PX: Final = 8
+# What a mark shows in a press may be less than it shows on the free gel: these shares of it are tried.
+_SHARES: Final = (1.0, 0.7, 0.4)
 # The mask is 0.25 mm wider than what exceeded: the next press shows the scar slightly larger.
 _WIDER: Final = np.ones((5, 5), np.uint8)
-# Above the limit by less than it at the peak, and by less than this in the sum over pixels of the view, a press fails
-# slightly: a mark that grows slowly has come that far.
-_SLIGHT, _SLIGHT_SUM = 1.0, 20.0
-# A mark is as it was in quiet presses where this share of its change is not above theirs.
-_GROWN: Final = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +59,20 @@ class GelScars:
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
     ) -> Judged:
-        """One press, in order. free: the gel just before it, left: what the press before added (`free_change`).
+        """One press, in order. free: the gel just before it, left: what the press before added (`marks`).
 
         is_masking: False judges known scars too.
         """
         before = self.record.masked
         masked = press.in_map(before) & is_masking
         rest = np.where(masked, -np.inf, press.score_map)
-        excess, change = press.excess(), self._change(free, left)
+        excess = press.excess()
         open_places = press.in_view(np.where(rest > press.limit, np.float32(1), np.float32(0))) > 0
-        blames, scars = self._blamed(press, excess, open_places, change)
-        touched = np.ones_like(before) if press.contact is None else press.contact
-        self.record = self._after(press, excess, scars, change, touched)
-        contact = press.in_map(touched)
+        blames, scars = list[Blame](), np.zeros_like(before)
+        if open_places.any():
+            blames, scars = self._blamed(press, excess, open_places, self._marks(free, left))
+        self.record = self.record.after(excess > 0, press.shown(), scars, press.place_mm)
+        contact = press.in_map(np.ones_like(before) if press.contact is None else press.contact)
         blind = masked & contact
         return Judged(
             masked,
@@ -95,70 +83,64 @@ class GelScars:
             bool((self.record.masked & ~before).any()),
         )
 
-    def _change(self, free: View | None, left: View | None) -> F32 | None:
-        """Of the free gel, in levels; None where it is not known."""
+    def _marks(self, free: View | None, left: View | None) -> Marks | None:
+        """Of the free gel; None where they are not known."""
         if free is None or self.first is None or free.shape != self.first.shape:
             return None
-        return free_change(self.first, free, left)
-
-    def _after(
-        self, press: ScoredPress, excess: F32, scars: Mask, change: F32 | None, touched: Mask
-    ) -> ScarRecord:
-        """The record with this press. Where the part's place is known it varies, and a press that was quiet with a mark
-        says nothing of the next one."""
-        shown, exceeds, harmless = press.shown(), excess > 0, None
-        if change is not None and press.place_mm is None:
-            harmless = np.where(shown & touched & ~_active(exceeds, change), change, np.float32(0))
-        return self.record.after(exceeds, shown, scars, press.place_mm, harmless)
+        return marks(self.first, free, left)
 
     def _blamed(
-        self, press: ScoredPress, excess: F32, open_places: Mask, change: F32 | None
+        self, press: ScoredPress, excess: F32, open_places: Mask, known: Marks | None
     ) -> tuple[list[Blame], Mask]:
         """The cause of every connected place that is not masked completely, and the places to mask from now on."""
         scars = np.zeros(excess.shape, bool)
-        blames = []
-        marked = None if change is None else marks(change)
         count, labels = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
-        for number in range(1, count):
-            place = labels == number
-            if not (place & open_places).any():
-                continue
-            judged = np.where(place & open_places, excess, np.float32(0))
-            causing = (
-                None if marked is None or change is None else self._causing(press, judged, marked, change)
-            )
-            share = None if causing is None else explained(judged, causing, self.record.masked)
-            blames.append(blame(share, self.record.repeats(place), _wide_mm(place, press)))
+        places = [place for place in (labels == n for n in range(1, count)) if (place & open_places).any()]
+        judged = [np.where(place & open_places, excess, np.float32(0)) for place in places]
+        blames = []
+        for place, left in zip(places, _lefts(press, judged, known), strict=True):
+            blames.append(blame(left, self.record.repeats(place), _wide_mm(place, press)))
             if blames[-1].cause is Cause.GEL:
-                scars |= self._scar(place, causing)
+                scars |= self._scar(place, known)
         return blames, scars
 
-    def _causing(self, press: ScoredPress, excess: F32, marked: Mask, change: F32) -> Mask:
-        """The marks that may be the cause: one that was there in quiet presses does not cause a clear fail, unless most
-        presses of late exceeded there."""
-        limit = abs(press.limit)
-        if float(excess.max()) <= _SLIGHT * limit and float(excess.sum()) <= _SLIGHT_SUM * limit:
-            return marked
-        has_grown = change * np.float32(_GROWN) > self.record.harmless
-        return np.asarray(marked & (has_grown | within(self.record.often(SEVERAL, MOSTLY), REACH_PX)))
-
-    def _scar(self, place: Mask, marked: Mask | None) -> Mask:
+    def _scar(self, place: Mask, known: Marks | None) -> Mask:
         """Of a place that comes from the gel, what is masked: near its marks, or where it came back."""
         near = self.record.often(SEVERAL)
-        if marked is not None:
-            near = near | within(marked, _HALO_PX)
+        if known is not None:
+            near = near | _within(known.places, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
 
 
-def _active(exceeds: Mask, change: F32) -> Mask:
-    """What exceeded, and every mark that reaches there to its ends: a mark is quiet all along or not at all."""
-    near = within(exceeds, REACH_PX)
-    marked = marks(change)
-    if marked is None:
-        return near
-    _, labels = cv2.connectedComponents(marked.astype(np.uint8), connectivity=8)
-    return np.asarray(near | (marked & np.isin(labels, np.unique(labels[near & marked]))))
+def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[float | None]:
+    """Of each place, the share that is left without the marks; None where they are not known.
+
+    The press is scored once more only where a mark lies near a place, and with less of the change where that leaves
+    much: contact flattens a mark. judged: how far each place is above the limit, float32 (120, 160), 0 elsewhere.
+    """
+    if known is None:
+        return [None] * len(judged)
+    near = _within(known.places, _HALO_PX)
+    lefts: list[float | None] = [1.0] * len(judged)
+    open_ = [k for k, excess in enumerate(judged) if (near & (excess > 0)).any()]
+    for share in _SHARES:
+        score_map = press.without(known.change * np.float32(share)) if open_ else None
+        if score_map is None:
+            break
+        rest = replace(press, score_map=score_map).excess()
+        for k in open_:
+            lefts[k] = min(lefts[k] or 0.0, remaining(judged[k], rest))
+        open_ = [k for k in open_ if not is_explained(lefts[k])]
+    return lefts
+
+
+def _within(places: Mask, reach_px: float) -> Mask:
+    """Pixels at most this far from one of the places, bool (h, w)."""
+    if not places.any():
+        return places
+    away = cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(away <= reach_px)
 
 
 def _wide_mm(place: Mask, press: ScoredPress) -> float:

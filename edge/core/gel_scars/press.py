@@ -1,12 +1,14 @@
 """A scored press in the pixels of the contact view, where the places of a gel are kept."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region, touched_in
 
@@ -22,7 +24,9 @@ class ScoredPress:
 
     score_map: float32 (h, w) of the region, raw. limit: places above it are found. region: in the picture of `size`
     (width, height), of `mm_per_pixel` (x, y). contact: bool (120, 160) of the view, None where it is not known. unseen:
-    bool (h, w), places that were not judged. place_mm: where the part lay, None where it is not known.
+    bool (h, w), places that were not judged. place_mm: where the part lay, None where it is not known. without: the
+    score map of the same picture without a change of the gel, float32 (120, 160, 3) of the view in levels; None where
+    that cannot be scored.
     """
 
     score_map: F32
@@ -33,6 +37,7 @@ class ScoredPress:
     contact: Mask | None = None
     unseen: Mask | None = None
     place_mm: tuple[float, float] | None = None
+    without: Callable[[View], F32 | None] = lambda change: None
 
     def excess(self) -> F32:
         """How far each pixel of the view is above the limit, float32 (120, 160); 0 outside the region."""

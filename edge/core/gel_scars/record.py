@@ -14,11 +14,10 @@ __all__ = ["PLANES", "Repeats", "ScarRecord"]
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-PLANES: Final = 8
+PLANES: Final = 7
 # What each plane holds: presses that exceeded here, those that did not, the weight of the mask; of the presses that
-# exceeded with a known place of the part, their number, the sums of x and y and of x * x + y * y in mm; and the largest
-# change of the free gel, in levels, with which a press was quiet.
-_HITS, _QUIET, _MASK, _PLACED, _X, _Y, _SQUARES, _HARMLESS = range(PLANES)
+# exceeded with a known place of the part, their number, and the sums of x and y and of x * x + y * y in mm.
+_HITS, _QUIET, _MASK, _PLACED, _X, _Y, _SQUARES = range(PLANES)
 
 # Older presses count less: half after 44 presses.
 _KEPT = 1 - 1 / 64
@@ -40,13 +39,13 @@ class Repeats:
 
 @dataclass(frozen=True, eq=False)
 class ScarRecord:
-    """planes: float32 (8, h, w), finite and, but for x and y, not negative."""
+    """planes: float32 (7, h, w), finite and, but for x and y, not negative."""
 
     planes: F32
 
     def __post_init__(self) -> None:
         if self.planes.ndim != 3 or len(self.planes) != PLANES or self.planes.dtype != np.float32:
-            raise ValueError(f"a record is float32 (8, h, w), found {self.planes.dtype} {self.planes.shape}")
+            raise ValueError(f"a record is float32 (7, h, w), found {self.planes.dtype} {self.planes.shape}")
         if not np.isfinite(self.planes).all() or self.planes[[_HITS, _QUIET, _MASK, _PLACED]].min() < 0:
             raise ValueError("a record has finite values, and numbers of presses of 0 or more")
 
@@ -65,21 +64,14 @@ class ScarRecord:
         if not places.any():
             return Repeats()
         at = int(np.where(places, self.planes[_HITS], -1).argmax())
-        hits, quiet, _, placed, x, y, squares, _ = self.planes.reshape(PLANES, -1)[:, at].tolist()
+        hits, quiet, _, placed, x, y, squares = self.planes.reshape(PLANES, -1)[:, at].tolist()
         variance = squares / placed - (x * x + y * y) / placed**2 if placed > 1 else 0.0
         rate = hits / (hits + quiet) if hits > 0 else 0.0
         return Repeats(float(hits), float(rate), float(np.sqrt(max(variance, 0.0))))
 
-    @property
-    def harmless(self) -> F32:
-        """The change of the free gel that did not make a press fail, levels, float32 (h, w)."""
-        return np.asarray(self.planes[_HARMLESS])
-
-    def often(self, least: float, rate: float = 0.0) -> Mask:
-        """Where at least this number of presses, decayed, exceeded, and this share of those that showed the place:
-        bool (h, w)."""
-        hits, quiet = self.planes[_HITS], self.planes[_QUIET]
-        return np.asarray((hits >= least) & (hits >= np.float32(rate) * (hits + quiet)))
+    def often(self, least: float) -> Mask:
+        """Where at least this number of presses, decayed, exceeded: bool (h, w)."""
+        return np.asarray(self.planes[_HITS] >= least)
 
     def after(
         self,
@@ -87,13 +79,11 @@ class ScarRecord:
         shown: Mask,
         scars: Mask,
         place_mm: tuple[float, float] | None,
-        harmless: F32 | None = None,
     ) -> "ScarRecord":
         """With one more press. All masks: bool (h, w).
 
         exceeds: above the limit. shown: what the press shows of the gel. scars: to be masked from now on. place_mm:
-        where the part lay, None where it is not known. harmless: the change of the free gel where the press touched it
-        and was quiet, levels, float32 (h, w), 0 elsewhere.
+        where the part lay, None where it is not known.
         """
         planes = self.planes * np.float32(_KEPT)
         quiet = shown & ~exceeds
@@ -107,6 +97,4 @@ class ScarRecord:
         weight[weight < _FORGOTTEN] = 0
         weight[scars | (exceeds & self.masked)] = 1
         planes[_MASK] = weight
-        if harmless is not None:
-            planes[_HARMLESS] = np.maximum(planes[_HARMLESS], harmless)
         return ScarRecord(planes)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.free_change import free_change, marks
+from edge.core.gel_scars.free_change import marks
 
 SHAPE = (120, 160)
 RNG = np.random.default_rng(4)
@@ -26,9 +26,9 @@ def marked(view: np.ndarray, levels: float = 8.0) -> np.ndarray:
 
 
 def found(first: np.ndarray, now: np.ndarray, left: np.ndarray | None = None) -> np.ndarray:
-    places = marks(free_change(first, now, left))
-    assert places is not None
-    return places
+    known = marks(first, now, left)
+    assert known is not None
+    return known.places
 
 
 def test_an_unchanged_gel_has_no_marks() -> None:
@@ -44,6 +44,17 @@ def test_a_scratch_is_found_where_it_is() -> None:
 
     assert places[60:62, 70:90].mean() > 0.9
     assert (places & ~near).mean() < 0.001
+
+
+def test_the_change_of_a_scratch_is_signed_and_nothing_elsewhere() -> None:
+    """Eight levels darker, in full within the scratch; five pixels away there is none."""
+    known = marks(gel(1), marked(gel(2)))
+    assert known is not None
+    near = np.zeros(SHAPE, bool)
+    near[52:70, 62:98] = True
+
+    assert known.change[60:62, 72:88].mean() == pytest.approx(-8, abs=0.5)
+    assert np.abs(known.change[~near]).max() < 0.01 or found(gel(1), gel(2)).any()
 
 
 @pytest.mark.parametrize("gain", [0.8, 1.2])
@@ -100,10 +111,10 @@ def test_a_gel_that_has_changed_all_over_has_no_known_marks() -> None:
     """The camera was moved, or another gel is mounted: no place explains anything."""
     other = gel(2) + np.asarray(20 * np.sin(X / 2)[..., None] * np.sin(Y / 2)[..., None], np.float32)
 
-    assert marks(free_change(gel(1), other)) is None
+    assert marks(gel(1), other) is None
 
 
 def test_pictures_of_two_sizes_are_refused() -> None:
     """They show nothing of each other."""
     with pytest.raises(ValueError, match="one shape"):
-        free_change(gel(1), gel(2)[:60])
+        marks(gel(1), gel(2)[:60])

@@ -1,5 +1,7 @@
 """A gel over many presses: what is named gel, what is masked, and what never is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,11 +19,26 @@ IN_MAP = (slice(100, 116), slice(104, 120))
 IN_VIEW = (slice(54, 62), slice(76, 84))
 
 
-def press(height: float = 0.0, place_mm: tuple[float, float] | None = None) -> ScoredPress:
-    """A map of 0.2 that rises to `height` at the place, against a limit of 1; the part touches everything."""
-    score_map = np.full((224, 224), 0.2, np.float32)
-    score_map[IN_MAP] += np.float32(height)
-    return ScoredPress(score_map, 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool), None, place_mm)
+def scored(picture: np.ndarray, place_mm: tuple[float, float] | None = None) -> ScoredPress:
+    """A press of this view, float32 (120, 160, 3), as a detector of flat parts scores it: 0.2, and a quarter for each
+    level of difference to the free gel, against a limit of 1; the part touches everything."""
+
+    def score_map(change: np.ndarray | float) -> np.ndarray:
+        height = 0.2 + np.abs(picture - FREE - change).max(axis=2) / 4
+        return REGION.crop(np.repeat(np.repeat(height, 2, axis=0), 2, axis=1).astype(np.float32))
+
+    return ScoredPress(
+        score_map(0), 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool), None, place_mm, score_map
+    )
+
+
+def press(
+    height: float = 0.0, place_mm: tuple[float, float] | None = None, free: np.ndarray = FREE
+) -> ScoredPress:
+    """Of a part that rises at the place by so much of the map, on this gel."""
+    picture = free.copy()
+    picture[IN_VIEW] += np.float32(4 * height)
+    return scored(picture, place_mm)
 
 
 def marked(levels: float) -> np.ndarray:
@@ -32,6 +49,7 @@ def marked(levels: float) -> np.ndarray:
 
 
 def causes(gel: GelScars, presses: int, free: np.ndarray | None = FREE) -> list[Cause | None]:
+    """Of presses of pieces damaged at the place."""
     found = [gel.judge(press(5), free) for _ in range(presses)]
     return [one.blame.cause if one.blame else None for one in found]
 
@@ -39,7 +57,7 @@ def causes(gel: GelScars, presses: int, free: np.ndarray | None = FREE) -> list[
 def test_a_mark_is_named_once_and_then_masked_with_its_area() -> None:
     """16x16 pixels of 0.0634 mm and 0.25 mm around are 2.3 mm2; the press after it has nothing above the limit."""
     gel = GelScars(first=FREE)
-    named, after = (gel.judge(press(5), marked(20)) for _ in range(2))
+    named, after = (gel.judge(press(free=marked(20)), marked(20)) for _ in range(2))
 
     assert named.blame is not None
     assert named.blame.cause is Cause.GEL
@@ -48,6 +66,70 @@ def test_a_mark_is_named_once_and_then_masked_with_its_area() -> None:
     assert after.highest == pytest.approx(0.2)
     assert after.blind_mm2 == pytest.approx(((16 + 8) * 0.0634) ** 2, rel=0.1)
     assert after.blind_share == pytest.approx(after.blind_mm2 / (224 * 0.0634) ** 2, rel=0.01)
+
+
+def test_damage_at_a_mark_is_damage() -> None:
+    """It is there without the mark too: where the free gel shows a mark, a part may be damaged as well."""
+    blame = GelScars(first=FREE).judge(press(8, free=marked(20)), marked(20)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.PART
+
+
+@pytest.mark.parametrize("levels", [9, 14, 20])
+def test_a_mark_that_contact_flattens_is_the_gel_s(levels: float) -> None:
+    """Of its 20 levels on the free gel a press shows less: less of the change is taken out."""
+    blame = GelScars(first=FREE).judge(press(free=marked(levels)), marked(20)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.GEL
+
+
+def test_damage_that_a_mark_has_doubled_is_unsure() -> None:
+    """Neither alone gives what the press shows."""
+    blame = GelScars(first=FREE).judge(press(2.4, free=marked(20)), marked(20)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.UNSURE
+
+
+def test_damage_at_a_masked_scar_is_damage_as_far_as_it_is_seen() -> None:
+    """A shallow dent over a known scar that shows far more: what lies around the mask is judged."""
+    gel, dent = GelScars(first=FREE), marked(60)
+    gel.judge(press(free=marked(60)), marked(60))
+    dent[48:68, 72:88] += 6
+    blame = gel.judge(scored(dent), marked(60)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.PART
+
+
+def test_a_press_that_cannot_be_scored_again_is_not_explained() -> None:
+    """Such as a part that is not found without the mark."""
+    only = replace(press(free=marked(20)), without=lambda change: None)
+    blame = GelScars(first=FREE).judge(only, marked(20)).blame
+
+    assert blame is not None
+    assert blame.cause is Cause.PART
+
+
+def test_a_press_is_scored_again_only_where_a_mark_is_near() -> None:
+    """A quiet press, damage on a clean gel, and damage far from a mark cost no second score."""
+    asked = list[np.ndarray]()
+
+    def without(change: np.ndarray) -> None:
+        asked.append(change)
+
+    far = FREE.copy()
+    far[20:28, 40:48] += 20
+    for one, free in ((press(), marked(20)), (press(5), FREE), (press(5), far)):
+        GelScars(first=FREE).judge(replace(one, without=without), free)
+    assert not asked
+
+    GelScars(first=FREE).judge(replace(press(5), without=without), marked(20))
+    assert len(asked) == 1
+    assert asked[0][IN_VIEW].min() > 15
+    assert not asked[0][:40].any()
 
 
 def test_pieces_damaged_at_one_place_in_a_fixture_are_never_a_scar() -> None:
@@ -76,78 +158,25 @@ def test_a_place_that_stays_while_the_part_moves_is_a_scar() -> None:
     assert [one.blame and one.blame.cause for one in found] == [Cause.PART] * 3 + [Cause.GEL, None]
 
 
-def test_a_mark_with_which_presses_were_quiet_does_not_explain_a_clear_fail() -> None:
-    """It has been there before; one that grew by more than a third since does, and a slight fail is the mark's: low,
-    and not wide."""
-    rises = ((20, 5, Cause.PART), (35, 5, Cause.GEL), (20, 0.95, Cause.GEL), (20, 1.5, Cause.PART))
-    for levels, height, cause in rises:
-        gel = GelScars(first=FREE)
-        for _ in range(3):
-            assert gel.judge(press(), marked(20)).blame is None
-        blame = gel.judge(press(height), marked(levels)).blame
-
-        assert blame is not None
-        assert blame.cause is cause
-
-
-def test_a_quiet_press_of_a_part_that_lay_elsewhere_says_nothing_of_a_mark() -> None:
-    """Registration knows the place: the mark lay under flat metal before, and under a tooth now."""
-    gel = GelScars(first=FREE)
-    for k in range(3):
-        assert gel.judge(press(0, (3.0 * k, 0.0)), marked(20)).blame is None
-    blame = gel.judge(press(5, (1.0, 4.0)), marked(20)).blame
-
-    assert blame is not None
-    assert blame.cause is Cause.GEL
-
-
-def test_a_mark_with_which_presses_were_quiet_explains_what_mostly_exceeds_there_of_late() -> None:
-    """Three quiet presses, three that exceed in a fixture: from the fourth on the mark explains it."""
-    gel = GelScars(first=FREE)
-    for _ in range(3):
-        gel.judge(press(), marked(20))
-    found = [gel.judge(press(5), marked(20)).blame for _ in range(4)]
-
-    assert [one and one.cause for one in found] == [Cause.PART] * 3 + [Cause.GEL]
-
-
-def test_a_mark_of_which_one_end_exceeds_is_not_quiet_at_the_other() -> None:
-    """A hair under a part that moves: the press after it exceeds at the other end."""
-    gel, free, ends = GelScars(first=FREE), FREE.copy(), press()
-    free[57:59, 40:120] += 20
-    for columns in (slice(40, 56), slice(170, 186)):
-        score_map = np.full((224, 224), 0.2, np.float32)
-        score_map[100:108, columns] = 5
-        ends = ScoredPress(score_map, 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool))
-        blame = gel.judge(ends, free).blame
-
-        assert blame is not None
-        assert blame.cause is Cause.GEL
-
-
 def test_what_is_masked_lies_near_the_mark() -> None:
     """A place far wider than its mark, which has a faint rim of its own: what is beyond 2.5 mm of it is judged on."""
-    gel, wide = GelScars(first=FREE), press()
-    score_map = wide.score_map.copy()
-    score_map[96:120, 20:220] = 1.3
-    score_map[IN_MAP] = 30
-    wide = ScoredPress(score_map, 1.0, REGION, SIZE, SCALE, np.ones((120, 160), bool))
-    free = FREE.copy()
-    free[IN_VIEW[0], 70:100] += 20
+    gel, wide, free = GelScars(first=FREE), FREE.copy(), FREE.copy()
+    free[57:59, 70:100] += 30
+    wide[57:59, 34:134] += 4
+    wide[57:59, 70:100] += 30
 
-    assert gel.judge(wide, free).is_new
+    assert gel.judge(scored(wide), free).is_new
     columns = np.flatnonzero(gel.record.masked.any(axis=0))
     assert columns.min() >= 70 - 20
     assert columns.max() <= 99 + 20
-    blame = gel.judge(wide, free).blame
-    assert blame is not None
+    assert gel.judge(scored(wide), free).blame is not None
 
 
 def test_known_scars_are_judged_where_nothing_is_masked() -> None:
     """And named each time."""
     gel = GelScars(first=FREE)
     for _ in range(3):
-        judged = gel.judge(press(5), marked(20), is_masking=False)
+        judged = gel.judge(press(free=marked(20)), marked(20), is_masking=False)
         assert judged.blame is not None
         assert (judged.blame.cause, judged.blind_mm2) == (Cause.GEL, 0)
 
