@@ -19,6 +19,9 @@ def evaluate_scars(
     placing: Annotated[
         list[str] | None, typer.Option(help="These placings only, such as 'thread in a fixture'.")
     ] = None,
+    flattened: Annotated[
+        float, typer.Option(help="Share of a scar that contact presses flat.", min=0, max=0.9)
+    ] = 0.0,
     json: Annotated[Path | None, typer.Option(help="Write every alarm to this JSON file.")] = None,
 ) -> None:
     """How scars of the gel and damage are distinguished.
@@ -49,7 +52,7 @@ def evaluate_scars(
         for number, one in chosen:
             station = Station.fitted(one, SEEDS[which] + number)
             for gel in range(gels):
-                runs.append(Run(station, gel).play())
+                runs.append(Run(station, gel, flattened).play())
                 advance(len(runs))
     alarms = [alarm for run in runs for alarm in run.alarms]
     typer.echo(table(alarms, sum(run.presses for run in runs)))

@@ -150,10 +150,14 @@ _FREE: Final = 6
 
 @dataclass(eq=False)
 class Run:
-    """One gel from its first press on, and those that follow it. gel: its number; it draws scars, damage and order."""
+    """One gel from its first press on, and those that follow it.
+
+    gel: its number; it draws scars, damage and order. flattened: the share of a scar that contact presses flat, 0 to 1.
+    """
 
     station: Station
     gel: int
+    flattened: float = 0.0
     alarms: list[Alarm] = field(default_factory=list)
     presses: int = 0
     false: int = 0
@@ -174,7 +178,7 @@ class Run:
             defect = self._defect(piece)
             imprint = self.station.line.imprint(piece, defect)
             free = self.station.line.free_gel(age, self._shares(number), before)
-            rgb = self.station.line.press(imprint, piece, age, self._shares(number))
+            rgb = self.station.line.press(imprint, piece, age, self._pressed(number))
             self._judge(number, piece, age, imprint, defect, rgb, free, left)
             before, left = imprint, as_view(rgb) - free
         return self
@@ -225,7 +229,7 @@ class Run:
         self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
     ) -> Truth | None:
         """None for a false alarm."""
-        station, shares = self.station, self._shares(number)
+        station, shares = self.station, self._pressed(number)
         if defect is not None:
             sound = station.scored(station.line.press(station.line.imprint(piece), piece, age, shares))
             return "damage" if station.passes(sound, judged.masked) else "both"
@@ -239,6 +243,10 @@ class Run:
 
     def _shares(self, number: int) -> tuple[tuple[Scar, float], ...]:
         return tuple((one, one.share(number)) for one in self._scars)
+
+    def _pressed(self, number: int) -> tuple[tuple[Scar, float], ...]:
+        """As a press shows them."""
+        return tuple((one, share * (1 - self.flattened)) for one, share in self._shares(number))
 
     def _scar(self, number: int, piece: int) -> None:
         """A new scar of the next kind, somewhere under the part."""

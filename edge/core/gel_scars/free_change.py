@@ -32,7 +32,7 @@ _MOVES_PX = 0.25
 # on simulated gels (docs/gel-scars.md): every scar that makes a sound part fail has more.
 _MARK_LEVELS = 1.2
 _MARK_TIMES = 5.0
-# A mark is wider than what is clearly seen of it: its change counts up to this distance, and fades there over so many
+# A mark is wider than what is clearly seen of it: its change counts up to this distance, and fades there over this many
 # pixels (sigma), because a sharp end would be an edge in the picture.
 _AROUND_PX = 3
 _FADES_SIGMA = 1.0
