@@ -102,8 +102,9 @@ def split_by_specimen(presses: Sequence[LabelledPress], held_out: float, seed: i
         )
     names = sorted({str(p.specimen) for p in presses})
     if len(names) < 2:
+        where = f"{presses[0].part}/{presses[0].position}: " if presses else ""
         raise DatasetError(
-            f"a split by specimen needs two specimens, found {len(names)}; add presses of another part"
+            f"{where}a split by specimen needs two specimens, found {len(names)}; add presses of another piece"
         )
     order = np.random.default_rng(seed).permutation(len(names))
     apart: set[str] = set()

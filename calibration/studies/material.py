@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.feature_cache import FeatureCache, Taken
 from calibration.studies.presses import StudyPresses, opened, presses_of
@@ -64,6 +65,15 @@ class Material:
                 "empty in the inspected region: no damage can be found there; export masks that show it"
             )
         return masks
+
+    @cached_property
+    def remarks(self) -> list[str]:
+        """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
+        presses, where = self.presses.pictures.presses, f"{self.presses.part}/{self.presses.position}"
+        return [
+            *empty_masks(where, presses[self.presses.nominal :], self.masks),
+            *repeated_pictures(where, presses, self.presses.pictures.digests),
+        ]
 
     @cached_property
     def facts(self) -> dict[str, Any]:

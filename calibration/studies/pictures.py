@@ -82,10 +82,16 @@ class PressPictures:
     @cached_property
     def sha256(self) -> str:
         """Of the files' bytes in order, and of the view."""
-        digest = hashlib.sha256(repr(self.view).encode())
-        for press in self.presses:
-            try:
-                digest.update(hashlib.sha256(press.path.read_bytes()).digest())
-            except OSError as error:
-                raise DatasetError(f"'{press.path}' cannot be read: {error.strerror}") from error
-        return digest.hexdigest()
+        return hashlib.sha256(b"".join((repr(self.view).encode(), *self.digests))).hexdigest()
+
+    @cached_property
+    def digests(self) -> tuple[bytes, ...]:
+        """SHA-256 of each file. Errors: DatasetError."""
+        return tuple(_digest(press) for press in self.presses)
+
+
+def _digest(press: LabelledPress) -> bytes:
+    try:
+        return hashlib.sha256(press.path.read_bytes()).digest()
+    except OSError as error:
+        raise DatasetError(f"'{press.path}' cannot be read: {error.strerror}") from error

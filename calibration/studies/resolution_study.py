@@ -29,7 +29,7 @@ from calibration.studies.rows import Rows, read_rows
 from calibration.studies.runner import Show
 from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
 from calibration.studies.stable import StableFractions
-from calibration.studies.study import ROWS_FILE, Options, check_same, chosen_places, run_cells
+from calibration.studies.study import ROWS_FILE, Options, check_same, chosen_places, run_cells, say_once
 from calibration.studies.views import COMMON, VIEWS, common_map, tiled
 from edge import registry
 from edge.core.detector import Progress
@@ -257,11 +257,13 @@ def _extract_all(places: Sequence[ViewPlace], options: Options) -> None:
 
     Errors: as `look`; StoreError for a small disk; ConfigError for rows from other pictures or another trunk.
     """
-    rows = read_rows(options.output / ROWS_FILE)
+    rows, remarks = read_rows(options.output / ROWS_FILE), list[str]()
     for place in places:
         _check_room(place)
         seen = _extract(place, min(options.jobs, os.cpu_count() or 1), options.show)
         check_same((row for row in rows if _is_of(row, place)), [seen.material], options.output / ROWS_FILE)
+        remarks += seen.material.remarks
+    say_once(remarks)
 
 
 def _is_of(row: Mapping[str, Any], place: ViewPlace) -> bool:

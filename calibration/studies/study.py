@@ -30,6 +30,7 @@ __all__ = [
     "chosen_places",
     "prepare",
     "run_cells",
+    "say_once",
 ]
 
 ROWS_FILE = "rows.jsonl"
@@ -42,7 +43,7 @@ class Options:
     """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
 
     cache: of features; None is a folder in the output. position: the reference position, None is each part's first.
-    Errors: ConfigError for an unknown method, or a missing extra.
+    Errors: ConfigError for an unknown method, an output that is a file, or a missing extra.
     """
 
     dataset: Path
@@ -61,6 +62,10 @@ class Options:
     show: Show = progress
 
     def __post_init__(self) -> None:
+        if self.output.exists() and not self.output.is_dir():
+            raise ConfigError(
+                f"the output '{self.output}' is a file; name a folder, new or of an earlier run"
+            )
         needs("studies" if self.dask is None else "cluster", "study" if self.dask is None else "study --dask")
         defaults = {
             "methods": compared_methods(),
@@ -121,7 +126,9 @@ def chosen_places(dataset: Dataset, parts: Sequence[str], position: str | None) 
 
 def prepare(places: Iterable[Place], jobs: int, show: Show) -> list[Material]:
     """Features of each place in the cache, before any cell runs. Errors: DatasetError, FitError, StoreError."""
-    return [_prepared(place, min(jobs, os.cpu_count() or 1), show) for place in dict.fromkeys(places)]
+    found = [_prepared(place, min(jobs, os.cpu_count() or 1), show) for place in dict.fromkeys(places)]
+    say_once(sentence for one in found for sentence in one.remarks)
+    return found
 
 
 def _prepared(place: Place, threads: int, show: Show) -> Material:
@@ -166,6 +173,12 @@ _FACTS = {
     "trunk_sha256": "another trunk",
     "program": "another version of the program",
 }
+
+
+def say_once(sentences: Iterable[str]) -> None:
+    """Each sentence once, to the person at the command line."""
+    for sentence in dict.fromkeys(sentences):
+        _say(sentence)
 
 
 def _say(sentence: str) -> None:

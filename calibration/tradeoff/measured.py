@@ -49,6 +49,8 @@ def measured_rows(
         return rows
     if not chosen.high:
         say("no high-resolution pictures of these presses: one resolution is measured")
+    for sentence in chosen.remarks():
+        say(sentence)
     rows = measure(points, chosen, settings, output / "unfinished", show, with_peers=with_peers)
     write_rows(file, rows)
     clean(output / "unfinished")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
+from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.nominal_presses import NominalPresses, read_presses
 from calibration.tradeoff.point import VIEWS, View
 from edge.core.errors import DatasetError
@@ -45,6 +46,14 @@ class Chosen:
     def specimens(self) -> tuple[str, ...]:
         """The piece of each scored press."""
         return tuple(str(press.specimen) for press in self.scored)
+
+    def remarks(self) -> list[str]:
+        """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
+        where, every = f"{self.part}/{self.position}", (*self.fitted, *self.scored)
+        defective = [press for press in self.scored if press.is_defective]
+        digests = [hashlib.sha256(press.path.read_bytes()).digest() for press in every]
+        masks = np.stack([VIEWS["lr"].region.crop(press.mask()) for press in defective])
+        return [*empty_masks(where, defective, masks), *repeated_pictures(where, every, digests)]
 
     def sha256(self) -> str:
         """Of the pictures and masks that are used, in their order: equal hashes mean equal presses."""

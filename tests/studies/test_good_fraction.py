@@ -151,6 +151,30 @@ def test_empty_masks_are_a_sentence(dataset: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out/rows.jsonl").exists()
 
 
+def test_what_may_be_a_mistake_is_said_once(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One empty mask, and a copy of a picture: the study runs, and says both."""
+    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
+    home = copy / "PZ3/pos1"
+    cv2.imwrite(str(home / "fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8))
+    shutil.copy(home / "rgb_320x240/PZ3_pos1_s001_p01.png", home / "rgb_320x240/PZ3_pos1_s002_p02.png")
+
+    study_good_fraction(options(copy, tmp_path / "out", seeds=1), fractions=(1.0,), shots=())
+
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if "1 of the 2 defective presses of PZ3/pos1 has an empty mask" in line]
+    assert [line for line in said if "copy of other pictures, such as 'PZ3_pos1_s002_p02.png'" in line]
+    assert len(said) == 2
+
+
+def test_an_output_that_is_a_file_is_refused_before_any_work(dataset: Path, tmp_path: Path) -> None:
+    """Extraction takes minutes; the path is looked at first."""
+    (tmp_path / "rows").write_text("notes")
+    with pytest.raises(ConfigError, match="rows' is a file; name a folder"):
+        options(dataset, tmp_path / "rows")
+
+
 def test_an_unreadable_picture_is_named(dataset: Path, tmp_path: Path) -> None:
     """With every file at fault, as `evaluate` does."""
     copy = Path(shutil.copytree(dataset, tmp_path / "data"))

@@ -93,7 +93,7 @@ def test_a_split_by_specimen_keeps_specimens_together() -> None:
             "press",
             "has 20 nominal presses, and 20 are held out for the test; press more, or hold",
         ),
-        (nominal(30, 1), "specimen", "a split by specimen needs two specimens, found 1"),
+        (nominal(30, 1), "specimen", "^PZ1/pos1: a split by specimen needs two specimens, found 1"),
     ],
 )
 def test_too_few_to_hold_out_is_a_sentence(presses: StudyPresses, split: str, said: str) -> None:

@@ -168,7 +168,7 @@ def test_an_unknown_point_is_refused_with_the_nearest() -> None:
     [
         ({"defective": 0}, "has no defective press of PZ9/pos1"),
         ({"is_masked": False}, r"the masks of all 4 defective presses are empty in the inspected region"),
-        ({"pieces": 1}, "a split by specimen needs two specimens, found 1"),
+        ({"pieces": 1}, "^PZ9/pos1: a split by specimen needs two specimens, found 1"),
     ],
     ids=["no damage", "empty masks", "one piece"],
 )
