@@ -9,7 +9,7 @@ from typing import Any
 from calibration.studies.cells import Cell
 from edge.core.errors import ConfigError, StoreError
 
-__all__ = ["ANSWER_WITHIN_S", "on_cluster"]
+__all__ = ["ANSWER_WITHIN_S", "check_address", "on_cluster"]
 
 ANSWER_WITHIN_S = 10.0
 """How long a scheduler may take to answer, and to show its first worker."""
@@ -52,6 +52,19 @@ def on_cluster(
             ) from error
 
 
+def check_address(address: str) -> None:
+    """Errors: ConfigError for what is no address: a client made with it would try for half a minute to close."""
+    from distributed.comm import get_address_host_port, normalize_address
+
+    try:
+        get_address_host_port(normalize_address(address))
+    except ValueError as error:
+        raise ConfigError(
+            f"'{address}' is no address of a Dask scheduler ({error}); give --dask tcp://HOST:PORT, as "
+            "`dask scheduler` prints it"
+        ) from error
+
+
 def _as_done(client: Any, futures: Sequence[Any]) -> Iterator[Any]:
     """The futures as they are done. Errors: TimeoutError where the scheduler is lost: Dask alone waits without end."""
     done: SimpleQueue[Any] = SimpleQueue()
@@ -89,6 +102,7 @@ def _client(address: str) -> Any:
     """A connected client with at least one worker. Errors: ConfigError."""
     from distributed import Client
 
+    check_address(address)
     try:
         client = Client(address, timeout=ANSWER_WITHIN_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -1,8 +1,9 @@
 """`gelgate study all`: every study into one file of rows, then their pages, with the time that each took."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from calibration.studies.bad_presses import study_bad_presses
 from calibration.studies.cross_position_study import crossed_places, study_cross_position
@@ -10,7 +11,7 @@ from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good
 from calibration.studies.presses import opened
 from calibration.studies.report import write_report
 from calibration.studies.resolution_study import MOST_PRESSES, fine_places, study_resolution
-from calibration.studies.rows import Rows
+from calibration.studies.rows import TIMES, Rows, read_rows
 from calibration.studies.stable import StableFractions
 from calibration.studies.study import ROWS_FILE, Options
 from calibration.studies.views import VIEWS
@@ -44,9 +45,9 @@ def study_all(
             yield _timed(name, study)
         except DatasetError as error:
             yield f"{name}: left out: {error}"
-    pages = write_report(options.output / ROWS_FILE, options.output / "report")
-    yield from (f"page: {page}" for page in pages)
-    yield f"all: {_written(time.monotonic() - began)}"
+    rows = options.output / ROWS_FILE
+    yield from (f"page: {page}" for page in write_report(rows, options.output / "report"))
+    yield f"all: {_written(time.monotonic() - began)}; {_spent(read_rows(rows))}"
 
 
 def _crossed(options: Options) -> object:
@@ -65,6 +66,12 @@ def _fitting(options: Options, places: Callable[[Options], object]) -> Options:
     if refusal is not None and not kept:
         raise refusal
     return replace(options, parts=tuple(kept))
+
+
+def _spent(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of all cells: an interrupted run's clock shows only what it did itself."""
+    seconds = sum(row[name] for row in rows for name in TIMES if row.get(name) is not None)
+    return f"its {len(rows)} cells took {_written(seconds)} of one core"
 
 
 def _timed(name: str, study: Callable[[], Rows]) -> str:

@@ -22,6 +22,7 @@ from calibration.studies.page_parts import (
     table,
 )
 from calibration.studies.published import stable_fraction
+from calibration.studies.rows import TIMES
 from calibration.studies.stable import STABLE_WITHIN, stable_from
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
@@ -189,7 +190,7 @@ def _few(rows: "pd.DataFrame") -> str:
 
 def _complete(rows: "pd.DataFrame") -> str:
     """What the complete study of a part takes, from the mean of a cell's processor seconds at every fraction."""
-    lines, stages = [], [f"cpu_{stage}_s" for stage in ("fit", "score", "measure")]
+    lines, stages = [], list(TIMES)
     cells = rows.dropna(subset=["fraction", *stages])
     cells = cells.assign(seconds=cells[stages].sum(axis=1))
     for (part, backbone, mode, split), group in cells.groupby(["part", "backbone", "mode", "split"]):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.studies.effects import COMPARED, Effect, Medians, counted
 from calibration.studies.published import source
+from calibration.studies.rows import TIMES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -173,7 +174,7 @@ def refusals(rows: "pd.DataFrame") -> str:
 
 def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> str:
     """Median processor seconds of a cell by its stages, and the bank, for each condition and method."""
-    lines, stages = [], [f"cpu_{stage}_s" for stage in ("fit", "score", "measure")]
+    lines, stages = [], list(TIMES)
     for (value, method), group in rows.groupby([condition, "method"]):
         seconds = [f"{group[stage].median():.2f}" for stage in stages]
         bank = f"{group['bank_bytes'].median() / 1e6:.1f}"
@@ -181,6 +182,6 @@ def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] 
     heading = [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"]
     minutes = round(sum(rows[stage].sum() for stage in stages) / 60)
     return (
-        f"## Cost\n\nProcessor seconds, medians per cell; {len(rows)} cells took {minutes} "
-        f"minute{'s' * (minutes != 1)} of one core in all.\n\n{table(heading, lines)}"
+        f"## Cost\n\nProcessor seconds, medians per cell; the {len(rows)} cells of this table took "
+        f"{minutes} minute{'s' * (minutes != 1)} of one core.\n\n{table(heading, lines)}"
     )

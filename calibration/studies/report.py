@@ -51,6 +51,12 @@ def _recommend(rows: "pd.DataFrame") -> Page:
     return page(rows)
 
 
+def _time(rows: "pd.DataFrame") -> Page:
+    from calibration.studies.time_page import page
+
+    return page(rows)
+
+
 COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
 """The studies that repeat a validation of the paper."""
 
@@ -64,7 +70,7 @@ PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
 
 
 def write_report(rows: Path, output: Path) -> list[Path]:
-    """Write the page of every study that has rows, a comparison with the paper, and the recommendations.
+    """Write the page of every study that has rows, a comparison with the paper, the recommendations, and the time.
 
     Figures are next to the pages. rows: a file, or the folder of one. Errors: ConfigError for a file without rows,
     StoreError for a full disk.
@@ -87,7 +93,8 @@ def write_report(rows: Path, output: Path) -> list[Path]:
     repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
     if not repeated.empty:
         written.append(_write(output, "paper", _paper(repeated)))
-    return [*written, _write(output, "recommend", _recommend(every))]
+    written.append(_write(output, "recommend", _recommend(every)))
+    return [*written, _write(output, "time", _time(every))]
 
 
 def _write(output: Path, name: str, page: Page) -> Path:

@@ -15,10 +15,14 @@ from edge.core.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ROW_FORMAT", "Rows", "frame", "read_rows"]
+__all__ = ["ROW_FORMAT", "TIMES", "Rows", "frame", "read_rows"]
 
 ROW_FORMAT = 1
 """Written in every row; a file of another format is refused, because its columns mean something else."""
+
+
+TIMES = ("cpu_fit_s", "cpu_score_s", "cpu_measure_s")
+"""The columns with the processor seconds of a cell; their sum is what it took."""
 
 
 class Rows:

@@ -11,6 +11,7 @@ from calibration.dataset import Dataset
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 from calibration.progress import progress
 from calibration.studies.cells import Cell, Split
+from calibration.studies.cluster import check_address
 from calibration.studies.detector_settings import taps_of
 from calibration.studies.material import Material, Place, extracted
 from calibration.studies.rows import Rows
@@ -43,7 +44,8 @@ class Options:
     """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
 
     cache: of features; None is a folder in the output. position: the reference position, None is each part's first.
-    Errors: ConfigError for an unknown method, an output that is a file, or a missing extra.
+    Errors: ConfigError for an unknown method, an output that is a file, what is no address, or a missing
+    extra.
     """
 
     dataset: Path
@@ -67,6 +69,8 @@ class Options:
                 f"the output '{self.output}' is a file; name a folder, new or of an earlier run"
             )
         needs("studies" if self.dask is None else "cluster", "study" if self.dask is None else "study --dask")
+        if self.dask is not None:
+            check_address(self.dask)
         defaults = {
             "methods": compared_methods(),
             "modes": ("corrected",),

@@ -12,6 +12,7 @@ from calibration.studies.placement_page import page as placement_page
 from calibration.studies.recommend_page import page as recommend_page
 from calibration.studies.report import PAGES
 from calibration.studies.rows import frame
+from calibration.studies.time_page import page as time_page
 
 STUDIES = Path(__file__).resolve().parents[2] / "docs" / "studies"
 MOST_BYTES = 300_000
@@ -43,6 +44,11 @@ def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -
 def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
     """Each answer of each setup."""
     assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).markdown
+
+
+def test_the_time_is_that_of_the_rows(rows: pd.DataFrame) -> None:
+    """By study, setup and part."""
+    assert (STUDIES / "time.md").read_text(encoding="utf-8") == time_page(rows).markdown
 
 
 def test_the_page_about_placement_is_that_of_its_rows() -> None:

@@ -1,6 +1,7 @@
 """Cells on a Dask cluster: a real scheduler and real workers on this machine."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from calibration.progress import Advance
 from calibration.studies import cluster
 from calibration.studies.rows import Rows
 from calibration.studies.runner import run
+from calibration.studies.study import Options
 from edge.core.errors import ConfigError, StoreError
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
@@ -140,15 +142,16 @@ def test_a_scheduler_that_is_not_there_is_a_sentence_in_bounded_time(
         run(cells(1), counted, rows, dask="tcp://127.0.0.1:1", progress=quiet)
 
 
-@pytest.mark.parametrize("address", ["nonsense://x", "not an address"])
+@pytest.mark.parametrize("address", ["nonsense://x", "not an address", "127.0.0.1", "tcp://host:port"])
 def test_an_address_that_is_none_is_a_sentence(
-    rows: Rows, counted: Counted, monkeypatch: pytest.MonkeyPatch, address: str
+    rows: Rows, counted: Counted, tmp_path: Path, address: str
 ) -> None:
-    """With the form that an address has."""
-    monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 0.5)
-
-    with pytest.raises(ConfigError, match=r"such as tcp://127\.0\.0\.1:8786"):
+    """With the form that an address has. No client is made: it could not be closed. The options refuse it at once."""
+    said = re.escape(f"'{address}' is no address of a Dask scheduler")
+    with pytest.raises(ConfigError, match=said):
         run(cells(1), counted, rows, dask=address, progress=quiet)
+    with pytest.raises(ConfigError, match=said):
+        Options(dataset=tmp_path, output=tmp_path / "out", dask=address)
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ def test_the_page_says_what_the_study_cost() -> None:
     """120 cells of 6 processor seconds are 12 minutes."""
     text = cross_position_page.page(CROSSED).markdown
 
-    assert "120 cells took 12 minutes of one core in all" in text
+    assert "the 120 cells of this table took 12 minutes of one core" in text
     assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
 
 

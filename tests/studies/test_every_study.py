@@ -30,7 +30,10 @@ def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:
     assert (output / "report" / "good-fraction.md").is_file()
     assert (output / "report" / "resolution.md").is_file()
     assert (output / "report" / "recommend.md").is_file()
-    assert lines[-1].startswith("all: ")
+    totals = [line.partition("; ")[2] for line in lines if line.startswith("all: ")]
+    assert len(totals) == 2
+    assert totals[0] == totals[1]  # of all cells, also of those that the second run did not do
+    assert totals[0].startswith(f"its {len(rows)} cells took ")
     assert (
         "-> undecided: the rows have subspace alone, so there is nothing to compare it with"
         in gelgate("recommend", output).out

@@ -199,9 +199,9 @@ def test_a_report_is_written_from_a_folder_of_rows(tmp_path: Path) -> None:
     """The page and its figures, in a new folder."""
     lines = [json.dumps({"format": 1, **row}) for row in rows().to_dict("records")]
     (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
-    written, *_, advice = write_report(tmp_path, tmp_path / "out" / "report")
+    written, *_, advice, time = write_report(tmp_path, tmp_path / "out" / "report")
 
-    assert (written.name, advice.name) == ("good-fraction.md", "recommend.md")
+    assert (written.name, advice.name, time.name) == ("good-fraction.md", "recommend.md", "time.md")
     assert len(list(written.parent.glob("*.svg"))) == 5
 
 

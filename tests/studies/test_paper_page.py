@@ -80,8 +80,8 @@ def test_parts_that_the_paper_does_not_have_are_left_out(tmp_path: Path) -> None
     path.write_text(own.assign(format=1).to_json(orient="records", lines=True))
 
     names = [written.name for written in write_report(path, tmp_path / "out")]
-    assert names == ["resolution.md", "paper.md", "recommend.md"]
+    assert names == ["resolution.md", "paper.md", "recommend.md", "time.md"]
     text = (tmp_path / "out" / "resolution.md").read_text()
     assert "at most 40 nominal presses" in text
     assert "| valve | tiny | corrected | press |" in text
-    assert "24 cells took 1 minute of one core" in text
+    assert "the 24 cells of this table took 1 minute of one core" in text
