@@ -96,7 +96,7 @@ def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
             "the same place exceeded the limit in press after press with the part at one place, though no mark of the "
             "free gel explains it; press a part that is known to be good, or press elsewhere",
         )
-    return Blame(Cause.PART, "it is there without the marks of the free gel too")
+    return Blame(Cause.PART, "no mark of the free gel explains it")
 
 
 def together(blames: list[Blame]) -> Blame | None:
