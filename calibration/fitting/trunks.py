@@ -11,7 +11,7 @@ from edge.core.errors import ConfigError, FitError
 from edge.model.onnx_prune import cut_trunk
 from edge.model.onnx_validation import GraphRefused, metadata, output_names
 
-__all__ = ["DEFAULT_BACKBONE", "Trunk", "open_trunk"]
+__all__ = ["DEFAULT_BACKBONE", "Trunk", "every_cut", "open_trunk"]
 
 DEFAULT_BACKBONE = "tactile_resnet18"
 
@@ -49,6 +49,15 @@ def open_trunk(name: str, taps: Sequence[str] = ()) -> Trunk:
         if graph is whole.graph
         else Trunk(whole.id, graph, {**whole.facts, "cut_after": output_names(graph)[-1]})
     )
+
+
+def every_cut(name: str, taps: Sequence[str] = ()) -> list[Trunk]:
+    """The trunk with these taps, cut after each of its outputs: the same weights, whichever detectors read it.
+
+    Errors: as `open_trunk`.
+    """
+    whole = _whole(name, taps)
+    return [Trunk(whole.id, cut_trunk(whole.graph, (tap,)), whole.facts) for tap in output_names(whole.graph)]
 
 
 def _whole(name: str, taps: Sequence[str]) -> Trunk:

@@ -23,6 +23,7 @@ from calibration.studies.options import (
 )
 
 if TYPE_CHECKING:
+    from calibration.studies.rows import Rows
     from calibration.studies.stable import StableFractions
 
 __all__ = ["study"]
@@ -40,6 +41,15 @@ Fraction = Annotated[
 Presses = Annotated[
     int, typer.Option(min=2, help="Nominal presses of the pool at most: 1280x720 takes memory and time.")
 ]
+
+
+def _end(rows: "Rows", name: str) -> None:
+    """Where the rows are, and how many cells have no score and why: of this study, also from earlier runs."""
+    every = [row for row in rows.read() if row["study"] == name]
+    errors = [str(row["error"]) for row in every if row.get("error") is not None]
+    if errors:
+        typer.echo(f"{len(errors)} of {len(every)} cells have no score, such as: {errors[0]}", err=True)
+    typer.echo(f"rows: {rows.path}")
 
 
 @study.callback()
@@ -76,12 +86,12 @@ def good_fraction(
     options = chosen_options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
     )
-    study_good_fraction(
+    rows = study_good_fraction(
         options,
         fractions=parsed_fractions(fractions),
         shots=parsed_counts(shots, "--shots"),
     )
-    typer.echo(f"rows: {output / 'rows.jsonl'}")
+    _end(rows, "good-fraction")
 
 
 @study.command("cross-position")
@@ -112,8 +122,7 @@ def cross_position(
     options = chosen_options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
     )
-    study_cross_position(options, _fractions(fraction, output), target)
-    typer.echo(f"rows: {output / 'rows.jsonl'}")
+    _end(study_cross_position(options, _fractions(fraction, output), target), "cross-position")
 
 
 @study.command("resolution")
@@ -149,8 +158,7 @@ def resolution(
     options = chosen_options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
     )
-    study_resolution(options, _fractions(fraction, output), _views(view), presses)
-    typer.echo(f"rows: {output / 'rows.jsonl'}")
+    _end(study_resolution(options, _fractions(fraction, output), _views(view), presses), "resolution")
 
 
 @study.command("bad-presses")
@@ -178,8 +186,7 @@ def bad_presses(
     options = chosen_options(
         dataset, output, part, position, method, mode, backbone, split, seeds, held_out, jobs, dask, cache
     )
-    study_bad_presses(options, _fractions(fraction, output))
-    typer.echo(f"rows: {output / 'rows.jsonl'}")
+    _end(study_bad_presses(options, _fractions(fraction, output)), "bad-presses")
 
 
 @study.command("all")

@@ -1,6 +1,7 @@
 """The verb `recommend`: which method to take, from the rows of studies."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,32 +35,20 @@ def recommend(
 
     Where the rows do not decide, it says so, and which command would."""
     from calibration.studies.recommend import NEEDS, recommended
+    from calibration.studies.rows import rows_of_studies
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
     for name in need or ():
         if name not in NEEDS:
             raise ConfigError(f"no need is named '{name}'; {suggestion(name, NEEDS)}")
-    chosen = _rows(rows)
+    chosen: Sequence[Mapping[str, Any]] = rows_of_studies(rows, partial(typer.echo, err=True))
     for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
         chosen = _of_one(chosen, column, wanted)
     first = chosen[0]
     typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
     for answer in recommended(chosen, need or ()):
         typer.echo("\n" + "\n".join(answer.lines()))
-
-
-def _rows(path: Path) -> list[Mapping[str, Any]]:
-    """The rows of a file, or of the file in a folder. Errors: ConfigError where there is none."""
-    from calibration.studies.rows import read_rows
-    from calibration.studies.study import ROWS_FILE
-    from edge.core.errors import ConfigError
-
-    file = path / ROWS_FILE if path.is_dir() else path
-    found = read_rows(file)
-    if not found:
-        raise ConfigError(f"there are no rows at '{file}'; name the rows.jsonl that `gelgate study` wrote")
-    return list(found)
 
 
 def _of_one(rows: Sequence[Mapping[str, Any]], column: str, wanted: str | None) -> list[Mapping[str, Any]]:

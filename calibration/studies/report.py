@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.studies.page import Page
-from calibration.studies.rows import frame
-from calibration.studies.study import ROWS_FILE
+from calibration.studies.rows import rows_of_studies
 from edge.core.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
@@ -69,22 +68,20 @@ PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
 """A study's page from its rows, by the study's name. Modules are imported at use."""
 
 
-def write_report(rows: Path, output: Path) -> list[Path]:
+def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda sentence: None) -> list[Path]:
     """Write the page of every study that has rows, a comparison with the paper, the recommendations, and the time.
 
-    Figures are next to the pages. rows: a file, or the folder of one. Errors: ConfigError for a file without rows,
+    Figures are next to the pages. rows: a file, or the folder of one. say: called with a sentence about a line that was
+    dropped. Errors: ConfigError for a file without rows,
     StoreError for a full disk.
     """
-    path = rows / ROWS_FILE if rows.is_dir() else rows
-    if not path.is_file():
-        raise ConfigError(f"there are no rows at '{path}'; name the rows.jsonl that `gelgate study` wrote")
-    every = frame(path)
-    if every.empty:
-        raise ConfigError(f"'{path}' has no complete row yet; continue the study")
+    import pandas as pd
+
+    every = pd.DataFrame(rows_of_studies(rows, say))
     known = [name for name in PAGES if name in set(every["study"])]
     if not known:
         raise ConfigError(
-            f"'{path}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
+            f"'{rows}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
         )
     written = [
         _write(output, name, PAGES[name](every[every["study"] == name].dropna(axis=1, how="all")))

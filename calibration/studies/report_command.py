@@ -1,5 +1,6 @@
 """The verb `report`: a page and its figures from rows alone."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,5 +18,5 @@ def report(
     from edge.extras import needs
 
     needs("studies", "report")
-    for page in write_report(rows, output):
+    for page in write_report(rows, output, partial(typer.echo, err=True)):
         typer.echo(f"page: {page}")

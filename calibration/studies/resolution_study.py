@@ -9,7 +9,7 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -261,7 +261,12 @@ def _extract_all(places: Sequence[ViewPlace], options: Options) -> None:
     for place in places:
         _check_room(place)
         seen = _extract(place, min(options.jobs, os.cpu_count() or 1), options.show)
-        check_same((row for row in rows if _is_of(row, place)), [seen.material], options.output / ROWS_FILE)
+        check_same(
+            (row for row in rows if _is_of(row, place)),
+            [seen.material],
+            options.output / ROWS_FILE,
+            partial(tiled, view=VIEWS[place.view]),
+        )
         remarks += seen.material.remarks
     say_once(remarks)
 

@@ -15,7 +15,9 @@ from edge.core.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ROW_FORMAT", "TIMES", "Rows", "frame", "read_rows"]
+__all__ = ["ROWS_FILE", "ROW_FORMAT", "TIMES", "Rows", "frame", "read_rows", "rows_of_studies"]
+
+ROWS_FILE = "rows.jsonl"
 
 ROW_FORMAT = 1
 """Written in every row; a file of another format is refused, because its columns mean something else."""
@@ -120,9 +122,24 @@ def read_rows(path: Path, say: Callable[[str], None] = lambda sentence: None) ->
     return [_row(line, number, path) for number, line in enumerate(lines[:-1], start=1)]
 
 
+def rows_of_studies(path: Path, say: Callable[[str], None] = lambda sentence: None) -> list[dict[str, Any]]:
+    """The rows of a file, or of the one in a folder. Errors: ConfigError where there is no row, or none of a study."""
+    file = path / ROWS_FILE if path.is_dir() else path
+    if not file.is_file():
+        raise ConfigError(f"there are no rows at '{file}'; name the rows.jsonl that `gelgate study` wrote")
+    rows = read_rows(file, say)
+    if not rows:
+        raise ConfigError(f"'{file}' has no complete row yet; continue the study")
+    if any("study" not in row for row in rows):
+        raise ConfigError(
+            f"'{file}' has rows that are of no study; name the rows.jsonl that `gelgate study` wrote"
+        )
+    return rows
+
+
 def _row(line: bytes, number: int, path: Path) -> dict[str, Any]:
     try:
-        row = json.loads(line)
+        row = json.loads(line, parse_constant=_not_finite)
         found, _ = row["format"], row["key"]
     except (ValueError, KeyError, TypeError):
         raise ConfigError(
@@ -134,6 +151,11 @@ def _row(line: bytes, number: int, path: Path) -> dict[str, Any]:
             "choose another folder, or use the program that wrote them"
         )
     return dict(row)
+
+
+def _not_finite(name: str) -> float:
+    """A row has null where a measure is undefined. Errors: ValueError."""
+    raise ValueError(name)
 
 
 def frame(path: Path) -> "pd.DataFrame":

@@ -3,22 +3,23 @@
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast, get_args
 
 from calibration.dataset import Dataset
-from calibration.fitting.trunks import DEFAULT_BACKBONE
+from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, every_cut
 from calibration.progress import progress
 from calibration.studies.cells import Cell, Split
 from calibration.studies.cluster import check_address
 from calibration.studies.detector_settings import taps_of
 from calibration.studies.material import Material, Place, extracted
-from calibration.studies.rows import Rows
+from calibration.studies.rows import ROWS_FILE, Rows
 from calibration.studies.runner import Evaluate, Show, run
 from edge import registry
 from edge.core.detector import Mode
-from edge.core.errors import ConfigError, DatasetError
+from edge.core.errors import ConfigError, DatasetError, FitError
 from edge.core.suggest import suggestion
 from edge.extras import needs
 
@@ -33,8 +34,6 @@ __all__ = [
     "run_cells",
     "say_once",
 ]
-
-ROWS_FILE = "rows.jsonl"
 
 Say = Callable[[str], None]
 
@@ -159,17 +158,38 @@ def run_cells(
     return rows
 
 
-def check_same(rows: Iterable[Mapping[str, Any]], materials: Iterable[Material], path: Path) -> None:
-    """Errors: ConfigError where rows of a place are from other pictures, another trunk or another program."""
+def check_same(
+    rows: Iterable[Mapping[str, Any]],
+    materials: Iterable[Material],
+    path: Path,
+    shown: Callable[[Trunk], Trunk] = lambda trunk: trunk,
+) -> None:
+    """Errors: ConfigError where rows of a place are from other pictures, another trunk or another program.
+
+    shown: what a study makes of a trunk. Other methods and the other mode read other layers: rows from the same trunk,
+    cut after another one, are continued.
+    """
     known = {(m.presses.part, m.presses.position, m.backbone): m.facts for m in materials}
     for row in rows:
         facts = known.get((row["part"], row["position"], row["backbone"]), {})
         for name, what in _FACTS.items():
-            if name in facts and row.get(name, facts[name]) != facts[name]:
-                raise ConfigError(
-                    f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({row[name]}, now "
-                    f"{facts[name]}); choose another output folder"
-                )
+            if name not in facts or (found := row.get(name, facts[name])) == facts[name]:
+                continue
+            if name == "trunk_sha256" and found in _cuts(row["backbone"], shown):
+                continue
+            raise ConfigError(
+                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({found}, now {facts[name]}); "
+                "choose another output folder"
+            )
+
+
+def _cuts(backbone: str, shown: Callable[[Trunk], Trunk]) -> set[str]:
+    """Hashes, as in rows, of every cut of a backbone's trunk that a study may have used."""
+    asked: set[tuple[str, ...]] = {()}
+    for mode in get_args(Mode):
+        with suppress(FitError):  # a backbone without the layers of one mode has rows of the other only
+            asked.add(taps_of(compared_methods(), (mode,), backbone))
+    return {shown(cut).sha256[:16] for taps in asked for cut in every_cut(backbone, taps)}
 
 
 _FACTS = {

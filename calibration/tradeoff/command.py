@@ -203,6 +203,6 @@ def _check(rows: list[dict[str, Any]], earlier: Path) -> None:
         f"{100 * same_front(before, rows):.0f} % of the points are on the front in both runs or in neither"
     )
     if losses:
-        typer.echo(f"{len(losses)} losses against {earlier}", err=True)
+        typer.echo(f"{len(losses)} {'loss' if len(losses) == 1 else 'losses'} against {earlier}", err=True)
         raise typer.Exit(LOSS)
     typer.echo(f"no loss against {earlier}")

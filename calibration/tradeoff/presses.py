@@ -110,7 +110,7 @@ def _the_one(
     if len(found) != 1:
         known = ", ".join("/".join(pair) for pair in positions)
         raise DatasetError(
-            f"dataset '{root}' has {'several positions' if found else 'no position'} that fit "
+            f"dataset '{root}' has {'several positions that fit' if found else 'no position that fits'} "
             f"{part or '*'}/{position or '*'}; choose with --part and --position among {known}"
         )
     return found[0]

@@ -3,8 +3,10 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -14,12 +16,15 @@ from matplotlib.figure import Figure
 from study_cells import quiet
 from study_dataset import study_dataset
 
+from calibration.fitting.trunks import open_trunk
 from calibration.progress import Advance
 from calibration.studies import figure, good_fraction
 from calibration.studies.detector_settings import overrides_for
 from calibration.studies.good_fraction_study import good_fraction_cells, study_good_fraction
+from calibration.studies.material import Material
 from calibration.studies.rows import read_rows
-from calibration.studies.study import Options
+from calibration.studies.study import Options, check_same
+from calibration.studies.views import VIEWS, tiled
 from edge.core.errors import ConfigError, DatasetError, FitError
 
 METHODS = ("subspace", "padim")
@@ -140,6 +145,33 @@ def test_rows_of_other_pictures_are_not_continued(dataset: Path, tmp_path: Path)
         study_good_fraction(options(copy, tmp_path / "out", seeds=2), fractions=(1.0,), shots=())
 
 
+def test_rows_of_the_other_mode_are_added(dataset: Path, tmp_path: Path) -> None:
+    """The published methods read deeper layers, so the trunk is cut after another one; its weights are the same."""
+    study_good_fraction(options(dataset, tmp_path, seeds=1), fractions=(1.0,), shots=())
+    asked = options(dataset, tmp_path, methods=("padim",), modes=("paper",), seeds=1)
+    rows = study_good_fraction(asked, fractions=(1.0,), shots=()).read()
+
+    assert [row["mode"] for row in rows] == ["corrected", "paper"]
+    assert len({row["trunk_sha256"] for row in rows}) == 2
+
+
+@pytest.mark.parametrize("view", ["lr", "hr_tiled"])
+def test_rows_of_another_trunk_are_not_continued(tmp_path: Path, view: str) -> None:
+    """Cuts of the same one are, as the view shows them to it."""
+    shown = partial(tiled, view=VIEWS[view])
+    hashes = [shown(open_trunk("tactile_resnet18", (tap,))).sha256[:16] for tap in ("layer1", "layer3")]
+    place = {"part": "PZ3", "position": "pos1", "backbone": "tactile_resnet18"}
+    now = SimpleNamespace(
+        presses=SimpleNamespace(part="PZ3", position="pos1"),
+        backbone="tactile_resnet18",
+        facts={"trunk_sha256": hashes[0]},
+    )
+    check_same([place | {"trunk_sha256": known} for known in hashes], [cast(Material, now)], tmp_path, shown)
+
+    with pytest.raises(ConfigError, match=r"has rows of PZ3/pos1 from another trunk \(0123456789abcdef, now"):
+        check_same([place | {"trunk_sha256": "0123456789abcdef"}], [cast(Material, now)], tmp_path, shown)
+
+
 def test_empty_masks_are_a_sentence(dataset: Path, tmp_path: Path) -> None:
     """Before any cell runs."""
     copy = Path(shutil.copytree(dataset, tmp_path / "data"))
@@ -237,12 +269,16 @@ def test_the_command_leaves_rows_and_says_where(dataset: Path, tmp_path: Path) -
         "--fractions",
         "50,100",
         "--shots",
-        "none",
+        "32",
     ]
     done = gelgate("study", "good-fraction", str(dataset), "-o", str(tmp_path), *words)
     assert done.code == 0
     assert f"rows: {tmp_path / 'rows.jsonl'}" in done.out
-    assert "cells: 2 of 2" in done.err
+    assert "cells: 3 of 3" in done.err
+    assert (
+        "1 of 3 cells have no score, such as: 32 presses are asked for, the pool of PZ3/pos1 has 6"
+        in done.err
+    )
 
     assert gelgate("report", str(tmp_path), "-o", str(tmp_path / "report")).code == 0
     assert "| subspace |" in (tmp_path / "report/good-fraction.md").read_text()

@@ -87,7 +87,9 @@ def test_rows_of_another_format_are_refused(path: Path) -> None:
         Rows(path)
 
 
-@pytest.mark.parametrize("line", ["hello", '{"key": "a"}', "[1]", '{"format": 1}'])
+@pytest.mark.parametrize(
+    "line", ["hello", '{"key": "a"}', "[1]", '{"format": 1}', '{"format": 1, "key": "b", "auprc": NaN}']
+)
 def test_a_file_of_something_else_is_refused(path: Path, line: str) -> None:
     """With the line's number."""
     path.parent.mkdir()

@@ -78,6 +78,7 @@ def test_a_loss_ends_with_its_own_exit_code(
     code, said = called(*words, finished / "before.jsonl", capsys=capsys, monkeypatch=monkeypatch)
     assert code == 7
     assert f"{better[0]['key']}: AUPRC of pixels is 0.6000, it was 0.7000" in said
+    assert f"1 loss against {finished / 'before.jsonl'}" in said
     assert "gelgate tradeoff --check" in cli.EXIT_MEANINGS[7]
 
 
@@ -135,7 +136,7 @@ def test_a_choice_writes_its_bundle_with_both_cards(
         (("--point", "padim.none"), "no operating point is named 'padim.none'"),
         (("--method", "padin"), "no detector is named 'padin'"),
         (("--check", "absent.jsonl"), "'absent.jsonl' cannot be read"),
-        (("--part", "PZ8"), "no position that fit PZ8/*"),
+        (("--part", "PZ8"), "no position that fits PZ8/*"),
     ],
     ids=["time", "size", "bundle", "point", "method", "check", "part"],
 )
@@ -162,9 +163,12 @@ def test_rows_of_another_format_are_refused(tmp_path: Path) -> None:
     write_rows(file, [row(format=99)])
     with pytest.raises(ConfigError, match="rows of format 99, this program reads format 1; measure again"):
         read_rows(file)
-    file.write_text("press,score\n1,2\n")
-    with pytest.raises(ConfigError, match=r"does not hold the rows of a trade-off .*; give the rows.jsonl"):
-        read_rows(file)
+    for other in ("press,score\n1,2\n", '{"format": 1, "key": "a", "study": "good-fraction"}\n'):
+        file.write_text(other)
+        with pytest.raises(
+            ConfigError, match=r"does not hold the rows of a trade-off .*; give the rows.jsonl"
+        ):
+            read_rows(file)
 
 
 def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
