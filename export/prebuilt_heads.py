@@ -1,11 +1,12 @@
 """`make heads`: the heads that ship with the product, written by the detectors themselves.
 
-Each detector is fitted with its default settings on synthetic features of the shipped trunk's sizes: with all or some
+Each detector is fitted with its default settings on synthetic features of the shipped trunks' sizes: with all or some
 cells touched, with and without frames of the untouched gel. Every different graph is stored, and
 `plugins/detectors/prebuilt_heads` finds it.
 """
 
 import hashlib
+import itertools
 import json
 import sys
 from collections.abc import Iterator
@@ -20,12 +21,23 @@ from edge import registry
 from edge.core.detector import Bank, Features, Grid, HasPrebuiltHeads, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.model.session import open_session
-from plugins.backbones.tactile import tactile_resnet18
 from plugins.detectors.prebuilt_heads import FORMAT, INDEX, identity, written_grid, written_parameters
 
-__all__ = ["NewHead", "Situation", "main", "new_heads", "prebuilt", "prebuilt_grid", "synthetic_features"]
+__all__ = [
+    "TRUNKS",
+    "NewHead",
+    "Situation",
+    "main",
+    "new_heads",
+    "prebuilt",
+    "prebuilt_grid",
+    "synthetic_features",
+]
 
 HOME = Path(__file__).resolve().parents[1] / "plugins" / "detectors" / "prebuilt_heads"
+TRUNKS = ("tactile_resnet18", "tactile_lite0")
+"""The trunks whose heads ship: those that a fit chooses from."""
+
 # Enough presses that their number limits no size in a graph.
 _PRESSES = 4
 
@@ -39,9 +51,9 @@ def prebuilt() -> dict[str, tuple[tuple[int, int], ...]]:
     return {name: one.prebuilt_frames for name, one in detectors.items() if isinstance(one, HasPrebuiltHeads)}
 
 
-def prebuilt_grid(frame: tuple[int, int], taps: tuple[str, ...]) -> Grid:
-    """The grid of the shipped trunk for a frame at low resolution, by running it once."""
-    session = open_session(tactile_resnet18.trunk(), 1, "tactile_resnet18")
+def prebuilt_grid(frame: tuple[int, int], taps: tuple[str, ...], trunk: str = TRUNKS[0]) -> Grid:
+    """The grid of a shipped trunk for a frame at low resolution, by running it once."""
+    session = open_session(registry.backbone(trunk).trunk(), 1, trunk)
     maps = session.run(list(taps), {"frames": np.zeros((1, *frame, 3), np.uint8)})
     return Grid(frame, {tap: m.shape[1:] for tap, m in zip(taps, maps, strict=True)}, LR_PIXELS_PER_MM)
 
@@ -78,11 +90,11 @@ def _disc(frame: tuple[int, int], part: float) -> NDArray[np.bool_]:
     return disc
 
 
-def new_heads(method: str, frame: tuple[int, int]) -> Iterator[NewHead]:
-    """The different heads of one method's default settings on one frame."""
+def new_heads(method: str, frame: tuple[int, int], trunk: str) -> Iterator[NewHead]:
+    """The different heads of one method's default settings on one frame and trunk."""
     detector = registry.detector(method)
     parameters = detector.parameters()
-    grid = prebuilt_grid(frame, detector.taps(parameters))
+    grid = prebuilt_grid(frame, detector.taps(parameters), trunk)
     seen: list[NewHead] = []
     for situation in SITUATIONS:
         nominal = synthetic_features(grid, _PRESSES, situation)
@@ -117,17 +129,19 @@ def _arrays(graph: bytes, bank: Bank) -> dict[str, Any]:
 
 
 def main(home: Path = HOME) -> None:
-    """Write every head and the index, and remove heads that are not in it."""
-    entries = []
+    """Write every different head once, and the index, and remove heads that are not in it."""
+    entries, files = [], dict[str, str]()
     home.mkdir(exist_ok=True)
     for method, frames in prebuilt().items():
-        for frame in frames:
-            for number, (entry, graph) in enumerate(new_heads(method, frame)):
-                name = f"{method}_{frame[1]}x{frame[0]}_{number + 1}.onnx"
-                (home / name).write_bytes(graph)
+        for frame, trunk in itertools.product(frames, TRUNKS):
+            for entry, graph in new_heads(method, frame, trunk):
                 sha256 = hashlib.sha256(graph).hexdigest()
-                entries.append({"file": name, "sha256": sha256, **entry})
-                print(f"{name}: {len(graph)} bytes", file=sys.stderr, flush=True)
+                if sha256 not in files:
+                    stem = f"{method}_{frame[1]}x{frame[0]}_"
+                    files[sha256] = f"{stem}{1 + sum(one.startswith(stem) for one in files.values())}.onnx"
+                    (home / files[sha256]).write_bytes(graph)
+                    print(f"{files[sha256]}: {len(graph)} bytes", file=sys.stderr, flush=True)
+                entries.append({"file": files[sha256], "sha256": sha256, **entry})
     (home / INDEX).write_text(json.dumps({"format": FORMAT, "heads": entries}, indent=1) + "\n")
     for path in home.glob("*.onnx"):
         if path.name not in {entry["file"] for entry in entries}:

@@ -10,11 +10,19 @@ import pytest
 from onnx import numpy_helper
 
 from calibration.fitting.heads import head_of
+from calibration.fitting.trunks import DEFAULT_BACKBONE, OTHER_BACKBONES
 from edge import registry
 from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
-from export.prebuilt_heads import Situation, new_heads, prebuilt, prebuilt_grid, synthetic_features
+from export.prebuilt_heads import (
+    TRUNKS,
+    Situation,
+    new_heads,
+    prebuilt,
+    prebuilt_grid,
+    synthetic_features,
+)
 from plugins.detectors import prebuilt_heads
 from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES, load_index, prebuilt_head
 
@@ -37,10 +45,12 @@ def assert_same_head(found: bytes, expected: bytes) -> None:
 @pytest.mark.parametrize("method", prebuilt())
 def test_what_ships_is_what_the_detector_writes(method: str) -> None:
     """File for file and entry for entry; after a change to a detector `make heads` writes them again."""
-    stored = {(head.file, str(head.grid)): head for head in load_index() if head.file.startswith(method)}
-    written = [(entry, graph) for frame in PREBUILT_FRAMES for entry, graph in new_heads(method, frame)]
+    stored = [head for head in load_index() if head.file.startswith(method)]
+    written = [
+        found for frame in PREBUILT_FRAMES for trunk in TRUNKS for found in new_heads(method, frame, trunk)
+    ]
     assert len(stored) == len(written), "run `make heads`"
-    for head, (entry, graph) in zip(stored.values(), written, strict=True):
+    for head, (entry, graph) in zip(stored, written, strict=True):
         assert dict(head.parameters) == entry["parameters"], "run `make heads`"
         assert dict(head.grid) == entry["grid"]
         assert {n: (d, list(s)) for n, (d, s) in head.arrays.items()} == {
@@ -55,6 +65,11 @@ def bank_of(method: str, nominal: Nominal, grid: Grid) -> Bank:
         nominal, grid, detector.parameters(), np.random.default_rng(3), lambda fraction: None
     )
     return bank
+
+
+def test_heads_ship_for_every_trunk_that_a_fit_chooses_from() -> None:
+    """Else an installation without the onnx package would leave one out."""
+    assert (DEFAULT_BACKBONE, *OTHER_BACKBONES) == TRUNKS
 
 
 @pytest.mark.parametrize("method", prebuilt())
@@ -140,15 +155,16 @@ touched = np.hypot(rows - 112, columns - 112) < 60
 presses = NominalPresses(frames, tuple("abcd"), touched=touched, no_contact=frames[:1])
 sensor = profile("mini_lr")
 
-def fit(method, **overrides):
+def fit(method, backbone=DEFAULT_BACKBONE, **overrides):
     detector = registry.detector(method)
-    trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters(**overrides)))
+    trunk = open_trunk(backbone, detector.taps(detector.parameters(**overrides)))
     region = Region.centre(sensor.size)
     config = FitConfig("bolt", "top", sensor, region, detector, trunk, overrides=overrides, alpha=0.5, folds=2)
     return Scorer(fit_files(presses, config, created="today").bundle()).score(frames[0])
 
 for method in registry.names("detectors"):
     print(method, fit(method).anomaly_score >= 0)
+print("lite0", fit("padim", backbone="tactile_lite0").anomaly_score >= 0)
 try:
     fit("padim", ridge=0.3)
 except FitError as error:
@@ -162,7 +178,7 @@ def test_every_method_is_fitted_where_onnx_is_missing() -> None:
     done = subprocess.run([sys.executable, "-c", WITHOUT_ONNX], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert lines[:-1] == [f"{method} True" for method in registry.names("detectors")]
+    assert lines[:-1] == [f"{name} True" for name in (*registry.names("detectors"), "lite0")]
     assert lines[-1].startswith("refused: no head ships for padim with these settings on 224x224")
     assert "pip install 'gelgate[export]'" in lines[-1]
 
