@@ -1,15 +1,20 @@
 """How far one, two, four or more presses get, with and without rendered copies: the table of docs/detectors.md.
 
-Run with `pytest tests/bench/test_few_presses.py -m bench -s`. Ten random parts on which nothing was chosen, each with a
-draw of its presses of its own; smaller draws are part of larger ones. Each press is of another piece. 20 sound and 20
-damaged presses of further pieces are scored. A quarter of an hour of one quiet core; with FEW_PRESSES_CACHE naming a
-folder each row is kept there, and a run that was cut goes on.
+Run with `pytest tests/bench/test_few_presses.py -m bench -s`. Ten random parts on which nothing was chosen. Each press
+is of another piece; smaller draws are part of larger ones. 20 sound and 20 damaged presses of further pieces are
+scored. A quarter of an hour of one quiet core.
+
+FEW_PRESSES_SEEDS=10 draws the presses of each part ten times; in the draws after the first, only what a fit without
+options does is measured, and no limit, and with FEW_PRESSES_METHODS=padim,patchcore these methods alone. With
+FEW_PRESSES_CACHE naming a folder each row is kept there, and a run that was cut goes on; FEW_PRESSES_SEEDS=0 prints
+what is there.
 """
 
+import itertools
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +24,7 @@ import pytest
 from numpy.typing import NDArray
 from random_part_presses import RandomPartPresses
 
-from calibration.fitting.augmentation import EACH, MOST, Copies, rendered_copies
+from calibration.fitting.augmentation import EACH, MOST, Copies, augmentation_of, rendered_copies
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner, held_out_scores
@@ -50,9 +55,12 @@ METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
 SHAPES, PARTS = 5502, 10
 DEVELOPMENT, DEVELOPMENT_PARTS = 5501, 3
 SHOTS = (1, 2, 4, 8, 16, 32)
+ROW = ("part", "seed", "shots", "copied", "method")
 MOST_COPIED, MOST_LIMITED = 8, 4
 """Presses up to which copies are tried, and thresholds are found."""
 SCORED, FREE = 20, 4
+SEEDS = int(os.environ.get("FEW_PRESSES_SEEDS", "1"))
+DRAWN_AGAIN = os.environ.get("FEW_PRESSES_METHODS", ",".join(METHODS)).split(",")
 ALPHA = 0.05
 PROFILE = profile("cropped_lr")
 REGION = Region.centre(PROFILE.size)
@@ -80,26 +88,43 @@ class Part:
         none = np.zeros((REGION.height, REGION.width), np.bool_)
         return self.features(np.stack(frames)), [none] * SCORED + [REGION.crop(mask) for _, mask in damaged]
 
+    def pool(self, seed: int) -> list[NDArray[np.uint8]]:
+        """The presses of one draw: other pieces, at other moments of the gel's life."""
+        most = max(SHOTS)
+        return [self._simulated.press(100 * seed + k, 1, (k + seed) % most) for k in range(most)]
+
     @cached_property
-    def pool(self) -> list[NDArray[np.uint8]]:
-        return [self._simulated.press(k, 1, k) for k in range(max(SHOTS))]
+    def free(self) -> list[NDArray[np.uint8]]:
+        return [self._simulated.free_gel(number) for number in range(FREE)]
+
+
+class Draw:
+    """One draw of a part's presses."""
+
+    def __init__(self, part: Part, seed: int) -> None:
+        self.part, self.seed = part, seed
+
+    @cached_property
+    def _pool(self) -> list[NDArray[np.uint8]]:
+        return self.part.pool(self.seed)
 
     def presses(self, shots: int) -> NominalPresses:
-        drawn = {f"part_pos_s{k:03d}_p01": rgb for k, rgb in enumerate(self.pool[:shots])}
-        free = [self._simulated.free_gel(number) for number in range(FREE)]
-        return named_presses(drawn, PROFILE, REGION, no_contact=free)
+        drawn = {f"part_pos_s{k:03d}_p01": rgb for k, rgb in enumerate(self._pool[:shots])}
+        return named_presses(drawn, PROFILE, REGION, no_contact=self.part.free)
 
 
 class Fit:
-    """One draw with or without copies; each method is fitted on the same features."""
+    """Presses of a draw with or without copies; each method is fitted on the same features."""
 
-    def __init__(self, part: Part, shots: int, is_copied: bool) -> None:
-        self._part, self._presses = part, part.presses(shots)
+    def __init__(self, draw: Draw, shots: int, is_copied: bool) -> None:
+        part, self._is_first = draw.part, draw.seed == 0
+        self._part, self._presses = part, draw.presses(shots)
         assert self._presses.no_contact is not None
         self._nominal = part.features(self._presses.frames)
         self._free = part.features(self._presses.no_contact)
         self._copies = self._rendered(min(EACH, MOST // shots), 0) if is_copied else None
-        self._fresh = self._rendered(EACH, 1) if is_copied and shots == 1 else None
+        is_fresh = is_copied and shots == 1 and self._is_first
+        self._fresh = self._rendered(EACH, 1) if is_fresh else None
 
     def _rendered(self, each: int, seed: int) -> Copies:
         rng = np.random.default_rng(seed)
@@ -126,7 +151,7 @@ class Fit:
         if self._fresh is not None:
             fresh = learner.scores(bank, read(self._fresh.features), range(EACH)).tolist()
         is_limited = 1 < nominal.presses <= MOST_LIMITED and (copies or nominal.presses >= MIN_PRESSES)
-        held_out = self._held_out(learner, nominal) if is_limited else []
+        held_out = self._held_out(learner, nominal) if is_limited and self._is_first else []
         return {
             "auroc": auroc(found.scores, np.array([mask.any() for mask in masks])),
             "aupro": aupro(found.maps, masks),
@@ -142,21 +167,27 @@ class Fit:
         return found
 
 
-def rows(shapes: int = SHAPES, parts: Sequence[int] = range(PARTS)) -> list[dict[str, Any]]:
-    """A row per part, shots, with and without copies, and method; those in the cache are not measured again."""
+def rows(
+    shapes: int = SHAPES, parts: Sequence[int] = range(PARTS), seeds: int = SEEDS
+) -> list[dict[str, Any]]:
+    """A row per part, seed, shots, with and without copies, and method; those in the cache are not measured again."""
     folder = os.environ.get("FEW_PRESSES_CACHE")
     file = Path(folder) / f"rows_{shapes}.jsonl" if folder else None
     found = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
-    known = {tuple(row[name] for name in ("part", "shots", "copied", "method")) for row in found}
-    for number in parts:
-        part = Part(shapes, number)
+    known = {tuple(row[name] for name in ROW) for row in found}
+    for seed, number in itertools.product(range(seeds), parts):
+        draw = Draw(Part(shapes, number), seed)
         for shots, is_copied in designs():
-            if all((number, shots, is_copied, method) in known for method in METHODS):
-                continue
-            fit = Fit(part, shots, is_copied)
-            for method in METHODS:
-                row = {"part": number, "shots": shots, "copied": is_copied, "method": method}
-                found.append({**row, **fit.measured(method)})
+            methods = [
+                method
+                for method in METHODS
+                if (number, seed, shots, is_copied, method) not in known
+                and (seed == 0 or is_drawn_again(method, shots, is_copied))
+            ]
+            fit = Fit(draw, shots, is_copied) if methods else None
+            for method in methods if fit else ():
+                key = dict(zip(ROW, (number, seed, shots, is_copied, method), strict=True))
+                found.append({**key, **fit.measured(method)})
                 if file:
                     with file.open("a") as out:
                         out.write(json.dumps(found[-1]) + "\n")
@@ -169,6 +200,18 @@ def designs() -> Iterator[tuple[int, bool]]:
         yield shots, False
         if shots <= MOST_COPIED:
             yield shots, True
+
+
+def is_drawn_again(method: str, shots: int, is_copied: bool) -> bool:
+    return method in DRAWN_AGAIN and is_copied == is_copied_by_default(method, shots)
+
+
+@cache
+def is_copied_by_default(method: str, shots: int) -> bool:
+    """Whether a fit without options adds copies."""
+    frames = np.zeros((shots, 8, 8, 3), np.uint8)
+    presses = NominalPresses(frames, tuple(map(str, range(shots))), no_contact=frames[:1])
+    return augmentation_of("auto", presses, method, "corrected").each > 0
 
 
 def at_the_limit(row: Mapping[str, Any]) -> tuple[float, float] | None:
@@ -185,9 +228,7 @@ def at_the_limit(row: Mapping[str, Any]) -> tuple[float, float] | None:
 
 def line(found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied: bool) -> str:
     """A line of the table: means over the parts, with 95 % intervals."""
-    chosen = [
-        row for row in found if (row["method"], row["shots"], row["copied"]) == (method, shots, is_copied)
-    ]
+    chosen = first_draws(found, method, shots, is_copied)
     cells = []
     for measure in ("auroc", "aupro"):
         values = [row[measure] for row in chosen]
@@ -198,6 +239,45 @@ def line(found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied:
     return f"| {method} | {shots} | {'copies' if is_copied else 'presses'} | {' | '.join(cells + shares)} |"
 
 
+def first_draws(
+    found: Sequence[Mapping[str, Any]], method: str, shots: int, is_copied: bool
+) -> list[Mapping[str, Any]]:
+    wanted = (0, method, shots, is_copied)
+    return [row for row in found if (row["seed"], row["method"], row["shots"], row["copied"]) == wanted]
+
+
+def seed_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The curve over the seeds that every part has, as a fit without options learns: means over parts and seeds, the
+    interval over the seeds' means, and how far two draws of one part are apart (standard deviation)."""
+    for method, shots in itertools.product(METHODS, SHOTS):
+        copied = is_copied_by_default(method, shots)
+        tables = [by_seed(found, (shots, copied, method), measure) for measure in ("auroc", "aupro")]
+        if len(tables[0]) > 1:
+            bank = "copies" if copied else "presses"
+            cells = " | ".join(map(_over_seeds, tables))
+            yield f"| {method} | {shots} | {bank} | {len(tables[0])} | {cells} |"
+
+
+def _over_seeds(table: NDArray[np.float64]) -> str:
+    """table: of a measure, (seeds, parts)."""
+    low, high = mean_interval(table.mean(axis=1))
+    apart = float(np.sqrt(table.var(axis=0, ddof=1).mean()))
+    return f"{table.mean():.3f} ({low:.3f} to {high:.3f}) | {apart:.3f}"
+
+
+def by_seed(
+    found: Sequence[Mapping[str, Any]], wanted: tuple[int, bool, str], measure: str
+) -> NDArray[np.float64]:
+    """One measure, (seeds, parts), of the seeds that every part has. wanted: shots, copied, method."""
+    values = {
+        (row["seed"], row["part"]): row[measure]
+        for row in found
+        if (row["shots"], row["copied"], row["method"]) == wanted
+    }
+    seeds = [seed for seed in range(100) if all((seed, part) in values for part in range(PARTS))]
+    return np.array([[values[seed, part] for part in range(PARTS)] for seed in seeds])
+
+
 def clamped_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The table of parts in a fixture and of those that a hand clamps: image AUROC / AU-PRO."""
     yield "| method | clamped | 1 | 1, copies | 4, copies | 8 | 8, copies | 32 | sound failed, 1, copies |"
@@ -206,14 +286,11 @@ def clamped_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         for place, by in enumerate(("by hand", "in a fixture")):
             cells = []
             for shots, is_copied in ((1, False), (1, True), (4, True), (8, False), (8, True), (32, False)):
-                wanted = (place, method, shots, is_copied)
                 rows = [
-                    row
-                    for row in found
-                    if (row["part"] % 2, row["method"], row["shots"], row["copied"]) == wanted
+                    row for row in first_draws(found, method, shots, is_copied) if row["part"] % 2 == place
                 ]
                 cells.append(_means(rows).replace(" | ", " / "))
-                if wanted[2:] == (1, True):
+                if (shots, is_copied) == (1, True):
                     failed = np.mean([limit[1] for limit in map(at_the_limit, rows) if limit])
             cells.append(f"{failed:.0%}")
             yield f"| {method} | {by} | {' | '.join(cells)} |"
@@ -231,13 +308,19 @@ def test_few_presses() -> None:
         for shots, is_copied in designs():
             print(line(found, method, shots, is_copied))
     print("", *clamped_lines(found), sep="\n")
+    print(
+        "\n| method | presses | bank of | seeds | image AUROC | apart | AU-PRO@0.01 | apart |\n"
+        "|---|---|---|---|---|---|---|---|",
+        *seed_lines(found),
+        sep="\n",
+    )
     assert all(np.isfinite(row["aupro"]) for row in found)
 
 
 def test_instead_of_copies() -> None:
     """Prints what other settings give for one press, and copies with the usual ones."""
     parts = [Part(DEVELOPMENT, number) for number in range(DEVELOPMENT_PARTS)]
-    one, copied = ([Fit(part, 1, is_copied) for part in parts] for is_copied in (False, True))
+    one, copied = ([Fit(Draw(part, 0), 1, is_copied) for part in parts] for is_copied in (False, True))
     print("\n| what | image AUROC | AU-PRO@0.01 |\n|---|---|---|")
     for what, (method, changes) in INSTEAD.items():
         print(f"| {what} | {_means([fit.measured(method, **changes) for fit in one])} |")
