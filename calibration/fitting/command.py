@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,7 +12,7 @@ import typer
 from calibration.fitting.options import (
     Alpha,
     AugmentOption,
-    Backbone,
+    ChosenBackbone,
     GelId,
     Holdout,
     LeaveOut,
@@ -33,12 +34,14 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
-from calibration.fitting.trunks import DEFAULT_BACKBONE
+from calibration.fitting.trunks import AUTO, DEFAULT_BACKBONE, OTHER_BACKBONES
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
+    from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.nominal_presses import NominalPresses
     from calibration.fitting.sources import Sources
+    from calibration.progress import Report
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -64,7 +67,7 @@ def fit(
     position: Position = None,
     method: Annotated[str, typer.Option(help="The detector.")] = "padim",
     mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
-    backbone: Backbone = DEFAULT_BACKBONE,
+    backbone: ChosenBackbone = AUTO,
     profile: Profile = "",
     region: RegionText = "centre",
     alpha: Alpha = 0.05,
@@ -116,8 +119,27 @@ def fit(
         gel_id=gel,
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
-    typer.echo(f"{counted(len(presses))}, {method} ({mode}) on {config.trunk.id}, region {config.region}")
-    make(partial(fit_files, presses, config), output, overwrite)
+    _announce(presses, config, OTHER_BACKBONES if backbone == AUTO else ())
+    make(partial(_fit_on_best if backbone == AUTO else fit_files, presses, config), output, overwrite)
+
+
+def _announce(presses: "NominalPresses", config: "FitConfig", others: Sequence[str]) -> None:
+    """What is fitted. others: backbones that are compared with the configured one."""
+    on = " or ".join([config.trunk.id, *others])
+    how = f"{config.detector.name} ({config.mode}) on {on}"
+    typer.echo(f"{counted(len(presses))}, {how}, region {config.region}")
+
+
+def _fit_on_best(
+    presses: "NominalPresses", config: "FitConfig", *, created: str, report: "Report"
+) -> "Fitted":
+    """Fit on the trunk that shows most of small damage. Errors: as `fit_files`."""
+    from calibration.fitting.fit import fit_files
+    from calibration.fitting.trunk_choice import choose_trunk
+
+    choice = choose_trunk(presses, config, OTHER_BACKBONES, report)
+    chosen = replace(config, trunk=choice.trunk, trunk_choice=choice.facts())
+    return fit_files(presses, chosen, created=created, report=report)
 
 
 def _choices(limit: str, register: str, augment: str) -> dict[str, Any]:
@@ -153,7 +175,8 @@ def _detection(method: str, mode: str, settings: list[str], backbone: str) -> di
     overrides = named_values("--set", settings)
     if "mode" in overrides:
         raise ConfigError("'--set mode' is not a parameter; write --mode corrected or --mode paper")
-    trunk = open_trunk(backbone, detector.taps(detector.parameters(chosen, **overrides)))
+    name = DEFAULT_BACKBONE if backbone == AUTO else backbone
+    trunk = open_trunk(name, detector.taps(detector.parameters(chosen, **overrides)))
     return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
 
 
@@ -274,13 +297,20 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 def summary(fitted: "Fitted", output: Path) -> None:
     """The summary of the bundle, in a few lines."""
-    from edge.model.limit_facts import augmentation_sentence, limit_sentence, missing_sentence
+    from edge.model.limit_facts import (
+        augmentation_sentence,
+        backbone_sentence,
+        limit_sentence,
+        missing_sentence,
+    )
     from edge.model.promise import promise
 
     manifest = fitted.manifest
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    if sentence := backbone_sentence(manifest.facts):
+        typer.echo(f"backbone: {sentence}")
     if why := manifest.facts.get("registration"):
         typer.echo(f"registration: {why}")
     if sentence := augmentation_sentence(manifest.facts):

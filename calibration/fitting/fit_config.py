@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from calibration.fitting.augmentation import Augment
 from calibration.fitting.bundle_measurements import check_given
@@ -28,7 +28,8 @@ class FitConfig:
     compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
     `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. augment:
     whether the bank also learns rendered copies of the presses, `auto` where there are few. revision: see `Facts`.
-    gel_id: the gel of the presses, where it is known.
+    gel_id: the gel of the presses, where it is known. trunk_choice: why this trunk was chosen, for the manifest; None
+    where it was named.
     """
 
     part: str
@@ -51,6 +52,7 @@ class FitConfig:
     register: Register = "never"
     augment: Augment = "never"
     gel_id: str | None = None
+    trunk_choice: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)

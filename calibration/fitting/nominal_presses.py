@@ -5,7 +5,7 @@ free gel. Each picture is a press; with a picture of the free gel its touched ar
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -49,6 +49,10 @@ MAX_NO_CONTACT = 16
 TOUCHED_MARGIN_MM = 1.0
 
 
+# The fields with one entry per press.
+_EACH = ("names", "specimens", "touches", "reliefs")
+
+
 @dataclass(frozen=True)
 class NominalPresses:
     """Nominal presses of one position, cut to the inspected region.
@@ -75,7 +79,7 @@ class NominalPresses:
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
             raise ValueError(f"frames are uint8 (n, h, w, 3), found {self.frames.dtype} {self.frames.shape}")
-        for what in (self.names, self.specimens, self.touches, self.reliefs):
+        for what in (getattr(self, name) for name in _EACH):
             if what and len(what) != len(self.frames):
                 raise ValueError(
                     f"{len(self.frames)} frames with {len(what)} names, specimens, touches or reliefs"
@@ -83,6 +87,14 @@ class NominalPresses:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def spread(self, most: int) -> "NominalPresses":
+        """At most this many of them, evenly spread."""
+        if len(self) <= most:
+            return self
+        rows = np.linspace(0, len(self) - 1, most).round().astype(int).tolist()
+        kept = {name: tuple(getattr(self, name)[k] for k in rows if getattr(self, name)) for name in _EACH}
+        return replace(self, frames=self.frames[rows], **kept)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ __all__ = [
     "Alpha",
     "AugmentOption",
     "Backbone",
+    "ChosenBackbone",
     "GelId",
     "Holdout",
     "LeaveOut",
@@ -66,6 +67,14 @@ AugmentOption = Annotated[
     ),
 ]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
+ChosenBackbone = Annotated[
+    str,
+    typer.Option(
+        "--backbone",
+        help="'auto': of those that ship the one that shows most of the damage put into the presses; else an "
+        "installed backbone, or a trunk .onnx file.",
+    ),
+]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]

@@ -11,9 +11,14 @@ from edge.core.errors import ConfigError, FitError
 from edge.model.onnx_prune import cut_trunk
 from edge.model.onnx_validation import GraphRefused, metadata, output_names
 
-__all__ = ["DEFAULT_BACKBONE", "Trunk", "every_cut", "open_trunk"]
+__all__ = ["AUTO", "DEFAULT_BACKBONE", "OTHER_BACKBONES", "Trunk", "every_cut", "open_trunk"]
 
 DEFAULT_BACKBONE = "tactile_resnet18"
+
+AUTO = "auto"
+"""In place of a backbone's name: a fit chooses between the default and OTHER_BACKBONES."""
+
+OTHER_BACKBONES = ("tactile_lite0",)
 
 # Longer entries are a trunk's tiles or another tool's data, not a fact for the manifest.
 MOST_METADATA = 500

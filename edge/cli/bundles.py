@@ -70,15 +70,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ),
         ("region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"),
     ]
-    if manifest.backbone:
-        place = "in the bundle" if manifest.backbone.in_bundle else "in the gateway's trunk store"
-        rows.append(
-            (
-                "trunk",
-                f"{manifest.backbone.id}, {_mb(manifest.backbone.trunk.size_bytes)}, {place}, "
-                f"{manifest.backbone.trunk.sha256[:12]}",
-            )
-        )
+    rows += _trunk_rows(manifest)
     if grid:
         rows.append(("taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())))
     if grid and grid.tiles:
@@ -109,6 +101,20 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ("golden frames", f"{len(manifest.golden)}: " + ", ".join(f"{g.what} {g.score:.4g}" for g in manifest.golden)),
     ]  # fmt: skip
     return rows + _cards(manifest)
+
+
+def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
+    from edge.model.limit_facts import backbone_sentence
+
+    if manifest.backbone is None:
+        return []
+    trunk = manifest.backbone.trunk
+    place = "in the bundle" if manifest.backbone.in_bundle else "in the gateway's trunk store"
+    said = f"{manifest.backbone.id}, {_mb(trunk.size_bytes)}, {place}, {trunk.sha256[:12]}"
+    return [
+        ("trunk", said),
+        ("backbone", backbone_sentence(manifest.facts) or "named, not chosen by the fit"),
+    ]
 
 
 def _cards(manifest: "Manifest") -> list[tuple[str, str]]:

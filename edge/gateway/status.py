@@ -24,6 +24,7 @@ from edge.messaging.status_payloads import (
     stats_message,
 )
 from edge.model.bundle import Bundle
+from edge.model.limit_facts import backbone_sentence
 from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
@@ -186,6 +187,7 @@ class StationStatus:
             parts=tuple(parts),
             method=manifest.method,
             backbone=manifest.backbone.id if manifest.backbone else None,
+            backbone_choice=backbone_sentence(manifest.facts) or None,
             bundle_id=bundle.digest,
             revision=manifest.revision,
             threshold=manifest.threshold.value,

@@ -47,6 +47,9 @@ class InfoPayload(Payload):
     )
     method: str | None = Field(default=None, description="detector of the bundle in use")
     backbone: str | None = None
+    backbone_choice: str | None = Field(
+        default=None, description="why the fit chose this backbone, one sentence; null where it was named"
+    )
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
     revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
     threshold: float | None = None

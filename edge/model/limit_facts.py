@@ -1,4 +1,4 @@
-"""What a bundle's score map is compared with, whether missing relief fails, and rendered copies in its bank.
+"""What a fit chose, and why: trunk, limit, the check for missing relief, rendered copies in the bank.
 
 All are entries of the manifest's `facts`.
 """
@@ -8,13 +8,26 @@ from typing import Any
 
 __all__ = [
     "AUGMENTATION",
+    "BACKBONE_CHOICE",
     "LIMIT",
     "MISSING",
     "augmentation_sentence",
+    "backbone_sentence",
     "copies_of_each",
     "limit_sentence",
     "missing_sentence",
 ]
+
+BACKBONE_CHOICE = "backbone_choice"
+"""The entry's name: `chosen`, `why`, and `found`, what banks on each trunk saw of damage, by its kind; absent where the
+backbone was named."""
+
+
+def backbone_sentence(facts: Mapping[str, Any]) -> str:
+    """For `fit`, `inspect` and the topic `info`; empty for a bundle that does not say."""
+    found = facts.get(BACKBONE_CHOICE)
+    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+
 
 AUGMENTATION = "augmentation"
 """The entry's name: `each`, the rendered copies of every nominal press that the bank learnt, and `why`; else absent."""

@@ -145,3 +145,16 @@ def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_
     assert ["revision", "10"] in [
         line.split() for line in run("inspect", tmp_path / "bolt").output.splitlines()
     ]
+
+
+def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path) -> None:
+    """Without --backbone; where nothing can be compared it says what is missing. A named backbone is not discussed."""
+    result = run(
+        "fit", pictures, "-o", tmp_path / "bolt", "--part", "bolt", "--profile", "cropped_lr", "--scattered"
+    )
+    assert result.exit_code == 0, result.output
+    why = "tactile_resnet18, without a comparison: damage is rendered with a picture of the free gel"
+    assert f"backbone: {why}" in result.output
+    assert why in run("inspect", tmp_path / "bolt").output
+    assert "backbone:" not in fit(pictures, tmp_path / "named").output
+    assert "named, not chosen by the fit" in run("inspect", tmp_path / "named").output

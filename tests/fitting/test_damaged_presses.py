@@ -1,0 +1,62 @@
+"""Small damage that is put into nominal presses to compare trunks: where it lies, and that it shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pressed_dome import PROFILE, REGION, Bench
+
+from calibration.fitting.damaged_presses import damaged_presses, pieced_presses
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.simulator.pose import Jitter
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+
+
+@pytest.fixture(scope="module")
+def presses() -> NominalPresses:
+    """Three presses of a dome."""
+    with reproducible_opencv():
+        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
+        pictures = {f"p{k}": bench.press(k) for k in range(3)}
+        return named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+
+
+def test_damage_changes_the_picture_where_its_mask_says(presses: NominalPresses) -> None:
+    """Both kinds: inside the mask a press differs from its own nominal picture, and less outside."""
+    found = damaged_presses(presses, PROFILE, REGION, seed=0)
+    assert list(found) == ["rendered damage", "pieces of relief"]
+    for damaged in found.values():
+        changed = np.abs(damaged.frames.astype(int) - presses.frames[damaged.press]).max(axis=3)
+        assert (changed.max(axis=(1, 2)) >= 8).all()
+        inside = [change[mask].mean() for change, mask in zip(changed, damaged.masks, strict=True)]
+        outside = [change[~mask].mean() for change, mask in zip(changed, damaged.masks, strict=True)]
+        assert (np.array(inside) > 2 * np.array(outside)).all()
+
+
+def test_a_piece_is_of_another_press_and_small(presses: NominalPresses) -> None:
+    """The mask of a piece is at most two millimetres wide; a press without others has no donor."""
+    damaged = pieced_presses(presses, PROFILE.pixels_per_mm, np.random.default_rng(0), 12)
+    assert set(damaged.press) == {0, 1, 2}
+    for mask in damaged.masks:
+        rows, columns = np.nonzero(mask)
+        assert max(np.ptp(rows), np.ptp(columns)) < 2 * PROFILE.pixels_per_mm
+    alone = pieced_presses(presses.spread(1), PROFILE.pixels_per_mm, np.random.default_rng(0), 12)
+    assert len(alone) == 0
+
+
+def test_a_seed_gives_the_same_damage(presses: NominalPresses) -> None:
+    """And another seed other damage."""
+    first, again, other = (
+        pieced_presses(presses, PROFILE.pixels_per_mm, np.random.default_rng(seed), 4) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first.frames, again.frames)
+    assert not np.array_equal(first.masks, other.masks)
+
+
+def test_nothing_is_put_into_presses_without_relief(presses: NominalPresses) -> None:
+    """Where every press is the free gel, and where there is no picture of it."""
+    assert presses.no_contact is not None
+    flat = replace(presses, frames=np.repeat(presses.no_contact[:1], 3, axis=0))
+    assert damaged_presses(flat, PROFILE, REGION, seed=0) == {}
+    assert damaged_presses(replace(presses, no_contact=None), PROFILE, REGION, seed=0) == {}
