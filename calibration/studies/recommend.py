@@ -173,7 +173,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
     ),
     "localisation": (
         Question(
-            "localisation at low resolution: AU-PRO@0.01 with all presses",
+            "localisation at low resolution: AU-PRO@0.01 with the largest share of presses",
             "good-fraction",
             _at_all,
             _GOOD,
@@ -219,7 +219,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
     ),
     "no-fixture": (
         Question(
-            f"no fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with all presses",
+            f"no fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
             "good-fraction",
             _unfixed,
             f"{_GOOD} {' '.join(f'--part {part}' for part in no_fixture())}",
@@ -235,7 +235,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
     ),
     "least-time": (
         Question(
-            "least time: processor milliseconds of the head per press, all presses in the bank",
+            "least time: processor milliseconds of the head per press, the largest share of presses in the bank",
             "good-fraction",
             _head_time,
             _GOOD,

@@ -42,6 +42,8 @@ def measured_rows(
 ) -> list[Row]:
     """The rows of the folder, measured where it has none. Errors: as `measure`; ConfigError for rows of another run."""
     file = output / ROWS_FILE
+    for sentence in chosen.remarks():
+        say(sentence)
     if file.is_file() and not overwrite:
         rows = read_rows(file)
         require_same_run(rows, points, chosen, settings, file)
@@ -49,8 +51,6 @@ def measured_rows(
         return rows
     if not chosen.high:
         say("no high-resolution pictures of these presses: one resolution is measured")
-    for sentence in chosen.remarks():
-        say(sentence)
     rows = measure(points, chosen, settings, output / "unfinished", show, with_peers=with_peers)
     write_rows(file, rows)
     clean(output / "unfinished")

@@ -237,7 +237,10 @@ def test_the_page_has_every_answer_of_every_setup() -> None:
 
     assert "## tactile_resnet18, corrected mode, split by press" in text
     assert "## tactile_resnet18, paper mode, split by press" in text
-    assert "### Localisation at low resolution: AU-PRO@0.01 with all presses\n\n**spade**" in text
+    assert (
+        "### Localisation at low resolution: AU-PRO@0.01 with the largest share of presses\n\n**spade**"
+        in text
+    )
     assert "| spade | 0.8045 | 0.8045 to 0.8045 | strong advantage |" in text
     assert "### Few presses: AU-PRO@0.01 with 8 presses or fewer\n\n**undecided between" in text
     assert "damaged presses among" not in text

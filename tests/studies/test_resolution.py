@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from command_line import gelgate
@@ -115,3 +116,21 @@ def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
         name.write_bytes(file[0].read_bytes())
     with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
         study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
+
+
+@pytest.mark.slow
+def test_rows_of_the_other_mode_are_added_in_tiles(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its trunk is cut after a deeper layer, and put into tiles; an empty mask is said once."""
+    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
+    cv2.imwrite(
+        str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
+    )
+    half = StableFractions(0.5, tmp_path / "rows.jsonl")
+    study_resolution(options(copy, tmp_path), half, ("lr_tiled",), 2)
+    asked = options(copy, tmp_path, methods=("padim",), modes=("paper",))
+    rows = study_resolution(asked, half, ("lr_tiled",), 2).read()
+
+    assert [row["mode"] for row in rows] == ["corrected", "paper"]
+    assert capsys.readouterr().err.count("has an empty mask") == 2  # once in each run

@@ -1,10 +1,13 @@
 """The verb: what it refuses before any work, what it writes, and that the README names it."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from tradeoff_rows import row
 
@@ -55,6 +58,33 @@ def test_rows_that_are_there_are_not_measured_again(
     assert "--overwrite measures them again" in said
     assert (finished / "tradeoff.html").stat().st_size > 10_000
     assert (finished / "p.svg").read_bytes() == svg(read_rows(finished / "rows.jsonl"))
+
+
+def test_what_may_be_a_mistake_in_the_dataset_is_said(
+    finished: Path,
+    dataset: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An empty mask, and a copy of a picture; the command goes on."""
+    copy = Path(shutil.copytree(dataset, tmp_path / "copy"))
+    home = copy / "PZ9/pos1"
+    mask = min((home / "fault/mask_320x240").iterdir())
+    cv2.imwrite(str(mask), np.zeros((240, 320), np.uint8))
+    shutil.copy(home / "rgb_320x240/PZ9_pos1_s001_p01.png", home / "rgb_320x240/PZ9_pos1_s001_p02.png")
+    presses = presses_of(RunSettings(copy)).sha256()
+    write_rows(
+        finished / "rows.jsonl",
+        [found | {"dataset_sha256": presses} for found in read_rows(finished / "rows.jsonl")],
+    )
+
+    words = (copy, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18")
+    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+
+    assert code == 0, said
+    assert "1 of the 4 defective presses of PZ9/pos1 has an empty mask" in said
+    assert "PZ9/pos1 has 1 copy of other pictures" in said
 
 
 def test_from_python_the_rows_are_a_frame(finished: Path, dataset: Path) -> None:

@@ -190,7 +190,7 @@ def test_one_class_alone_is_refused(tmp_path: Path) -> None:
 
 def test_a_position_that_is_not_there_is_refused_with_the_known_ones(dataset: Path) -> None:
     """PZ8 against PZ9."""
-    with pytest.raises(DatasetError, match=r"no position that fit PZ8/\*; choose .* among PZ9/pos1"):
+    with pytest.raises(DatasetError, match=r"no position that fits PZ8/\*; choose .* among PZ9/pos1"):
         choose_presses(dataset, "PZ8", None, most_fitted=5, most_scored=5, seed=0)
 
 
