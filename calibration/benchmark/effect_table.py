@@ -65,12 +65,12 @@ class Measured:
 
     @property
     def _freedom(self) -> int:
-        return sum(len(of) - 1 for name, of in self.values.items() if name in VARIANTS)
+        return sum(len(of) - 1 for of in self.values.values())
 
     @property
     def _deviation(self) -> float:
         """Of trunks that differ by their seed alone, pooled over the variants."""
-        apart = [np.subtract(of, np.mean(of)) for name, of in self.values.items() if name in VARIANTS]
+        apart = [np.subtract(of, np.mean(of)) for of in self.values.values()]
         return math.sqrt(float((np.concatenate(apart) ** 2).sum()) / self._freedom)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from calibration.benchmark.effect_ablation import (
     ALL,
@@ -66,9 +67,15 @@ def test_each_trunk_has_a_row(done: Path) -> None:
         "squares": ["padim", "patchcore"],
         "drawn": ["patchcore"],
     }
-    assert [load(done / "runs" / name).recipe.effects for name in ("all_effects_0", "dust_0")] == [
-        *FEW.values()
-    ]
+
+
+def test_a_trunk_is_learnt_from_the_presses_of_its_variant(done: Path) -> None:
+    """With one seed and other effects the weights differ."""
+    complete, without = (load(done / "runs" / name) for name in ("all_effects_0", "dust_0"))
+
+    assert [complete.recipe.effects, without.recipe.effects] == [*FEW.values()]
+    name = "trunk.conv1.weight"
+    assert not torch.equal(complete.weights[name], without.weights[name])
 
 
 def test_a_complete_run_trains_nothing_again(done: Path) -> None:
