@@ -26,6 +26,7 @@ from calibration.benchmark.trial import Trial
 from calibration.simulator.effects import EFFECTS as SIMULATED
 from calibration.training.train_config import EFFECTS, TrainConfig
 from edge.core.errors import ConfigError, GelgateError
+from edge.core.suggest import suggestion
 from edge.model.onnx_prune import cut_trunk
 from plugins.backbones.resnet import build_trunk
 
@@ -194,6 +195,14 @@ def _read(
     }
 
 
+def _chosen(only: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
+    """Every variant, or those of these names and every effect. Errors: ConfigError for an unknown name."""
+    for name in only:
+        if name not in VARIANTS:
+            raise ConfigError(f"no variant is named '{name}'; {suggestion(name, VARIANTS)}")
+    return {name: VARIANTS[name] for name in VARIANTS if not only or name in (ALL, *only)}
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """The command line; 0 when done, else the sentence and its exit code."""
     parser = argparse.ArgumentParser(
@@ -203,6 +212,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--tactile", type=Path, required=True, help="folder of real tactile frames")
     parser.add_argument(
         "--seeds", type=int, default=1, help="trunks of each kind; of those with every effect 3 more"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="EFFECT",
+        help="leave out only this one, for further seeds where the first leave a doubt; may be given several times",
     )
     parser.add_argument("--steps", type=int, default=120, help="optimiser steps of each trunk")
     parser.add_argument("--pairs", type=int, default=8, help="pairs of frames per step")
@@ -214,8 +230,9 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ConfigError(
                 f"'{given.tactile}' is no folder of real tactile frames; name it with --tactile"
             )
+        variants = _chosen(given.only)
         measure_costs(given.out)
-        ablate(given.out, recipe, given.seeds, readings(given.tactile))
+        ablate(given.out, recipe, given.seeds, readings(given.tactile), variants)
     except (GelgateError, OSError) as error:
         print(error, file=sys.stderr)
         return 3

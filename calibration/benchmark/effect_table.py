@@ -2,14 +2,15 @@
 
     python -m calibration.benchmark.effect_table docs/studies/effects.jsonl
 
-prints it from the rows of `calibration.benchmark.effect_ablation`. The rule, stated before a trunk without an effect
-was trained: an effect pays where trunks learnt without it are worse by more than the noise. One that pays neither on
-real presses nor on simulated parts, costs 1 % of a press or more, and is not needed for a reason of its own (`KEPT`)
-leaves the default list.
+prints it from the rows of `calibration.benchmark.effect_ablation`. An effect pays where trunks learnt without it are
+worse by more than chance. It leaves the default list where its worth is shown to be below `LEAST_WORTH` on real presses
+and on simulated parts, where it costs `LEAST_SHARE` of a press or more, and where nothing else needs it (`KEPT`). What
+is neither shown to pay nor shown to be worth less than that is not decided, and stays.
 """
 
 import math
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,19 +18,24 @@ from typing import Any
 
 import numpy as np
 
-from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, OPTICAL, VARIANTS, rows_of
+from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, VARIANTS, rows_of
 from calibration.simulator.effects import DEFAULT_EFFECTS
+from calibration.simulator.effects import EFFECTS as SIMULATED
 from calibration.studies.intervals import t_quantile
 from calibration.studies.page_parts import table
 from calibration.training.train_config import EFFECTS
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["KEPT", "LEAST_SHARE", "Measured", "effect_table", "leaving", "measured", "trial_table"]
+__all__ = ["KEPT", "LEAST_SHARE", "LEAST_WORTH", "Worth", "effect_table", "leaving", "trial_table", "worths"]
 
 _LEAST_SEEDS = 3
+_HEADING = ("left out", "ms", "of a press", "seeds", "worth on real presses", "on a simulated part", "result")
 
 LEAST_SHARE = 0.01
 """Of a press's processor time; an effect that costs less may stay whatever it is worth."""
+
+LEAST_WORTH = 0.02
+"""In AU-PRO up to 1 % false alarms; a smaller worth is not looked for."""
 
 KEPT: Mapping[str, str] = {
     "pose_jitter": "without it every press is the same press",
@@ -38,57 +44,80 @@ KEPT: Mapping[str, str] = {
     "wear": "the life of a gel, and its scars",
     "led_drift": "limits and their promises need light that varies",
     "noise": "limits and their promises need frames that vary",
+    "illumination": "not left out: part of a sensor's colours",
+    "vignette": "not left out: part of a sensor's colours",
+    "motion_blur": "not drawn in training; recordings need presses that still move",
 }
 """Effects that other parts of the product need, with the reason."""
 
 
 @dataclass(frozen=True)
-class Measured:
-    """AU-PRO up to 1 % false alarms of every variant, each the mean over trials and methods, for each seed."""
+class Worth:
+    """What is lost without an effect, in AU-PRO, below 0 where the trunk is better without it. noise: half the width of
+    the 95 % interval."""
 
-    values: Mapping[str, Sequence[float]]
-
-    def mean(self, name: str) -> float:
-        return float(np.mean(self.values[name]))
-
-    def worth(self, name: str) -> float:
-        """How much is lost without the effect; below 0 where the trunk is better without it."""
-        return self.mean(ALL) - self.mean(name)
-
-    def noise(self, name: str) -> float:
-        """Half the width of the 95 % interval of its worth, were only the seeds to differ."""
-        share = 1 / len(self.values[ALL]) + 1 / len(self.values[name])
-        return t_quantile(self._freedom) * self._deviation * math.sqrt(share)
-
-    def pays(self, name: str) -> bool:
-        return self.worth(name) > self.noise(name)
+    value: float
+    noise: float
 
     @property
-    def _freedom(self) -> int:
-        return sum(len(of) - 1 for of in self.values.values())
+    def pays(self) -> bool:
+        return self.value > self.noise
 
     @property
-    def _deviation(self) -> float:
-        """Of trunks that differ by their seed alone, pooled over the variants."""
-        apart = [np.subtract(of, np.mean(of)) for of in self.values.values()]
-        return math.sqrt(float((np.concatenate(apart) ** 2).sum()) / self._freedom)
+    def harms(self) -> bool:
+        return self.value < -self.noise
+
+    @property
+    def is_small(self) -> bool:
+        """Shown to be below `LEAST_WORTH`."""
+        return self.value + self.noise < LEAST_WORTH
+
+    def __str__(self) -> str:
+        return f"{round(self.value, 3) + 0.0:+.3f} ± {self.noise:.3f}"
 
 
-def measured(rows: Sequence[Mapping[str, Any]], is_real: bool) -> Measured:
-    """Of all rows, on real presses or on simulated parts. Errors: ConfigError for a variant without a row, or for fewer
-    than three seeds with every effect."""
-    found = {
-        name: [_mean(row, is_real) for row in _trained(rows) if row["without"] == name]
-        for name in (NOT_TRAINED, *VARIANTS)
+def worths(rows: Sequence[Mapping[str, Any]], is_real: bool) -> dict[str, Worth]:
+    """Of every variant but `ALL`, on real presses or on simulated parts.
+
+    Two-way analysis of variance by least squares: a value is the sum of what its effects and its seed give it, for
+    trunks of one seed have equal first weights and batches. What remains is the noise. Errors: ConfigError for a
+    variant without a row, or for too few seeds.
+    """
+    _check_complete(_trained(rows))
+    trained = [row for row in _trained(rows) if row["without"] != NOT_TRAINED]
+    others = [name for name in VARIANTS if name != ALL]
+    seeds = sorted({row["seed"] for row in trained})
+    design = np.array(
+        [
+            [*(row["without"] == name for name in others), *(row["seed"] == seed for seed in seeds)]
+            for row in trained
+        ],
+        np.float64,
+    )
+    values = np.array([_mean(row, is_real) for row in trained])
+    inverse = np.linalg.pinv(design)
+    found = inverse @ values
+    freedom = len(values) - design.shape[1]
+    deviation = math.sqrt(float(((values - design @ found) ** 2).sum()) / freedom)
+    noises = t_quantile(freedom) * deviation * np.sqrt((inverse**2).sum(axis=1))
+    return {
+        name: Worth(-float(value), float(noise))
+        for name, value, noise in zip(others, found, noises, strict=False)
     }
-    if absent := [name for name, values in found.items() if not values]:
+
+
+def _check_complete(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Errors: ConfigError."""
+    counts = Counter(row["without"] for row in rows)
+    if absent := [name for name in (NOT_TRAINED, *VARIANTS) if not counts[name]]:
         raise ConfigError(f"the rows lack {', '.join(absent)}; continue the run")
-    if len(found[ALL]) < _LEAST_SEEDS:
+    trained = counts.total() - counts[NOT_TRAINED]
+    freedom = trained - (len(VARIANTS) - 1) - len({row["seed"] for row in rows})
+    if counts[ALL] < _LEAST_SEEDS or freedom < 1:
         raise ConfigError(
-            f"the rows hold {len(found[ALL])} seeds with every effect, at least {_LEAST_SEEDS} are needed to know the "
-            "noise; continue the run"
+            f"the rows hold {trained} trunks, {counts[ALL]} of them with every effect, too few to know the noise; "
+            "continue the run with --seeds 2"
         )
-    return Measured(found)
 
 
 def _mean(row: Mapping[str, Any], is_real: bool) -> float:
@@ -99,70 +128,89 @@ def _mean(row: Mapping[str, Any], is_real: bool) -> float:
 
 def effect_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Worth and cost of every effect. Errors: ConfigError for rows that are not complete."""
-    costs = _costs(rows)
-    real, simulated = (measured(rows, is_real) for is_real in (True, False))
-    heading = [
-        "left out",
-        "ms",
-        "of a press",
-        "seeds",
-        "real presses",
-        "worth",
-        "simulated part",
-        "worth",
-        "result",
+    costs = _Costs.of(rows)
+    real, simulated = (worths(rows, is_real) for is_real in (True, False))
+    counts = Counter(row["without"] for row in _trained(rows))
+    lines: list[list[object]] = [
+        [
+            f"`{name}`" if name in EFFECTS else name,
+            *costs.cells(name),
+            counts[name],
+            real[name],
+            simulated[name],
+            _result(name, costs, real[name], simulated[name]) if name in EFFECTS else "",
+        ]
+        for name in real
     ]
-    return table(heading, [[*_line(name, costs, real, simulated)] for name in (NOT_TRAINED, *VARIANTS)])
+    rest: list[list[object]] = [
+        [f"`{name}`", *costs.cells(name), *[""] * 3, KEPT[name]] for name in SIMULATED if name not in EFFECTS
+    ]
+    return f"{table(_HEADING, lines + rest)}\n{_scale(rows)}\n"
 
 
-def _costs(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, float]:
-    """Of each effect as a share of a press, and in ms under the name `ms`."""
-    found = [row for row in rows if "costs_ms" in row]
-    if not found:
-        raise ConfigError("the rows hold no costs; continue the run")
-    costs: Mapping[str, float] = {
-        name: ms / found[-1]["press_ms"] for name, ms in found[-1]["costs_ms"].items()
-    }
-    return {**costs, "ms": found[-1]["press_ms"]}
-
-
-def _line(name: str, costs: Mapping[str, float], real: Measured, simulated: Measured) -> Iterator[str]:
-    yield name if name in (ALL, OPTICAL, NOT_TRAINED) else f"`{name}`"
-    yield from (f"{costs[name] * costs['ms']:.1f}", f"{costs[name]:.0%}") if name in costs else ("", "")
-    yield str(len(real.values[name]))
-    for of in (real, simulated):
-        yield f"{of.mean(name):.3f}"
-        yield (
-            ""
-            if name in (ALL, NOT_TRAINED)
-            else f"{round(of.worth(name), 3) + 0.0:+.3f} ± {of.noise(name):.3f}"
+def _scale(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the worths are differences of."""
+    found = []
+    for name, words in ((ALL, "With every effect"), (NOT_TRAINED, "With random weights")):
+        of = [row for row in _trained(rows) if row["without"] == name]
+        real, simulated = (np.mean([_mean(row, is_real) for row in of]) for is_real in (True, False))
+        found.append(
+            f"{words} the mean is {real:.3f} on real presses and {simulated:.3f} on the simulated part."
         )
-    yield _result(name, costs, real, simulated) if name in EFFECTS else ""
+    return "\n".join(found)
 
 
-def _result(name: str, costs: Mapping[str, float], real: Measured, simulated: Measured) -> str:
-    places = [word for word, of in (("real presses", real), ("simulated parts", simulated)) if of.pays(name)]
-    if places:
-        return f"pays on {' and '.join(places)}"
+@dataclass(frozen=True)
+class _Costs:
+    """Processor time in ms of a press with every effect, and of each effect."""
+
+    press_ms: float
+    each_ms: Mapping[str, float]
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, Any]]) -> "_Costs":
+        found = [row for row in rows if "costs_ms" in row]
+        if not found:
+            raise ConfigError("the rows hold no costs; continue the run")
+        return cls(found[-1]["press_ms"], found[-1]["costs_ms"])
+
+    def share(self, name: str) -> float:
+        """0 where the difference of two times is below 0."""
+        return max(0.0, self.each_ms[name] / self.press_ms)
+
+    def cells(self, name: str) -> tuple[str, str]:
+        if name not in self.each_ms:
+            return "", ""
+        return f"{max(0.0, self.each_ms[name]):.1f}", f"{self.share(name):.0%}"
+
+
+def _result(name: str, costs: _Costs, real: Worth, simulated: Worth) -> str:
+    both = {"real presses": real, "simulated parts": simulated}
+    words = [f"{word} on {' and '.join(places)}" for word, places in _shown(both) if places]
     if name in KEPT:
-        return f"within the noise; kept: {KEPT[name]}"
-    if name not in DEFAULT_EFFECTS:
-        return "within the noise; not in the default list"
-    return "within the noise" if costs[name] < LEAST_SHARE else "within the noise: leaves the default list"
+        words.append(f"kept: {KEPT[name]}")
+    elif name not in DEFAULT_EFFECTS:
+        words.append("not in the default list")
+    elif not (real.pays or simulated.pays):
+        words.append(
+            "leaves the default list" if _leaves(name, costs, real, simulated) else "not decided: stays"
+        )
+    return "; ".join(words)
+
+
+def _shown(both: Mapping[str, Worth]) -> Iterator[tuple[str, list[str]]]:
+    yield "pays", [place for place, of in both.items() if of.pays]
+    yield "harms", [place for place, of in both.items() if of.harms]
+
+
+def _leaves(name: str, costs: _Costs, *found: Worth) -> bool:
+    return name not in KEPT and costs.share(name) >= LEAST_SHARE and all(of.is_small for of in found)
 
 
 def leaving(rows: Sequence[Mapping[str, Any]], default: Sequence[str] = DEFAULT_EFFECTS) -> list[str]:
     """The effects that the rule takes from the default list."""
-    costs = _costs(rows)
-    both = [measured(rows, is_real) for is_real in (True, False)]
-    return [
-        name
-        for name in EFFECTS
-        if name in default
-        and name not in KEPT
-        and costs[name] >= LEAST_SHARE
-        and not any(of.pays(name) for of in both)
-    ]
+    costs, real, simulated = _Costs.of(rows), worths(rows, is_real=True), worths(rows, is_real=False)
+    return [name for name in EFFECTS if name in default and _leaves(name, costs, real[name], simulated[name])]
 
 
 def trial_table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -4,6 +4,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from calibration.benchmark.effect_ablation import rows_of
+from calibration.benchmark.effect_table import effect_table, leaving, trial_table
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.parts import PARTS
@@ -19,7 +21,8 @@ from calibration.simulator.scene import (
 )
 from calibration.simulator.sensor_appearance import SENSORS
 
-MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+MANUAL = (DOCS / "simulator.md").read_text()
 
 
 def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
@@ -42,3 +45,11 @@ def test_every_key_of_a_scene_is_in_the_manual() -> None:
     models = (Scene, Camera, Motion, JitterTable, NominalPieces, Defects, SceneRun)
     keys = {key for model in models for key in model.model_fields} - {"version"}
     assert [key for key in sorted(keys) if key not in MANUAL] == []
+
+
+def test_the_worth_of_each_effect_is_that_of_the_rows() -> None:
+    """The tables are printed from docs/studies/effects.jsonl, and no effect of the default list should have left it."""
+    rows = rows_of(DOCS / "studies" / "effects.jsonl")
+    assert effect_table(rows) in MANUAL
+    assert trial_table(rows) in MANUAL
+    assert leaving(rows) == []

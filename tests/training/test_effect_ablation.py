@@ -114,6 +114,15 @@ def test_every_variant_is_named_after_what_it_leaves_out() -> None:
     assert {SIMULATED[name].stage for name in VARIANTS[OPTICAL]} == {"pose", "surface"}
 
 
+def test_an_unknown_variant_is_refused_with_the_nearest_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is measured."""
+    assert main([str(tmp_path / "out"), "--tactile", str(tmp_path), "--only", "shadow"]) == 3
+    assert "no variant is named 'shadow'; did you mean 'shadows'?" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_command_names_a_folder_without_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
