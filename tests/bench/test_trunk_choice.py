@@ -32,6 +32,7 @@ from edge.core.imaging.region import Region
 
 pytestmark = pytest.mark.bench
 
+KINDS = ("", "rendered damage", "pieces of relief")
 METHODS = os.environ.get("TRUNK_CHOICE_METHODS", "padim,patchcore").split(",")
 TRUNKS = (DEFAULT_BACKBONE, *OTHER_BACKBONES)
 BALLS = ("ball 6.31 mm", "ball 9.47 mm")
@@ -91,20 +92,41 @@ def rows(name: str, real_tactile: Path) -> list[dict[str, Any]]:
 
 
 def line(row: Mapping[str, Any]) -> str:
-    seen = (f"{np.mean(list(row['found'][trunk].values())):.3f}" for trunk in TRUNKS)
+    seen = (f"{_seen(row['found'][trunk], ''):.3f}" for trunk in TRUNKS)
     truth = (" / ".join(f"{one:.3f}" for one in row["truth"][trunk]) for trunk in TRUNKS)
     lost = max(one[0] for one in row["truth"].values()) - row["truth"][row["chosen"]][0]
     return f"| {row['trial']} | {row['method']} | {' | '.join((*seen, row['chosen'], *truth))} | {lost:.3f} |"
 
 
-def summary(found: Sequence[Mapping[str, Any]], method: str) -> str:
-    """Mean AU-PRO of the choice, of each trunk for all, and of the best of each trial."""
+def summary(found: Sequence[Mapping[str, Any]], method: str, kind: str = "") -> str:
+    """Mean AU-PRO of the choice, of each trunk for all, and of the best of each trial. kind: chosen by this alone."""
     chosen = [row for row in found if row["method"] == method]
     area = np.array([[row["truth"][trunk][0] for trunk in TRUNKS] for row in chosen])
-    picked = np.array([TRUNKS.index(row["chosen"]) for row in chosen])
+    seen = [[_seen(row["found"][trunk], kind) for trunk in TRUNKS] for row in chosen]
+    picked = np.argmax(seen, axis=1)
     cells = [area[np.arange(len(area)), picked].mean(), *area.mean(axis=0), area.max(axis=1).mean()]
     right = int((area[np.arange(len(area)), picked] == area.max(axis=1)).sum())
-    return f"| {method} | {right} of {len(area)} | {' | '.join(f'{one:.3f}' for one in cells)} |"
+    name = f"{method}, by {kind} alone" if kind else method
+    return f"| {name} | {right} of {len(area)} | {' | '.join(f'{one:.3f}' for one in cells)} |"
+
+
+def _seen(of: Mapping[str, float], kind: str) -> float:
+    return of[kind] if kind else float(np.mean(list(of.values())))
+
+
+def between_methods(found: Sequence[Mapping[str, Any]]) -> str:
+    """Mean AU-PRO if the method were chosen too, by what it shows on its trunk; of each method; of the best of each."""
+    by_trial: dict[str, dict[str, tuple[float, float]]] = {}
+    for row in found:
+        seen = _seen(row["found"][row["chosen"]], "")
+        by_trial.setdefault(row["trial"], {})[row["method"]] = seen, row["truth"][row["chosen"]][0]
+    kept = [of for of in by_trial.values() if len(of) == len(METHODS)]
+    picked = [max(of.values())[1] for of in kept]
+    each = [np.mean([of[method][1] for of in kept]) for method in METHODS]
+    best = [max(truth for _, truth in of.values()) for of in kept]
+    right = sum(one == most for one, most in zip(picked, best, strict=True))
+    cells = " | ".join(f"{one:.3f}" for one in (np.mean(picked), *each, np.mean(best)))
+    return f"| {right} of {len(kept)} | {cells} |"
 
 
 def test_the_choice_against_the_truth(real_tactile: Path) -> None:
@@ -115,5 +137,9 @@ def test_the_choice_against_the_truth(real_tactile: Path) -> None:
     print(f"\n| trial | method | seen: {names} | chosen | truth: {names} | lost |\n{'|---' * 8}|")
     print(*map(line, found), sep="\n")
     print(f"\n| method | right | chosen | {names} | best of each |\n{'|---' * 6}|")
-    print(*(summary(found, method) for method in METHODS), sep="\n")
+    print(*(summary(found, method, kind) for method in METHODS for kind in KINDS), sep="\n")
+    print(
+        f"\n| right method | chosen | {' | '.join(METHODS)} | best of each |\n{'|---' * (3 + len(METHODS))}|"
+    )
+    print(between_methods(found))
     assert {row["chosen"] for row in found} <= set(TRUNKS)
