@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.gel_scars.record import Repeats
 
-__all__ = ["MOSTLY", "SEVERAL", "Blame", "Cause", "blame", "is_explained", "remaining", "together"]
+__all__ = ["SEVERAL", "Blame", "Cause", "blame", "is_explained", "remaining", "together"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -40,8 +40,8 @@ _OF_THE_GEL, _OF_THE_PART = 0.2, 0.5
 
 SEVERAL: Final = 2.7
 """Three presses of late: the place of the gel, not of the part, when the part lay elsewhere each time."""
-MOSTLY: Final = 0.5
-"""At least in this share of the presses that showed the place."""
+# At least in this share of the presses that showed the place.
+_MOSTLY = 0.5
 # The part's place varies by more than this between those presses, and by more than the place is wide: damage at one
 # place of the part moves with it, and would not come back to this place of the gel.
 _MOVED_MM = 1.0
@@ -77,7 +77,7 @@ def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
             Cause.UNSURE,
             "the free gel shows a mark there that explains only a part of it; press it elsewhere",
         )
-    is_repeated = repeats.hits >= SEVERAL and repeats.rate >= MOSTLY
+    is_repeated = repeats.hits >= SEVERAL and repeats.rate >= _MOSTLY
     if is_repeated and repeats.spread_mm >= max(_MOVED_MM, wide_mm):
         return Blame(
             Cause.GEL,
