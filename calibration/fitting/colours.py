@@ -38,6 +38,10 @@ fills the region the presses themselves differ. Scored presses reached 1.5 times
 NEAREST_OTHER: Final = 0.198
 """The nearest frame of another sensor, as above: a limit beyond it may let one pass."""
 
+_LEAST_COLOUR: Final = 1.0
+"""Grey levels between the mean colours of a cell, of the cell that has most colour. Compression of a grey picture
+leaves less; on real presses of a GelSight Mini it is above 40."""
+
 
 def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
     """The coarse colours of the presses, and the largest distance from them. frames: uint8 (n, h, w, 3), n at least 1.
@@ -62,8 +66,15 @@ def _mean_of_others(mean: NDArray[np.float64], one: NDArray[np.float64], n: int)
 
 
 def colour_warnings(colours: ColourEntry | None) -> list[str]:
-    """A warning where presses differ so much that another sensor may look like one of them."""
-    if colours is None or colours.limit <= NEAREST_OTHER:
+    """Warnings where presses are grey, or differ so much that another sensor may look like one of them."""
+    if colours is None:
+        return []
+    if np.ptp(np.array(colours.cells), axis=2).max() < _LEAST_COLOUR:
+        return [
+            "these presses have no colour, and a GelSight Mini lights the gel in three colours: its frames will be "
+            "refused or fail; give the pictures as the camera took them"
+        ]
+    if colours.limit <= NEAREST_OTHER:
         return []
     return [
         f"the colours of these presses differ by {colours.spread:.1%} of the light, so frames of another sensor up to "

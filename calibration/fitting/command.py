@@ -189,8 +189,9 @@ def found_sources(
     seed: int = 0,
 ) -> "Sources":
     """The sources with datasets resolved; prints the held-out specimens. Errors: as `find_sources`; BadParameter."""
-    from calibration.fitting.sources import find_sources, is_dataset
+    from calibration.fitting.sources import check_present, find_sources, is_dataset
 
+    check_present(sources)
     if part is None and not any(map(is_dataset, sources)):
         raise typer.BadParameter("Missing option '--part': only a dataset knows what is pressed.")
     found = find_sources(sources, part, position, sensor.size, holdout=holdout, seed=seed)

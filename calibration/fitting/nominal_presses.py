@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
 from calibration.fitting.recorded_presses import FoundPress, PressFinder
+from calibration.fitting.sources import check_present
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import Reference, View
@@ -305,6 +306,7 @@ def _add_settled(folder: Path, found: FoundPress, specimen: object, gathered: _G
 
 def listed_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
     """Picture files, and those directly inside folders (or that match the pattern), in the order of their names."""
+    check_present(sources)
     files: list[Path] = []
     for source in sources:
         if source.is_dir() and pattern is not None:
@@ -318,10 +320,8 @@ def listed_pictures(sources: Sequence[Path], pattern: str | None = None) -> list
                     "directly inside; name the folder that holds them"
                 )
             files += found
-        elif source.is_file():
-            files.append(source)
         else:
-            raise FitError(f"there is nothing at {source}; check the path")
+            files.append(source)
     return files
 
 

@@ -12,9 +12,9 @@ from calibration.dataset import (
     resolution_of,
     split_by_specimen,
 )
-from edge.core.errors import ConfigError, DatasetError
+from edge.core.errors import ConfigError, DatasetError, FitError
 
-__all__ = ["Sources", "find_sources", "is_dataset"]
+__all__ = ["Sources", "check_present", "find_sources", "is_dataset"]
 
 DEFAULT_POSITION = "default"
 
@@ -37,6 +37,13 @@ class Sources:
 def is_dataset(source: Path) -> bool:
     """Whether a source is a folder in the layout of a dataset, so that it knows parts and positions itself."""
     return source.is_dir() and layout_of(source) is not None
+
+
+def check_present(sources: Sequence[Path]) -> None:
+    """Errors: FitError for the first source that is not there."""
+    for source in sources:
+        if not source.exists():
+            raise FitError(f"there is nothing at {source}; check the path")
 
 
 def find_sources(

@@ -104,6 +104,9 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     ),
     "fit from an empty folder": (fit_empty, 3, ("empty is neither a recording", ".png", "name the folder")),
     "fit from nothing": (lambda _: fit("absent"), 3, ("there is nothing at absent", "check the path")),
+    "fit from nothing, of no part": (
+        lambda _: ["fit", "absent", "-o", "new"], 3, ("there is nothing at absent", "check the path"),
+    ),
     "fit from mixed sizes": (
         fit_mixed, 3, ("1 of 2 pictures", "b.png: is 100x90", "takes 3280x2464 (camera) or 320x240"),
     ),
@@ -191,7 +194,7 @@ def test_a_demo_without_a_broker_says_so_before_it_works(
         (["rnu"], "No such command 'rnu'"),
         (["run", "--presess", "3"], "--presses"),
         (["run", "--presses", "many"], "Invalid value for '--presses'"),
-        (["fit", "presses", "-o", "x"], "Missing option '--part'"),
+        (["fit", ".", "-o", "x"], "Missing option '--part'"),
     ],
 )
 def test_a_wrong_command_line_ends_with_2(arguments: list[str], words: str) -> None:

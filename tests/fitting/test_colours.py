@@ -53,9 +53,15 @@ def test_each_press_is_held_against_the_others() -> None:
 def test_a_limit_within_reach_of_other_sensors_is_said() -> None:
     """Presses of two sensors under one bundle cannot be distinguished from a third one."""
     assert colour_warnings(nominal_colours(flat(*[(150, 100, 50)] * 3))) == []
-    (warning,) = colour_warnings(nominal_colours(flat((110, 100, 90), (90, 100, 110))))
+    (warning,) = colour_warnings(nominal_colours(flat((120, 100, 80), (100, 100, 100))))
     assert "differ by 20.0%" in warning
     assert "one sensor" in warning
+
+
+def test_grey_presses_are_said() -> None:
+    """The lamps are coloured: grey pictures were converted, and a bundle of them suits no camera."""
+    (warning,) = colour_warnings(nominal_colours(flat((90, 90, 90), (110, 110, 110), (100, 100, 100))))
+    assert "no colour" in warning
 
 
 def test_black_presses_have_no_colours() -> None:
