@@ -13,22 +13,28 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from calibration.benchmark.effect_costs import effect_costs
-from calibration.benchmark.evaluation import random_trunk, scored_columns
-from calibration.benchmark.presses import development_trial
-from calibration.benchmark.real_touch import real_touch_trial
+from calibration.benchmark.evaluation import random_trunk
+from calibration.benchmark.short_trunks import (
+    ShortTrunk,
+    TrialReading,
+    about,
+    complete,
+    opened,
+    read,
+    readings,
+    rows_of,
+    trained,
+)
 from calibration.benchmark.trial import Trial
 from calibration.simulator.effects import EFFECTS as SIMULATED
 from calibration.training.train_config import EFFECTS, TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.suggest import suggestion
-from edge.model.onnx_prune import cut_trunk
-from plugins.backbones.resnet import build_trunk
 
 __all__ = [
     "ALL",
@@ -36,11 +42,8 @@ __all__ = [
     "OPTICAL",
     "ROWS",
     "VARIANTS",
-    "TrialReading",
     "ablate",
     "measure_costs",
-    "readings",
-    "rows_of",
 ]
 
 ROWS = "effects.jsonl"
@@ -52,47 +55,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 }
 """Of each trunk, the effects that its presses have; under an effect's name those without it."""
 
-_BOTH = ("padim", "patchcore")
 _MORE_SEEDS = 3
-_TAP = "layer1"
-
-
-@dataclass(frozen=True)
-class TrialReading:
-    """A trial and the methods that read it. is_real: presses of a real sensor."""
-
-    name: str
-    make: Callable[[], Trial]
-    methods: tuple[str, ...] = _BOTH
-    is_real: bool = True
-
-
-def readings(data: Path) -> list[TrialReading]:
-    """The trials of the comparison. data: the folder of real tactile frames.
-
-    PaDiM compares place by place and says nothing of presses that lie anywhere.
-    """
-    real = partial(partial, real_touch_trial, data)
-    return [
-        *(
-            TrialReading(name, real(name))
-            for name in ("ball 6.31 mm, registered", "ball 9.47 mm, registered")
-        ),
-        TrialReading("ball 6.31 mm, anywhere", real("ball 6.31 mm, anywhere"), ("patchcore",)),
-        TrialReading("finger on a marker gel", real("finger on a marker gel")),
-        TrialReading("RP0", partial(development_trial, 0), is_real=False),
-    ]
-
-
-def rows_of(path: Path) -> list[dict[str, Any]]:
-    """The lines of an earlier run, none without a file; half a line at the end is left out. Errors: ConfigError."""
-    if not path.is_file():
-        return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    try:
-        return [json.loads(line) for line in lines if line.endswith("\n")]
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"'{path}' is damaged: {error}; remove it or choose another folder") from error
 
 
 def ablate(
@@ -109,24 +72,28 @@ def ablate(
     others are compared with, three more. Errors: ConfigError for a folder with rows of another recipe or
     other trials.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / ROWS
-    rows = rows_of(path)
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
-    made = {(row["without"], row["seed"]): row for row in rows if "without" in row}
-    open_trial = cache(lambda reading: replace(reading.make(), alpha=None))
-    for name, seed, wanted in _planned(recipe, seeds, variants):
-        about = _about(wanted, trials)
-        if (name, seed) in made:
-            _check_equal(made[name, seed], about, path)
-            continue
-        graph = random_trunk() if name == NOT_TRAINED else _trained(out / "runs", name, wanted)
-        row = {"without": name, "seed": seed, **about, "aupro_fpr01": _read(graph, trials, open_trial)}
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-        rows.append(row)
-        say(f"{name}, seed {seed}: {row['aupro_fpr01']}")
-    return rows
+    open_trial = opened()
+    planned = [
+        ShortTrunk(
+            name,
+            seed,
+            about(wanted, trials, ("seed", "effects")),
+            partial(_measured, out / "runs", name, wanted, trials, open_trial),
+        )
+        for name, seed, wanted in _planned(recipe, seeds, variants)
+    ]
+    return complete(out / ROWS, "without", planned, say)
+
+
+def _measured(
+    runs: Path,
+    name: str,
+    recipe: TrainConfig,
+    trials: Sequence[TrialReading],
+    open_trial: Callable[[TrialReading], Trial],
+) -> dict[str, Any]:
+    graph = random_trunk() if name == NOT_TRAINED else trained(runs, name, recipe)
+    return {"aupro_fpr01": read(graph, trials, open_trial)}
 
 
 def measure_costs(out: Path, rounds: int = 30) -> None:
@@ -134,8 +101,8 @@ def measure_costs(out: Path, rounds: int = 30) -> None:
     path = out / ROWS
     if any("costs_ms" in row for row in rows_of(path)):
         return
-    complete, each = effect_costs(rounds=rounds)
-    row = {"press_ms": round(complete, 3), "costs_ms": {name: round(ms, 3) for name, ms in each.items()}}
+    press_ms, each = effect_costs(rounds=rounds)
+    row = {"press_ms": round(press_ms, 3), "costs_ms": {name: round(ms, 3) for name, ms in each.items()}}
     out.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
@@ -152,47 +119,6 @@ def _planned(
         for name, effects in variants.items():
             if name != ALL:
                 yield name, seed, recipe.model_copy(update={"seed": seed, "effects": effects})
-
-
-def _about(recipe: TrainConfig, trials: Sequence[TrialReading]) -> dict[str, Any]:
-    return {
-        "recipe": {k: v for k, v in json.loads(recipe.to_json()).items() if k not in ("seed", "effects")},
-        "real": [trial.name for trial in trials if trial.is_real],
-    }
-
-
-def _check_equal(row: Mapping[str, Any], about: Mapping[str, Any], path: Path) -> None:
-    for key, wanted in about.items():
-        if row[key] != wanted:
-            raise ConfigError(
-                f"'{path}' has rows of another {key} ({row[key]}, not {wanted}); choose another folder"
-            )
-
-
-def _trained(runs: Path, name: str, recipe: TrainConfig) -> bytes:
-    """The trunk of one variant up to layer1; an interrupted training is continued."""
-    from calibration.training.checkpoint import latest, load
-    from calibration.training.package import trunk_state
-    from calibration.training.train import TrainingRun, train
-
-    folder = runs / f"{name.replace(' ', '_')}_{recipe.seed}"
-    resume = folder if latest(folder) else None
-    train(recipe, TrainingRun(folder, resume=resume, save_every=100, threads=1, device="cpu"))
-    return build_trunk(trunk_state(load(folder).weights), "resnet18", (_TAP,))
-
-
-def _read(
-    graph: bytes, trials: Sequence[TrialReading], open_trial: Callable[[TrialReading], Trial]
-) -> dict[str, dict[str, float]]:
-    """AU-PRO up to 1 % false alarms by trial and method."""
-    trunk = {"": cut_trunk(graph, (_TAP,))}
-    return {
-        of.name: {
-            method: round(float(columns["aupro_fpr01"][0]), 5)
-            for (_, method), columns in scored_columns(trunk, open_trial(of), of.methods, 0).items()
-        }
-        for of in trials
-    }
 
 
 def _chosen(only: Sequence[str]) -> Mapping[str, tuple[str, ...]]:

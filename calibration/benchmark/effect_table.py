@@ -8,7 +8,6 @@ and on simulated parts, where it costs `LEAST_SHARE` of a press or more, and whe
 is neither shown to pay nor shown to be worth less than that is not decided, and stays.
 """
 
-import math
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,24 +17,22 @@ from typing import Any
 
 import numpy as np
 
-from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, VARIANTS, rows_of
+from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, VARIANTS
+from calibration.benchmark.seed_differences import LEAST_WORTH, Worth, differences
+from calibration.benchmark.short_trunks import mean_of, rows_of
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.effects import EFFECTS as SIMULATED
-from calibration.studies.intervals import t_quantile
 from calibration.studies.page_parts import table
 from calibration.training.train_config import EFFECTS
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["KEPT", "LEAST_SHARE", "LEAST_WORTH", "Worth", "effect_table", "leaving", "trial_table", "worths"]
+__all__ = ["KEPT", "LEAST_SHARE", "LEAST_WORTH", "effect_table", "leaving", "trial_table", "worths"]
 
 _LEAST_SEEDS = 3
 _HEADING = ("left out", "ms", "of a press", "seeds", "worth on real presses", "on a simulated part", "result")
 
 LEAST_SHARE = 0.01
 """Of a press's processor time; an effect that costs less may stay whatever it is worth."""
-
-LEAST_WORTH = 0.02
-"""In AU-PRO up to 1 % false alarms; a smaller worth is not looked for."""
 
 KEPT: Mapping[str, str] = {
     "pose_jitter": "without it every press is the same press",
@@ -51,59 +48,18 @@ KEPT: Mapping[str, str] = {
 """Effects that other parts of the product need, with the reason."""
 
 
-@dataclass(frozen=True)
-class Worth:
-    """What is lost without an effect, in AU-PRO, below 0 where the trunk is better without it. noise: half the width of
-    the 95 % interval."""
-
-    value: float
-    noise: float
-
-    @property
-    def pays(self) -> bool:
-        return self.value > self.noise
-
-    @property
-    def harms(self) -> bool:
-        return self.value < -self.noise
-
-    @property
-    def is_small(self) -> bool:
-        """Shown to be below `LEAST_WORTH`."""
-        return self.value + self.noise < LEAST_WORTH
-
-    def __str__(self) -> str:
-        return f"{round(self.value, 3) + 0.0:+.3f} ± {self.noise:.3f}"
-
-
 def worths(rows: Sequence[Mapping[str, Any]], is_real: bool) -> dict[str, Worth]:
-    """Of every variant but `ALL`, on real presses or on simulated parts.
+    """What is lost without the effects of every variant but `ALL`, on real presses or on simulated parts.
 
-    Two-way analysis of variance by least squares: a value is the sum of what its effects and its seed give it, for
-    trunks of one seed have equal first weights and batches. What remains is the noise. Errors: ConfigError for a
-    variant without a row, or for too few seeds.
+    Errors: ConfigError for a variant without a row, or for too few seeds.
     """
     _check_complete(_trained(rows))
-    trained = [row for row in _trained(rows) if row["without"] != NOT_TRAINED]
-    others = [name for name in VARIANTS if name != ALL]
-    seeds = sorted({row["seed"] for row in trained})
-    design = np.array(
-        [
-            [*(row["without"] == name for name in others), *(row["seed"] == seed for seed in seeds)]
-            for row in trained
-        ],
-        np.float64,
-    )
-    values = np.array([_mean(row, is_real) for row in trained])
-    inverse = np.linalg.pinv(design)
-    found = inverse @ values
-    freedom = len(values) - design.shape[1]
-    deviation = math.sqrt(float(((values - design @ found) ** 2).sum()) / freedom)
-    noises = t_quantile(freedom) * deviation * np.sqrt((inverse**2).sum(axis=1))
-    return {
-        name: Worth(-float(value), float(noise))
-        for name, value, noise in zip(others, found, noises, strict=False)
-    }
+    values = [
+        (row["without"], row["seed"], -mean_of(row, is_real))
+        for row in _trained(rows)
+        if row["without"] != NOT_TRAINED
+    ]
+    return differences(values, [name for name in VARIANTS if name != ALL])
 
 
 def _check_complete(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -118,12 +74,6 @@ def _check_complete(rows: Sequence[Mapping[str, Any]]) -> None:
             f"the rows hold {trained} trunks, {counts[ALL]} of them with every effect, too few to know the noise; "
             "continue the run with --seeds 2"
         )
-
-
-def _mean(row: Mapping[str, Any], is_real: bool) -> float:
-    """Over the trials, of the mean over the methods of each."""
-    chosen = [found for name, found in row["aupro_fpr01"].items() if (name in row["real"]) == is_real]
-    return float(np.mean([np.mean(list(found.values())) for found in chosen]))
 
 
 def effect_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -153,7 +103,7 @@ def _scale(rows: Sequence[Mapping[str, Any]]) -> str:
     found = []
     for name, words in ((ALL, "With every effect"), (NOT_TRAINED, "With random weights")):
         of = [row for row in _trained(rows) if row["without"] == name]
-        real, simulated = (np.mean([_mean(row, is_real) for row in of]) for is_real in (True, False))
+        real, simulated = (np.mean([mean_of(row, is_real) for row in of]) for is_real in (True, False))
         found.append(
             f"{words} the mean is {real:.3f} on real presses and {simulated:.3f} on the simulated part."
         )

@@ -17,7 +17,7 @@ from calibration.training.render import Spacing, slopes
 from calibration.training.train_config import STAGES, Distance, TrainConfig
 from calibration.training.training_pairs import Pairs
 
-__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "separation", "window_cells"]
+__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "pair_losses", "separation", "window_cells"]
 
 # Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
 _SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
@@ -53,13 +53,18 @@ def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Train
         stride = batch.change_mm.shape[-1] // features.shape[-1]
         target = F.avg_pool2d(geometry, stride)
         wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
-        reach = window_cells(recipe.window_mm, stride, batch.spacing)
-        distance = cell_distances(features, reach, recipe.distance)
-        changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
-        pair = _pair(distance, changed, unchanged, recipe.margin)
-        parts.append(torch.stack([wrong, *pair, _rank(distance, changed, unchanged)]))
+        parts.append(torch.stack([wrong, *pair_losses(features, batch, recipe)]))
     weight = torch.tensor([recipe.finest_weight, 1.0, 1.0][: recipe.stages], device=parts[0].device)
     return Losses(*(weight @ torch.stack(parts) / weight.sum()))
+
+
+def pair_losses(features: Tensor, batch: Pairs, recipe: TrainConfig) -> tuple[Tensor, Tensor, Tensor]:
+    """pull, push and rank of one map, (2n, channels, rows, columns)."""
+    stride = batch.change_mm.shape[-1] // features.shape[-1]
+    reach = window_cells(recipe.window_mm, stride, batch.spacing)
+    distance = cell_distances(features, reach, recipe.distance)
+    changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
+    return *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged)
 
 
 def _geometry(batch: Pairs) -> Tensor:

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from calibration.training.random_sensors import RandomSensors
 from calibration.training.render import Spacing
 from calibration.training.train_config import TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
@@ -25,12 +26,15 @@ __all__ = ["draw_step", "drawn_ahead"]
 
 _DEPTH = 4
 _PATIENCE_S = 5.0
+_SENSORS = RandomSensors()
 
 Packed = tuple[int, NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], Spacing]
 
 
-def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
-    """The training batch of one step."""
+def draw_step(
+    recipe: TrainConfig, step: int, device: torch.device, sensors: RandomSensors = _SENSORS
+) -> Pairs:
+    """The training batch of one step. sensors: how those of the batch are drawn."""
     return draw_pairs(
         recipe.seed,
         "train",
@@ -40,6 +44,7 @@ def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
         device=device,
         high_resolution=recipe.high_resolution,
         effects=recipe.effects,
+        sensors=sensors,
     )
 
 

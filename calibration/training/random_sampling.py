@@ -14,7 +14,12 @@ class Draws:
 
     def __init__(self, seed: int, device: torch.device) -> None:
         self.device = device
+        self._seed = seed
         self._generator = torch.Generator(device=device).manual_seed(seed)
+
+    def apart(self, purpose: str) -> "Draws":
+        """Draws of another stream, equal for an equal seed; this stream goes on as if they were not made."""
+        return draws_for(self._seed, purpose, 0, self.device)
 
     def uniform(self, low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * torch.rand(shape, generator=self._generator, device=self.device)

@@ -11,27 +11,25 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from calibration.simulator.constants import DOT_KEEPS, DOT_PITCH_MM, DOT_RADIUS_MM, DOT_SPREAD_MM
-from calibration.simulator.sensor_appearance import SENSORS
 from calibration.training import render
 from calibration.training.jpeg import compressed
 from calibration.training.random_defects import damaged
 from calibration.training.random_parts import Parts, draw_parts, draw_waves, turned, waves
 from calibration.training.random_sampling import Draws, draws_for
+from calibration.training.random_sensors import RandomSensors, under_dots
 from calibration.training.render import BatchAppearance, Spacing
 from calibration.training.train_config import EFFECTS
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
-__all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs", "under_dots"]
+__all__ = ["Pairs", "draw_pairs"]
 
-# Training mixes and varies these two measured sensors; `unit_c` is reserved for evaluation.
-TRAINING_UNITS = ("unit_a", "unit_b")
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
 _MARKER_SHARE = 0.2
 # Cameras compress; lossless recordings do not.
 _JPEG_SHARE = 0.7
 _JPEG_QUALITY = (75.0, 96.0)
+_SENSORS = RandomSensors()
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,15 @@ def draw_pairs(
     device: torch.device,
     high_resolution: float = 0.25,
     effects: Collection[str] = EFFECTS,
+    sensors: RandomSensors = _SENSORS,
 ) -> Pairs:
     """The batch of one step: a function of seed, purpose and step alone.
 
     effects: those that the presses have. Every effect's numbers are drawn, so leaving one out changes no other.
+    sensors: how those of the batch are drawn.
     """
     with torch.no_grad():
-        return _drawn(seed, purpose, step, pairs, side, device, high_resolution, effects)
+        return _drawn(seed, purpose, step, pairs, side, device, high_resolution, effects, sensors)
 
 
 def _drawn(
@@ -86,6 +86,7 @@ def _drawn(
     device: torch.device,
     high_resolution: float,
     effects: Collection[str],
+    sensors: RandomSensors,
 ) -> Pairs:
     host = draws_for(seed, f"{purpose}/host", step, torch.device("cpu"))
     spacing = _draw_spacing(host, high_resolution)
@@ -110,9 +111,8 @@ def _drawn(
     surface = torch.cat([surfaces[:pairs], surfaces[2 * pairs :]])
     lens_mm = float(host.uniform(0.02, 0.05))
     u, v = render.unit_grid(side, spacing, centre, device)
-    frames = _photograph(
-        draws, surface, _draw_appearance(draws, pairs, u, v), x, y, spacing, lens_mm, effects
-    )
+    appearance = sensors.appearance(draws, pairs, u, v)
+    frames = _photograph(draws, surface, appearance, x, y, spacing, lens_mm, effects, sensors)
     return Pairs(frames, surface, change, spacing)
 
 
@@ -167,28 +167,6 @@ def _heights(draws: Draws, parts: Parts, views: _Views) -> Tensor:
     return sound + waves(marks, views.x, views.y) + views.tilt_mm
 
 
-def _draw_appearance(draws: Draws, n: int, u: Tensor, v: Tensor) -> BatchAppearance:
-    """Sensors about the two training units: exposure, white balance, falloff, colour mixing and response all vary."""
-    free = torch.stack([torch.tensor(SENSORS[name].free_gel.tolist()) for name in TRAINING_UNITS])
-    answer = torch.stack([torch.tensor(SENSORS[name].slope_response.tolist()) for name in TRAINING_UNITS])
-    free, answer = free.to(draws.device), answer.to(draws.device)
-    share = draws.uniform(0, 1, n)[:, None, None]
-    level = draws.normal(0.15, n, 1) + draws.normal(0.07, n, 3)
-    table = share * free[0] + (1 - share) * free[1] + draws.normal(0.05, n, 3, 15)
-    table[:, :, 0] = table[:, :, 0] + level
-    gain = torch.exp(level + draws.normal(0.12, n, 1) + draws.normal(0.08, n, 3))[:, :, None]
-    answers = (share * answer[0] + (1 - share) * answer[1]) * (1 + draws.normal(0.1, n, 3, 15))
-    answers = (answers + draws.normal(4.0, n, 3, 15)) * gain
-    # Filters leak: up to a quarter of each channel comes from the others.
-    leak = draws.uniform(0, 0.25, n)[:, None, None]
-    mixing = (1 - leak) * torch.eye(3, device=draws.device) + leak * draws.uniform(0, 0.6, n, 3, 3)
-    return BatchAppearance(
-        free=torch.einsum("ncd,ndhw->nchw", mixing, render.free_gel(table, u, v)),
-        per_normal=torch.einsum("ncd,ndkhw->nckhw", mixing, render.per_normal(answers, u, v)),
-        curvature=torch.einsum("ncd,ndk->nck", mixing, answers[:, :, 12:]),
-    )
-
-
 def _photograph(
     draws: Draws,
     surface: Tensor,
@@ -198,6 +176,7 @@ def _photograph(
     spacing: Spacing,
     lens_mm: float,
     effects: Collection[str],
+    sensors: RandomSensors,
 ) -> Tensor:
     """Frames of 2n imprints through n gels and cameras."""
     n = len(surface) // 2
@@ -224,19 +203,20 @@ def _photograph(
     count = round(_MARKER_SHARE * n) if "markers" in effects else 0
     if count:
         dots = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
-        planes[dots] = under_dots(planes[dots], surface[dots], x, y, spacing)
+        planes[dots] = under_dots(
+            planes[dots], surface[dots], x, y, spacing, sensors.dots(draws, count).twice()
+        )
     white = both(draws.normal(1.0, n, *surface.shape[1:]))
     flakes = both(draws.uniform(0, 3, n))
     if "grain" in effects:
         planes = render.grain(planes, surface, white, flakes, spacing)
     if "lens_blur" in effects:
         planes = render.lens(planes, lens_mm, spacing)
-    large = 1 + 2.5 * draws.chance(0.15, 2 * n)[:, None]
-    gain = torch.exp(large * (draws.normal(0.015, 2 * n, 1) + draws.normal(0.008, 2 * n, 3)))
+    gain = sensors.gains(draws, 2 * n)
     planes = planes.clamp(min=0)
     if "led_drift" in effects:
         planes = planes * gain[:, :, None, None]
-    noise, strength = draws.normal(1.0, *planes.shape), both(draws.log_uniform(0.5, 1.6, n))
+    noise, strength = sensors.noise(draws, *planes.shape), both(draws.log_uniform(0.5, 1.6, n))
     if "noise" in effects:
         planes = render.sensor_noise(planes, noise, strength)
     frames = render.quantise(planes)
@@ -288,14 +268,3 @@ def _bells(px: Tensor, py: Tensor, radius: Tensor, high: Tensor, x: Tensor, y: T
     along_x = torch.exp(-0.5 * ((x[0] - px[:, :, None]) / radius[:, :, None]) ** 2)
     along_y = torch.exp(-0.5 * ((y[:, 0] - py[:, :, None]) / radius[:, :, None]) ** 2)
     return torch.einsum("nky,nkx->nyx", along_y * high[:, :, None], along_x)
-
-
-def under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
-    """The planes under a tracking gel's dots, which spread away from where the gel bulges."""
-    sx, sy = render.slopes(render.blur(surface, (0.6 / spacing[0], 0.6 / spacing[1])), spacing)
-    # The simulator pushes along dz/dx; these slopes have the other sign.
-    u, v = x - DOT_SPREAD_MM * sx, y - DOT_SPREAD_MM * sy
-    u = u - DOT_PITCH_MM[0] * (u / DOT_PITCH_MM[0]).round()
-    v = v - DOT_PITCH_MM[1] * (v / DOT_PITCH_MM[1]).round()
-    covered = ((DOT_RADIUS_MM - torch.sqrt(u * u + v * v)) / max(spacing) + 0.5).clamp(0, 1)
-    return planes * (1 - (1 - DOT_KEEPS) * covered[:, None])

@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from calibration.benchmark import effect_table
-from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, ROWS, VARIANTS, measure_costs, rows_of
-from calibration.benchmark.effect_table import Worth, leaving, main, worths
+from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, ROWS, VARIANTS, measure_costs
+from calibration.benchmark.effect_table import leaving, main, worths
+from calibration.benchmark.seed_differences import Worth
+from calibration.benchmark.short_trunks import rows_of
 from calibration.simulator.effects import EFFECTS
 from calibration.studies.intervals import t_quantile
 

@@ -4,8 +4,8 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from calibration.benchmark.effect_ablation import rows_of
 from calibration.benchmark.effect_table import effect_table, leaving, trial_table
+from calibration.benchmark.short_trunks import rows_of
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.parts import PARTS

@@ -15,10 +15,10 @@ from calibration.benchmark.effect_ablation import (
     OPTICAL,
     ROWS,
     VARIANTS,
-    TrialReading,
     ablate,
     main,
 )
+from calibration.benchmark.short_trunks import TrialReading
 from calibration.benchmark.trial import Trial
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.simulator.effects import EFFECTS as SIMULATED

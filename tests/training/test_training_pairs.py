@@ -15,8 +15,9 @@ from calibration.training import render
 from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
 from calibration.training.random_sampling import Draws, draws_for
+from calibration.training.random_sensors import TRAINING_UNITS, RandomSensors, under_dots
 from calibration.training.train_config import EFFECTS, Distance, TrainConfig
-from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs, under_dots
+from calibration.training.training_pairs import Pairs, draw_pairs
 
 CPU = torch.device("cpu")
 SPACING = LR.mm_per_px
@@ -42,7 +43,9 @@ def test_the_dots_of_a_tracking_gel_are_where_the_simulator_has_them() -> None:
     flat = np.zeros((240, 320), np.float32)
     expected = gel_surface.markers(np.full((3, 240, 320), 100, np.float32), flat, LR)
 
-    found = under_dots(torch.full((1, 3, 240, 320), 100.0), torch.from_numpy(flat)[None], x, y, SPACING)
+    layout = RandomSensors().dots(draws_for(0, "dots", 0, CPU), 1)
+    planes = torch.full((1, 3, 240, 320), 100.0)
+    found = under_dots(planes, torch.from_numpy(flat)[None], x, y, SPACING, layout)
 
     assert expected.min() < 30
     np.testing.assert_allclose(found[0].numpy(), expected, atol=0.1)
@@ -249,8 +252,9 @@ class Units(dict):
     def __getitem__(self, name):
         asked.append(name)
         return dict.__getitem__(self, name)
+import calibration.training.random_sensors as sensors
 import calibration.training.training_pairs as presses
-presses.SENSORS = Units(sensor_appearance.SENSORS)
+sensors.SENSORS = Units(sensor_appearance.SENSORS)
 import torch
 presses.draw_pairs(0, 'train', 0, pairs=2, side=64, device=torch.device('cpu'))
 assert set(asked) == {'unit_a', 'unit_b'}, asked
