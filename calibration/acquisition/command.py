@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calibration.fitting.candidates import DEFAULT_METHOD, Candidates
 from calibration.fitting.options import (
-    Backbone,
+    ChosenBackbone,
     NoContact,
     Part,
     Pattern,
@@ -17,7 +18,7 @@ from calibration.fitting.options import (
     Resize,
     Threads,
 )
-from calibration.fitting.trunks import DEFAULT_BACKBONE
+from calibration.fitting.trunks import AUTO
 
 if TYPE_CHECKING:
     from calibration.acquisition.acquiring import Acquiring
@@ -47,7 +48,9 @@ DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugi
 OptionTexts = Annotated[
     list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
 ]
-Method = Annotated[str, typer.Option(help="The detector that will be fitted; its first tap is compared.")]
+Method = Annotated[
+    str, typer.Option(help="The detector that will be fitted, or 'auto'; its first tap is compared.")
+]
 Each = Annotated[
     int | None,
     typer.Option("--per-piece", min=1, help="A new piece is put in after this number of presses."),
@@ -71,8 +74,8 @@ def acquire(
     option: OptionTexts = None,
     part: Part = None,
     position: Position = None,
-    method: Method = "padim",
-    backbone: Backbone = DEFAULT_BACKBONE,
+    method: Method = DEFAULT_METHOD,
+    backbone: ChosenBackbone = AUTO,
     profile: Profile = "",
     region: RegionText = "centre",
     no_contact: NoContact = None,
@@ -205,9 +208,11 @@ def _acquiring(
     from edge.core.imaging.region import Region
 
     region = Region.parse(plan.region, profile.size)
-    detector = registry.detector(plan.method)
+    # Presses are compared by the usual ones; which ones are best is known when there are presses.
+    usual = Candidates.of(plan.method, plan.backbone)
+    detector = registry.detector(usual.methods[0])
     tap = detector.taps(detector.parameters())[0]
-    trunk = open_trunk(plan.backbone, (tap,))
+    trunk = open_trunk(usual.trunks[0], (tap,))
     folder = AcquisitionFolder(output, About(plan.part, plan.position, plan.profile, str(region)))
     if folder.presses:
         typer.echo(f"{output} has {len(folder.presses)} presses already; they count")

@@ -2,17 +2,18 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from calibration.fitting.candidates import DEFAULT_METHOD, Candidates
 from calibration.fitting.options import (
     Alpha,
     AugmentOption,
     ChosenBackbone,
+    ChosenMethod,
     GelId,
     Holdout,
     LeaveOut,
@@ -34,7 +35,7 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
-from calibration.fitting.trunks import AUTO, DEFAULT_BACKBONE, OTHER_BACKBONES
+from calibration.fitting.trunks import AUTO
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -65,7 +66,7 @@ def fit(
     output: Output,
     part: Part = None,
     position: Position = None,
-    method: Annotated[str, typer.Option(help="The detector.")] = "padim",
+    method: ChosenMethod = DEFAULT_METHOD,
     mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
     backbone: ChosenBackbone = AUTO,
     profile: Profile = "",
@@ -95,18 +96,18 @@ def fit(
     The bundle holds bank, threshold and golden frames. Of a dataset (the paper's layout, MVTec's, CVAT's) the good
     presses of one part and position are learnt.
     """
-    from calibration.fitting.fit import FitConfig, fit_files
-    from edge.core.imaging.region import Region
+    from calibration.fitting.fit_config import FitConfig
 
     refuse_existing(output, overwrite)
+    candidates = Candidates.of(method, backbone)
     sensor = chosen_profile(profile, sources)
     found = found_sources(sources, part, position, sensor, holdout, seed)
     config = FitConfig(
         part=found.part,
         position=found.position,
         profile=sensor,
-        region=Region.parse(region, sensor.size),
-        **_detection(method, mode, settings or [], backbone),
+        region=_region(region, sensor),
+        **_detection(candidates, mode, settings or [], threshold),
         alpha=alpha,
         threshold=threshold,
         seed=seed,
@@ -119,27 +120,33 @@ def fit(
         gel_id=gel,
     )
     presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
-    _announce(presses, config, OTHER_BACKBONES if backbone == AUTO else ())
-    make(partial(_fit_on_best if backbone == AUTO else fit_files, presses, config), output, overwrite)
+    _announce(presses, config, candidates)
+    make(partial(_fit_best, candidates, presses, config), output, overwrite)
 
 
-def _announce(presses: "NominalPresses", config: "FitConfig", others: Sequence[str]) -> None:
-    """What is fitted. others: backbones that are compared with the configured one."""
-    on = " or ".join([config.trunk.id, *others])
-    how = f"{config.detector.name} ({config.mode}) on {on}"
+def _region(text: str, sensor: "SensorProfile") -> "Region":
+    from edge.core.imaging.region import Region
+
+    return Region.parse(text, sensor.size)
+
+
+def _announce(presses: "NominalPresses", config: "FitConfig", candidates: Candidates) -> None:
+    """What is fitted, or may be."""
+    on = " or ".join([config.trunk.id, *candidates.trunks[1:]])
+    how = f"{' or '.join(candidates.methods)} ({config.mode}) on {on}"
     typer.echo(f"{counted(len(presses))}, {how}, region {config.region}")
 
 
-def _fit_on_best(
-    presses: "NominalPresses", config: "FitConfig", *, created: str, report: "Report"
+def _fit_best(
+    candidates: Candidates, presses: "NominalPresses", config: "FitConfig", *, created: str, report: "Report"
 ) -> "Fitted":
-    """Fit on the trunk that shows most of small damage. Errors: as `fit_files`."""
+    """Fit, of several methods or trunks with those that show most of small damage. Errors: as both steps."""
+    from calibration.fitting.detection_choice import choose_detection
     from calibration.fitting.fit import fit_files
-    from calibration.fitting.trunk_choice import choose_trunk
 
-    choice = choose_trunk(presses, config, OTHER_BACKBONES, report)
-    chosen = replace(config, trunk=choice.trunk, trunk_choice=choice.facts())
-    return fit_files(presses, chosen, created=created, report=report)
+    if candidates.are_several:
+        config = choose_detection(presses, config, candidates, report)
+    return fit_files(presses, config, created=created, report=report)
 
 
 def _choices(limit: str, register: str, augment: str) -> dict[str, Any]:
@@ -160,8 +167,10 @@ def _limit(word: str) -> Literal["chosen", "plain"]:
     return "plain" if word == "plain" else "chosen"
 
 
-def _detection(method: str, mode: str, settings: list[str], backbone: str) -> dict[str, Any]:
-    """The detector, its parameters and its trunk, as `FitConfig` takes them. Errors: ConfigError, FitError."""
+def _detection(
+    candidates: Candidates, mode: str, settings: list[str], threshold: float | None
+) -> dict[str, Any]:
+    """The usual detector, its parameters and its trunk, as `FitConfig` takes them. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
     from edge.cli.named_values import named_values
@@ -170,13 +179,13 @@ def _detection(method: str, mode: str, settings: list[str], backbone: str) -> di
 
     if mode not in ("corrected", "paper"):
         raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
+    candidates.check(mode, settings, threshold)
     chosen: Mode = "paper" if mode == "paper" else "corrected"
-    detector = registry.detector(method)
+    detector = registry.detector(candidates.methods[0])
     overrides = named_values("--set", settings)
     if "mode" in overrides:
         raise ConfigError("'--set mode' is not a parameter; write --mode corrected or --mode paper")
-    name = DEFAULT_BACKBONE if backbone == AUTO else backbone
-    trunk = open_trunk(name, detector.taps(detector.parameters(chosen, **overrides)))
+    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters(chosen, **overrides)))
     return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
 
 
@@ -302,6 +311,7 @@ def summary(fitted: "Fitted", output: Path) -> None:
         augmentation_sentence,
         backbone_sentence,
         limit_sentence,
+        method_sentence,
         missing_sentence,
     )
     from edge.model.promise import promise
@@ -310,6 +320,8 @@ def summary(fitted: "Fitted", output: Path) -> None:
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    if sentence := method_sentence(manifest.facts):
+        typer.echo(f"method: {sentence}")
     if sentence := backbone_sentence(manifest.facts):
         typer.echo(f"backbone: {sentence}")
     if why := manifest.facts.get("registration"):

@@ -56,7 +56,7 @@ from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.model.gel_facts import gel_facts
-from edge.model.limit_facts import BACKBONE_CHOICE, MISSING
+from edge.model.limit_facts import MISSING
 from edge.model.manifest import (
     Facts,
     GridEntry,
@@ -343,7 +343,7 @@ class _Fit:
             repairs=tuple(bank.facts.get("repairs", ())),
             facts={
                 "backbone": config.trunk.facts,
-                **({} if config.trunk_choice is None else {BACKBONE_CHOICE: dict(config.trunk_choice)}),
+                **config.choice_facts,
                 "limit": self.choice.facts(),
                 MISSING: self.relief.facts(),
                 **self.pose.facts,

@@ -28,8 +28,8 @@ class FitConfig:
     compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
     `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. augment:
     whether the bank also learns rendered copies of the presses, `auto` where there are few. revision: see `Facts`.
-    gel_id: the gel of the presses, where it is known. trunk_choice: why this trunk was chosen, for the manifest; None
-    where it was named.
+    gel_id: the gel of the presses, where it is known. choice_facts: why this method and this trunk were chosen, for the
+    manifest; empty where they were named.
     """
 
     part: str
@@ -52,7 +52,7 @@ class FitConfig:
     register: Register = "never"
     augment: Augment = "never"
     gel_id: str | None = None
-    trunk_choice: Mapping[str, Any] | None = None
+    choice_facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)

@@ -1,7 +1,8 @@
 """Scores of nominal presses by banks without them, for the threshold."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -60,8 +61,9 @@ class Learner:
         stored = {name: _as_stored(bank, name) for name in bank.arrays if name in wanted}
         taps = {tap: maps for tap, maps in features.items() if tap in wanted}
         found = [_head_answer(head, {**_chosen(taps, [k]), **stored}) for k in rows]
-        maps = np.stack([one for one, _ in found]) if found else np.empty((0, *self.grid.frame), np.float32)
-        return ScoredPresses(maps, np.array([score for _, score in found]))
+        maps = np.stack([one for one, *_ in found]) if found else np.empty((0, *self.grid.frame), np.float32)
+        scores, ms = np.array([found_in[1:] for found_in in found]).reshape(-1, 2).T
+        return ScoredPresses(maps, scores, ms)
 
     def bank_without(self, nominal: Nominal, held: NDArray[np.int64]) -> Bank:
         """A bank of the other presses, with the same share of room as the final bank. Errors: FitError."""
@@ -73,10 +75,14 @@ class Learner:
 
 @dataclass(frozen=True, eq=False)
 class ScoredPresses:
-    """Of n presses: raw score maps float32 (n, h, w), and anomaly scores float64 (n,)."""
+    """Of n presses: raw score maps float32 (n, h, w), and anomaly scores float64 (n,).
+
+    head_ms: what the head took for each, float64 (n,), or none.
+    """
 
     maps: NDArray[np.float32]
     scores: NDArray[np.float64]
+    head_ms: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +128,11 @@ def held_out_scores(
 
 
 def _room(grid: Grid, presses: int) -> ScoredPresses:
-    return ScoredPresses(np.empty((presses, *grid.frame), np.float32), np.empty(presses))
+    return ScoredPresses(np.empty((presses, *grid.frame), np.float32), np.empty(presses), np.empty(presses))
 
 
 def _put(into: ScoredPresses, rows: NDArray[np.int64], found: ScoredPresses) -> None:
-    into.maps[rows], into.scores[rows] = found.maps, found.scores
+    into.maps[rows], into.scores[rows], into.head_ms[rows] = found.maps, found.scores, found.head_ms
 
 
 def _chosen(features: Features, rows: Sequence[int] | NDArray[np.int64]) -> Features:
@@ -135,11 +141,12 @@ def _chosen(features: Features, rows: Sequence[int] | NDArray[np.int64]) -> Feat
 
 def _head_answer(
     head: ort.InferenceSession, inputs: Mapping[str, NDArray[Any]]
-) -> tuple[NDArray[np.float32], float]:
-    """The score map and the anomaly score of one press. Errors: FitError."""
+) -> tuple[NDArray[np.float32], float, float]:
+    """The score map and the anomaly score of one press, and the milliseconds of the head. Errors: FitError."""
+    start = time.perf_counter()
     try:
         score_map, score = head.run(["score_map", "score"], dict(inputs))
-        return score_map[0], float(score[0])
+        return score_map[0], float(score[0]), (time.perf_counter() - start) * 1e3
     except RUNTIME_ERRORS as error:
         raise FitError(f"the head does not run on a fold of the presses: {error!s:.300}") from error
 

@@ -10,6 +10,7 @@ __all__ = [
     "AugmentOption",
     "Backbone",
     "ChosenBackbone",
+    "ChosenMethod",
     "GelId",
     "Holdout",
     "LeaveOut",
@@ -67,6 +68,13 @@ AugmentOption = Annotated[
     ),
 ]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
+ChosenMethod = Annotated[
+    str,
+    typer.Option(
+        "--method",
+        help="The detector; 'auto': of padim and patchcore the one that shows most of the damage put into the presses.",
+    ),
+]
 ChosenBackbone = Annotated[
     str,
     typer.Option(

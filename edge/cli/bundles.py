@@ -52,7 +52,12 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import augmentation_sentence, limit_sentence, missing_sentence
+    from edge.model.limit_facts import (
+        augmentation_sentence,
+        limit_sentence,
+        method_sentence,
+        missing_sentence,
+    )
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
     from edge.model.promise import promise
 
@@ -61,6 +66,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ("part", f"{manifest.part}, position {manifest.position}"),
         ("revision", str(manifest.revision or "none")),
         ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
+        ("method choice", method_sentence(manifest.facts) or "named, not chosen by the fit"),
         ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
         ("repairs", ", ".join(manifest.repairs) or "none"),
         (

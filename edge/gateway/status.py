@@ -24,7 +24,7 @@ from edge.messaging.status_payloads import (
     stats_message,
 )
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import backbone_sentence
+from edge.model.limit_facts import backbone_sentence, method_sentence
 from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 from edge.store.outbox import OutboxStatus
@@ -186,6 +186,7 @@ class StationStatus:
             position=manifest.position,
             parts=tuple(parts),
             method=manifest.method,
+            method_choice=method_sentence(manifest.facts) or None,
             backbone=manifest.backbone.id if manifest.backbone else None,
             backbone_choice=backbone_sentence(manifest.facts) or None,
             bundle_id=bundle.digest,

@@ -1,4 +1,4 @@
-"""What a fit chose, and why: trunk, limit, the check for missing relief, rendered copies in the bank.
+"""What a fit chose, and why: method, trunk, limit, the check for missing relief, rendered copies in the bank.
 
 All are entries of the manifest's `facts`.
 """
@@ -10,11 +10,13 @@ __all__ = [
     "AUGMENTATION",
     "BACKBONE_CHOICE",
     "LIMIT",
+    "METHOD_CHOICE",
     "MISSING",
     "augmentation_sentence",
     "backbone_sentence",
     "copies_of_each",
     "limit_sentence",
+    "method_sentence",
     "missing_sentence",
 ]
 
@@ -26,6 +28,17 @@ backbone was named."""
 def backbone_sentence(facts: Mapping[str, Any]) -> str:
     """For `fit`, `inspect` and the topic `info`; empty for a bundle that does not say."""
     found = facts.get(BACKBONE_CHOICE)
+    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+
+
+METHOD_CHOICE = "method_choice"
+"""The entry's name: `chosen`, `why`, and `found`, what banks of each method on each trunk saw of damage, by its kind;
+absent where the method was named."""
+
+
+def method_sentence(facts: Mapping[str, Any]) -> str:
+    """For `fit`, `inspect` and the topic `info`; empty for a bundle that does not say."""
+    found = facts.get(METHOD_CHOICE)
     return str(found.get("why", "")) if isinstance(found, Mapping) else ""
 
 

@@ -14,6 +14,7 @@ import pytest
 from command_line import gelgate
 
 from edge.model.bundle import Bundle
+from edge.model.limit_facts import backbone_sentence
 
 # Twelve presses of six pieces promise 18 %; the region keeps the trunk small.
 OPTIONS = ("--part", "bolt", "--position", "pos1", "--profile", "cropped_lr", "--promise", "0.2")
@@ -60,14 +61,15 @@ def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: P
 
 
 def test_pictures_know_their_pieces_and_are_fitted_at_once(pictures: Path, tmp_path: Path) -> None:
-    """The names of the files carry the pieces; --fit leaves a bundle."""
+    """The names of the files carry the pieces; --fit leaves a bundle on the backbone that shows most of damage."""
     done = gelgate(
         "acquire", pictures / "presses", "--no-contact", pictures / "free.png", "-o", tmp_path / "acquired",
-        *OPTIONS, "--fit", tmp_path / "bundle",
+        *OPTIONS, "--region", "112,72,96x96", "--fit", tmp_path / "bundle",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert rows(tmp_path / "acquired")[-1]["pieces"] == 6
     manifest = Bundle.load(tmp_path / "bundle").manifest
+    assert "in the nominal presses its banks see most" in backbone_sentence(manifest.facts)
     assert manifest.threshold.pieces == 6
     assert manifest.contact is not None
 
@@ -160,6 +162,7 @@ def test_one_piece_alone_is_said(pictures: Path, tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "2 presses, 1 piece; what a new piece would show is not known" in done.out
+    assert "--method padim --backbone auto" in done.out
 
 
 def test_only_unreadable_presses_are_refused(tmp_path: Path) -> None:

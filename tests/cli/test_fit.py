@@ -7,11 +7,16 @@ from pathlib import Path
 import cv2
 import pytest
 import tiny
+from pressed_dome import Bench, write
 from typer.testing import CliRunner, Result
 
+from calibration.simulator.pose import Jitter
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import cli, registry
 from edge.core.errors import ConfigError, GelgateError
 from edge.model.bundle import Bundle
+from edge.model.limit_facts import method_sentence
 
 
 @pytest.fixture(autouse=True)
@@ -78,6 +83,10 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
             ("--augment", "always"),
             "no copies of the presses can be added: they need a picture of the free gel",
         ),
+        (("--method", "auto", "--mode", "paper"), "--method auto compares methods in the mode corrected"),
+        (("--method", "auto", "--set", "rank=8"), "--set rank=8 is a parameter of one method"),
+        (("--method", "auto", "--threshold", "3.5"), "--threshold 3.5 is a score of one method"),
+        (("--method", "auto"), "name one with --method, such as padim"),
     ],
 )
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
@@ -157,3 +166,48 @@ def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path)
     assert why in run("inspect", tmp_path / "bolt").output
     assert "backbone:" not in fit(pictures, tmp_path / "named").output
     assert "named, not chosen by the fit" in run("inspect", tmp_path / "named").output
+
+
+def domes(folder: Path) -> tuple[Path, Path]:
+    """A folder of six presses of a dome, and a picture of the free gel."""
+    with reproducible_opencv():
+        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
+        for k in range(6):
+            write(folder / "presses" / f"p{k}.png", bench.press(k))
+        write(folder / "free.png", bench.free())
+    return folder / "presses", folder / "free.png"
+
+
+def test_a_fit_chooses_its_method_and_says_why(tmp_path: Path) -> None:
+    """`--method auto` prints the reason with the time of a press, and `inspect` shows it; without a picture of the free
+    gel it is refused."""
+    presses, free = domes(tmp_path)
+    words = (
+        "fit",
+        presses,
+        "-o",
+        tmp_path / "dome",
+        "--part",
+        "dome",
+        "--method",
+        "auto",
+        "--region",
+        "112,72,96x96",
+    )
+    words += ("--profile", "cropped_lr", "--backbone", "tactile_resnet18", "--augment", "never")
+    refused = run(*words)
+    assert refused.exit_code != 0
+    assert "no method can be chosen: damage is rendered with a picture of the free gel" in str(
+        refused.exception
+    )
+    result = run(*words, "--no-contact", free)
+    assert result.exit_code == 0, result.output
+    assert "padim or patchcore (corrected) on tactile_resnet18" in result.output
+    manifest = Bundle.load(tmp_path / "dome").manifest
+    why = method_sentence(manifest.facts)
+    assert why.startswith(
+        f"{manifest.method}: of rendered damage and pieces of relief in the nominal presses"
+    )
+    assert why.count(" ms a press") == 2
+    assert f"method: {why}" in result.output
+    assert why in run("inspect", tmp_path / "dome").output

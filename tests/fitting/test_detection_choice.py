@@ -1,0 +1,184 @@
+"""A fit chooses the method and the trunk whose banks see more of small damage in its own presses, and says why."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pressed_dome import PROFILE, REGION, Bench
+
+from calibration.fitting.candidates import Candidates
+from calibration.fitting.damage_seen import DamageJudge, Seen, TrunkBench
+from calibration.fitting.detection_choice import Comparison, choose_detection
+from calibration.fitting.fit import FitConfig, fit_files
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.trunks import open_trunk
+from calibration.simulator.pose import Jitter
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from edge import registry
+from edge.core.detector import Detector
+from edge.core.errors import FitError
+from edge.model.limit_facts import backbone_sentence, method_sentence
+from plugins.backbones.random import random_state
+from plugins.backbones.resnet import build_trunk
+
+TACTILE, LITE = "tactile_resnet18", "tactile_lite0"
+KNOWN = f"known: {', '.join(registry.names('backbones'))}, or a path to a trunk .onnx file"
+KINDS = ("rendered damage", "pieces of relief")
+
+
+@pytest.fixture(scope="module")
+def presses() -> NominalPresses:
+    """Six presses of a dome."""
+    with reproducible_opencv():
+        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
+        pictures = {f"p{k}": bench.press(k) for k in range(6)}
+        return named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+
+
+@pytest.fixture(scope="module")
+def config() -> FitConfig:
+    padim = registry.detector("padim")
+    trunk = open_trunk(TACTILE, padim.taps(padim.parameters("corrected")))
+    return FitConfig("dome", "top", PROFILE, REGION, padim, trunk, threads=1, folds=2)
+
+
+@pytest.fixture(scope="module")
+def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("trunk") / "random.onnx"
+    path.write_bytes(build_trunk(random_state("resnet18"), "resnet18", ("layer1",)))
+    return path
+
+
+def test_the_trunk_that_sees_more_is_chosen(
+    presses: NominalPresses, config: FitConfig, random_weights: Path
+) -> None:
+    """Trained weights and not random ones, with the figures of both; one that cannot be tried is named. The fit keeps
+    the sentence in the manifest, and says nothing of a method that was named."""
+    candidates = Candidates(("padim",), (str(random_weights), TACTILE, "nothing"))
+    chosen = choose_detection(presses, config, candidates)
+    assert chosen.trunk.id == TACTILE
+    facts = chosen.choice_facts["backbone_choice"]
+    why, left_out = facts["why"].split("; nothing", 1)
+    assert why.startswith(f"{TACTILE}: of rendered damage and pieces of relief in the nominal presses its")
+    assert left_out == " was not tried: no backbone is named 'nothing'; " + KNOWN
+    assert {kind for of in facts["found"].values() for kind in of} == set(KINDS)
+    seen = {name: np.mean(list(of.values())) for name, of in facts["found"].items()}
+    assert seen[TACTILE] > seen["random.onnx"] > 0
+    fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest.facts
+    assert backbone_sentence(fitted) == facts["why"]
+    assert method_sentence(fitted) == ""
+
+
+def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: FitConfig) -> None:
+    """The configuration has it and a trunk that it can read; the manifest has the figures of all on every trunk."""
+    candidates = Candidates(("padim", "subspace"), (TACTILE,))
+    chosen = choose_detection(presses, config, candidates)
+    facts = chosen.choice_facts["method_choice"]
+    seen = {method: np.mean(list(of[TACTILE].values())) for method, of in facts["found"].items()}
+    assert set(seen) == set(candidates.methods)
+    assert facts["chosen"] == chosen.detector.name == max(seen, key=lambda method: seen[method])
+    assert chosen.trunk.id == TACTILE
+    fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest
+    assert fitted.method == facts["chosen"]
+    assert method_sentence(fitted.facts) == facts["why"]
+    assert backbone_sentence(fitted.facts) == ""
+
+
+class SaidSeen(DamageJudge):
+    """What was said that each pair sees, in place of a judgement; an error is raised."""
+
+    def __init__(self, said: dict[tuple[str, str], Seen | FitError]) -> None:
+        self.said = said
+
+    def seen(self, detector: Detector, bench: TrunkBench) -> Seen:
+        found = self.said[detector.name, bench.trunk.id]
+        if isinstance(found, FitError):
+            raise found
+        return found
+
+
+def seen(mean: float, press_ms: float = 5.0, is_registered: bool = False) -> Seen:
+    return Seen(dict.fromkeys(KINDS, mean), press_ms, is_registered)
+
+
+PAIRS = Candidates(("padim", "patchcore"), (TACTILE, LITE))
+
+
+def compared(config: FitConfig, said: dict[tuple[str, str], Seen | FitError]) -> FitConfig:
+    comparison = Comparison(config, PAIRS)
+    comparison.run(SaidSeen(said), lambda stage, fraction: None)
+    return comparison.chosen()
+
+
+def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
+    """The best of all pairs. Each method is said with its time on its better trunk, each trunk with that method."""
+    chosen = compared(
+        config,
+        {
+            ("padim", TACTILE): seen(0.4, 7.25, is_registered=True),
+            ("padim", LITE): seen(0.3, 8.0, is_registered=True),
+            ("patchcore", TACTILE): seen(0.5, 3.0),
+            ("patchcore", LITE): seen(0.6, 4.0),
+        },
+    )
+    assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
+    of = "of rendered damage and pieces of relief in the nominal presses its banks see most"
+    how = "mean of image AUROC and AU-PRO up to 1 %, out of fold"
+    assert method_sentence(chosen.choice_facts) == (
+        f"patchcore: {of} (padim 0.400, 7.2 ms a press with registration; patchcore 0.600, 4.0 ms a press; {how})"
+    )
+    assert backbone_sentence(chosen.choice_facts) == (f"{LITE}: {of} ({TACTILE} 0.500, {LITE} 0.600; {how})")
+    assert chosen.choice_facts["backbone_choice"]["found"][LITE] == dict.fromkeys(KINDS, 0.6)
+
+
+def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
+    """A method that refuses the presses, and a pair without a head; with nothing left the refusal is the fit's."""
+    refused = FitError("half of the contacts lie more than 4.0 mm from their middle")
+    said: dict[tuple[str, str], Seen | FitError] = {
+        ("padim", TACTILE): refused,
+        ("padim", LITE): refused,
+        ("patchcore", TACTILE): FitError("no head ships"),
+        ("patchcore", LITE): seen(0.2),
+    }
+    chosen = compared(config, said)
+    assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
+    assert method_sentence(chosen.choice_facts).endswith(f"; padim was not tried: {refused}")
+    assert backbone_sentence(chosen.choice_facts).endswith(f"; {TACTILE} was not tried: no head ships")
+    with pytest.raises(FitError, match=r"more than 4\.0 mm from their middle"):
+        compared(config, dict.fromkeys(said, refused))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"no_contact": None}, "give one with --no-contact"),
+        ({"few": 3}, "of fewer than 4 presses nothing can be held out"),
+        ({"mode": "paper"}, "the published methods have no choice"),
+        ({"flat": True}, "no damage shows in the presses"),
+    ],
+)
+def test_the_usual_trunk_is_kept_where_nothing_can_be_compared(
+    presses: NominalPresses, config: FitConfig, change: dict[str, object], why: str
+) -> None:
+    """Without a picture of the free gel, with few presses, in the mode `paper`, and where presses show nothing. There
+    `--method auto` is refused."""
+    if "few" in change:
+        presses = presses.spread(3)
+    elif "flat" in change:
+        assert presses.no_contact is not None
+        presses = replace(presses, frames=np.repeat(presses.no_contact[:1], len(presses), axis=0))
+    elif "mode" in change:
+        config = replace(config, mode="paper")
+    else:
+        presses = replace(presses, no_contact=None)
+    chosen = choose_detection(presses, config, Candidates(("padim",), (TACTILE, LITE)))
+    assert chosen.trunk is config.trunk
+    said = backbone_sentence(chosen.choice_facts)
+    assert said.startswith(f"{TACTILE}, without a comparison: ")
+    assert said.endswith(why)
+    with pytest.raises(
+        FitError, match=f"no method can be chosen: .*{why}; name one with --method, such as padim"
+    ):
+        choose_detection(presses, config, PAIRS)
