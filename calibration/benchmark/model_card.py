@@ -3,7 +3,8 @@
 `make docs` writes it, and `gelgate evaluate-backbone --page` does after a new evaluation. `tactile_resnet18.json` comes
 from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from
 `calibration.benchmark.ablations`; the text is `calibration/benchmark/page.md.jinja`. The same three files of
-`tactile_lite0` are about the trunk that `calibration.training.joined_trunk` makes; its text is `touch.md.jinja`.
+`tactile_lite0` are about the trunk that `calibration.training.joined_trunk` makes; its text is `touch.md.jinja`, with
+`ideas.md.jinja` about the rows of `calibration.benchmark.idea_ablation`.
 """
 
 import json
@@ -13,6 +14,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, TemplateError
 
+from calibration.benchmark.idea_ablation import ROWS
+from calibration.benchmark.idea_table import idea_table, trial_table
+from calibration.benchmark.short_trunks import rows_of
 from calibration.benchmark.trial import FORMAT
 from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError
@@ -41,18 +45,21 @@ _SHOWN = (
 )
 
 
-def page(folder: Path) -> str:
-    """The page about the weights in a folder. Errors: ConfigError when the facts are missing or invalid."""
+def page(folder: Path, studies: Path | None = None) -> str:
+    """The page about the weights in a folder. studies: the folder of studies' rows, for the section about ideas.
+
+    Errors: ConfigError when the facts are missing or invalid.
+    """
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text(encoding="utf-8"))
-        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"), touch=_touch(folder))
+        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"), _touch(folder, studies))
     except (OSError, ValueError, KeyError, TemplateError) as error:
         raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
 
 
-def _touch(folder: Path) -> dict[str, Any] | None:
-    """The facts, evaluation and trials of the trunk for real touch; None where a folder is a run of the other trunk."""
+def _touch(folder: Path, studies: Path | None) -> dict[str, Any] | None:
+    """Facts, evaluation, trials and ideas of the trunk for real touch; None where a folder is a run of the other."""
     file = folder / f"{tactile_lite0.name}.json"
     if not file.is_file():
         return None
@@ -60,7 +67,14 @@ def _touch(folder: Path) -> dict[str, Any] | None:
         "facts": json.loads(file.read_text(encoding="utf-8")),
         "evaluation": _beside(folder, "evaluation", tactile_lite0.name),
         "trials": _beside(folder, "trials", tactile_lite0.name),
+        "ideas": _ideas(studies),
     }
+
+
+def _ideas(studies: Path | None) -> dict[str, str] | None:
+    """The tables of the ablation of ideas. Errors: ConfigError for rows that are not complete."""
+    rows = [] if studies is None else rows_of(studies / ROWS)
+    return {"gains": idea_table(rows), "trials": trial_table(rows)} if rows else None
 
 
 def _beside(folder: Path, what: str, name: str = NAME) -> dict[str, Any] | None:
@@ -77,7 +91,7 @@ def card(
 ) -> str:
     """The page as Markdown. An evaluation or trials file of other weights or another format is omitted.
 
-    touch: facts, evaluation and trials of the trunk for real touch.
+    touch: facts, evaluation, trials and ideas of the trunk for real touch.
     """
     template = _environment(facts["recipe"]).get_template("page.md.jinja")
     return template.render(

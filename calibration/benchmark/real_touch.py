@@ -96,7 +96,19 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
         is_other=kind == 1,
         is_relit=kind == 2,
         alpha=ALPHA,
+        learnt_free=_free_gels(learnt, presses.free),
+        scored_free=_free_gels([*held, *_in_turn(held, edits), *others, *held], presses.free),
     )
+
+
+def _free_gels(cuts: Sequence[_Cut], free: U8) -> U8:
+    """The free gel in the region of each."""
+    return np.stack([np.asarray(cut.region.crop(free), np.uint8) for cut in cuts])
+
+
+def _in_turn(held: Sequence[_Cut], count: int) -> list[_Cut]:
+    """The held-out press that each edit is made of."""
+    return [held[number % len(held)] for number in range(count)]
 
 
 def _unmarred(pictures: Mapping[str, U8], chosen: Object) -> list[U8]:
@@ -152,8 +164,8 @@ def _edits(
     """Edits of the held-out presses in turn and their masks, cut to the regions."""
     donors = [_donor(cut.rgb, presses) for cut in held]
     found = []
-    for number in range(count):
-        at, cut = number % len(held), held[number % len(held)]
+    for number, cut in enumerate(_in_turn(held, count)):
+        at = number % len(held)
         # Every round over the presses begins one further, so that each press has edits of every kind.
         turn = (number + number // len(held)) % 4
         if presses.has_dots and turn % 2:

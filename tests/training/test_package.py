@@ -58,6 +58,7 @@ def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch
     assert max(packaging.feature_errors(half, plain).values()) < 0.005
 
 
+BACKBONES = Path(__file__).parents[2] / "plugins" / "backbones"
 FACTS = {
     "name": "tactile_resnet18",
     "topology": "resnet18",
@@ -130,11 +131,30 @@ def test_the_card_has_the_trunk_for_real_touch() -> None:
             "trials": ["ball"],
             "rows": [{"note": "wide", "measures": {"padim": {}}}],
         },
+        "ideas": None,
     }
     text = card(FACTS, None, touch=touch)
     assert "| own | 0.300 | 0.800 | 0.350 | 0.250 |" in text
     assert "| wide | padim | - |" in text
+    assert "### Ideas for the tactile channels" not in text
+    tables = {"gains": "| GAINS |", "trials": "| BY TRIAL |"}
+    text = card(FACTS, None, touch=touch | {"ideas": tables})
+    assert (
+        text.index("### Ideas for the tactile channels")
+        < text.index("| GAINS |")
+        < text.index("| BY TRIAL |")
+    )
     assert "The trunk for real touch" not in card(FACTS, None)
+
+
+def test_the_page_reads_the_rows_of_the_studies(tmp_path: Path) -> None:
+    """Rows of ideas that are not complete are refused; a folder without rows gives no section."""
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    (tmp_path / "tactile_lite0.json").write_text((BACKBONES / "tactile_lite0.json").read_text())
+    assert "### Ideas" not in page(tmp_path, tmp_path)
+    (tmp_path / "ideas.jsonl").write_text('{"idea": "base", "seed": 0}\n')
+    with pytest.raises(ConfigError, match=r"the rows lack EfficientNet-Lite0 alone, .*; continue the run"):
+        page(tmp_path, tmp_path)
 
 
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
