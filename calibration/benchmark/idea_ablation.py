@@ -119,16 +119,13 @@ def _possible(
 
 
 def _planned(seeds: int, ideas: Iterator[str]) -> Iterator[tuple[str, int]]:
-    """Name and seed of each trunk, seed by seed; what is compared with comes first, more of the base last."""
+    """Name and seed of each trunk: first what the ideas are compared with, then they, seed by seed."""
     names = list(ideas)
-    yield NOT_TRAINED, 0
-    yield PHOTOGRAPH, 0
+    yield from ((name, 0) for name in (NOT_TRAINED, PHOTOGRAPH))
     if DIFFERENCE in names:
         yield PHOTOGRAPH_OF_IT, 0
-    for seed in range(seeds):
-        yield from ((name, seed) for name in names)
-    for seed in range(seeds, seeds + _MORE_SEEDS):
-        yield BASE, seed
+    yield from ((BASE, seed) for seed in range(seeds + _MORE_SEEDS))
+    yield from ((name, seed) for seed in range(seeds) for name in names if name != BASE)
 
 
 def _measured(

@@ -1,6 +1,7 @@
 """What each idea of `idea_ablation` teaches, over the recipe of them all."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -71,6 +72,17 @@ def _next_to_photograph(recipe: TrainConfig, data: Path) -> Taught:
     return alone, Lesson(further=partial(idea_losses.NextToPhotograph, recipe, RATIO))
 
 
+def _real_pairs_alone(recipe: TrainConfig, data: Path) -> Taught:
+    lesson = Lesson(further=partial(idea_losses.RealPairs, idea_frames.presses(data), recipe))
+    return recipe.model_copy(update={"pair_weight": 0.0, "rank_weight": 0.0}), lesson
+
+
+def _all_real(recipe: TrainConfig, data: Path) -> Taught:
+    _, sensors = _gels_and_noise(recipe, data)
+    _, pairs = _real_pairs(recipe, data)
+    return recipe, replace(sensors, further=pairs.further)
+
+
 LESSONS: Mapping[str, Callable[[TrainConfig, Path], Taught]] = {
     "base": _base,
     "other units": _units,
@@ -80,6 +92,8 @@ LESSONS: Mapping[str, Callable[[TrainConfig, Path], Taught]] = {
     "real gels and noise": _gels_and_noise,
     DIFFERENCE: _difference,
     "real pairs": _real_pairs,
+    "real pairs alone": _real_pairs_alone,
+    "real pairs, gels and noise": _all_real,
     "distilled": _distilled,
     "next to photographs": _next_to_photograph,
 }

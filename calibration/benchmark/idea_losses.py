@@ -22,7 +22,14 @@ from edge.model.onnx_prune import cut_trunk
 from edge.model.session import open_session
 from plugins.backbones.efficientnet_lite0 import efficientnet_lite0
 
-__all__ = ["Distilled", "NextToPhotograph", "RealPairs", "of_photographs", "real_pairs", "together"]
+__all__ = [
+    "Distilled",
+    "NextToPhotograph",
+    "RealPairs",
+    "of_photographs",
+    "real_pairs",
+    "together",
+]
 
 F32 = NDArray[np.float32]
 Network = Callable[[Tensor], Tensor]

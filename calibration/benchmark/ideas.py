@@ -16,6 +16,8 @@ IDEAS: Mapping[str, str] = {
     DIFFERENCE: "the trunk, and EfficientNet-Lite0 where joined, see each frame less its free gel",
     "real pairs": "crops of real presses under other light, noise and compression are pulled together, small bumps in "
     "them pushed apart",
+    "real pairs alone": "the same, in place of the losses of simulated pairs; slopes and depth are learnt from those",
+    "real pairs, gels and noise": "real pairs, with simulated pairs on real gels and noise",
     "distilled": "a 1x1 convolution reads the features of EfficientNet-Lite0 from the trunk's",
     "next to photographs": "the losses of pairs see the channels of EfficientNet-Lite0 too",
 }

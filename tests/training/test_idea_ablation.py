@@ -7,25 +7,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.benchmark.idea_ablation import ROWS, Comparison, ablate, main
+from calibration.benchmark.evaluation import random_trunk
+from calibration.benchmark.idea_ablation import ROWS, Comparison, ablate, joined, main
 from calibration.benchmark.ideas import BASE, DIFFERENCE, NOT_TRAINED, PHOTOGRAPH, PHOTOGRAPH_OF_IT
 from calibration.benchmark.short_trunks import TrialReading
 from calibration.benchmark.trial import Trial
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.training.checkpoint import load
 from calibration.training.train_config import TrainConfig
+from edge.model.session import open_session
 from plugins.backbones.efficientnet_lite0 import PACKAGE
 
 TINY = TrainConfig.shipped(steps=1, pairs=2, side=64, precision="float32", stages=1)
 
 
 def noisy() -> Trial:
-    """Eight noisy grey presses to learn; two more, and two with a black square."""
+    """Eight noisy grey presses to learn; two more, and two with a square that is little darker."""
     rng = np.random.default_rng(0)
     learnt = rng.integers(110, 140, (8, 64, 64, 3), dtype=np.uint8)
     scored, masks = rng.integers(110, 140, (4, 64, 64, 3), dtype=np.uint8), np.zeros((4, 64, 64), np.bool_)
     masks[2:, 24:40, 24:40] = True
-    scored[masks] = 0
+    scored[masks] -= 12
     nominal = NominalPresses(learnt, tuple(map(str, range(8))), no_contact=learnt[:1])
     return Trial("squares", nominal, scored, masks, np.zeros(4, np.bool_), alpha=0.05)
 
@@ -61,17 +63,32 @@ def test_each_trunk_has_a_row_with_both_readings(done: tuple[Path, list[str]]) -
         (NOT_TRAINED, 0),
         (PHOTOGRAPH, 0),
         (PHOTOGRAPH_OF_IT, 0),
-        (BASE, 0),
+        *((BASE, seed) for seed in range(3)),
         (DIFFERENCE, 0),
         ("distilled", 0),
-        (BASE, 1),
-        (BASE, 2),
     ]
     assert {tuple(row["joined_aupro_fpr01"]["squares"]) for row in rows} == {("patchcore",)}
     assert [row["idea"] for row in rows if row["aupro_fpr01"] == row["joined_aupro_fpr01"]] == [
         PHOTOGRAPH,
         PHOTOGRAPH_OF_IT,
     ]
+
+
+def test_the_difference_is_read_from_differences(done: tuple[Path, list[str]]) -> None:
+    """The same network of photographs finds other damage in them than in the frames."""
+    rows = [json.loads(line) for line in (done[0] / ROWS).read_text().splitlines()]
+
+    one, other = (next(row for row in rows if row["idea"] == name) for name in (PHOTOGRAPH, PHOTOGRAPH_OF_IT))
+    assert one["aupro_fpr01"] != other["aupro_fpr01"]
+
+
+def test_photographs_weigh_twice_as_much_in_a_joined_trunk(package: None) -> None:
+    """On the frames that are given, over all channels."""
+    frames = noisy().frames
+    (maps,) = open_session(joined(random_trunk(), frames), 1, "trunk").run(["layer1"], {"frames": frames})
+
+    felt, seen = (np.sqrt(part.sum()) for part in np.split(maps.var(axis=(0, 2, 3)), [64]))
+    assert seen == pytest.approx(2 * felt, rel=1e-3)
 
 
 def test_an_idea_without_its_frames_is_announced(done: tuple[Path, list[str]]) -> None:

@@ -1,6 +1,8 @@
 """Ideas for real touch: each changes one thing of a batch, real frames give pairs, further losses reach the trunk."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,6 +77,32 @@ def test_other_sensors_change_nothing_but_the_frames(sensors: RandomSensors, usu
     assert torch.equal(found.surface_mm, usual.surface_mm)
     assert torch.equal(found.change_mm, usual.change_mm)
     assert not torch.equal(found.frames, usual.frames)
+
+
+@pytest.mark.parametrize(
+    ("other", "own", "given"),
+    [
+        (other_units, appearance, (4, torch.zeros(8, 8), torch.zeros(8, 8))),
+        (RealGels([RED]), appearance, (4, torch.zeros(8, 8), torch.zeros(8, 8))),
+        (wandering_gains, gains, (4,)),
+        (other_dots, RandomSensors().dots, (4,)),
+        (
+            RealNoise([RED + np.arange(320, dtype=np.float32)[:, None] % 7]),
+            RandomSensors().noise,
+            (2, 3, 8, 8),
+        ),
+    ],
+    ids=["units", "gels", "exposure", "dots", "noise"],
+)
+def test_what_is_drawn_next_is_the_base_s(
+    other: Callable[..., object], own: Callable[..., object], given: Any
+) -> None:
+    """What another sensor adds comes from a stream of its own, and what it replaces is drawn all the same."""
+    one, base = draws(), draws()
+    other(one, *given)
+    own(base, *given)
+
+    assert torch.equal(one.uniform(0, 1, 5), base.uniform(0, 1, 5))
 
 
 def test_other_dots_change_the_marker_gels_alone(usual: Pairs) -> None:

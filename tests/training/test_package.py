@@ -9,6 +9,7 @@ import onnxruntime as ort
 import pytest
 import torch
 
+from calibration.benchmark import command as evaluation_command
 from calibration.benchmark.ablations import joined
 from calibration.benchmark.model_card import card, page
 from calibration.benchmark.trial import FORMAT
@@ -155,6 +156,16 @@ def test_the_page_reads_the_rows_of_the_studies(tmp_path: Path) -> None:
     (tmp_path / "ideas.jsonl").write_text('{"idea": "base", "seed": 0}\n')
     with pytest.raises(ConfigError, match=r"the rows lack EfficientNet-Lite0 alone, .*; continue the run"):
         page(tmp_path, tmp_path)
+
+
+def test_a_page_has_the_studies_beside_it(tmp_path: Path) -> None:
+    """A new evaluation's page reads the rows in the folder `studies` next to the page, as `make docs` does."""
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies" / "ideas.jsonl").write_text('{"idea": "base", "seed": 0}\n')
+    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
+    (tmp_path / "tactile_lite0.json").write_text((BACKBONES / "tactile_lite0.json").read_text())
+    with pytest.raises(ConfigError, match="continue the run"):
+        evaluation_command._write(tmp_path, json.dumps(evaluation({})), tmp_path / "page.md")
 
 
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
