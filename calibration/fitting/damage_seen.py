@@ -6,9 +6,8 @@ back, so that places which left the field count.
 """
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,6 @@ from edge.model.session import open_session
 
 __all__ = ["MOST_PRESSES", "Brought", "DamageJudge", "Seen", "TrunkBench", "separated"]
 
-T = TypeVar("T")
 U8 = NDArray[np.uint8]
 
 MOST_PRESSES = 24
@@ -101,7 +99,7 @@ class DamageJudge:
         trunk."""
         learner = bench.learner(detector)
         brought = self._brought_to(learner, bench.take)
-        nominal, features = bench.features(brought, learner.grid.taps)
+        nominal, features = bench.features(brought)
         learner = replace(learner, copies=self._copies(learner, brought, bench.take))
         shown = held_out(learner, nominal, self._folds, (features, self._press)).edited
         press_ms = brought.registration_ms + bench.trunk_ms + float(np.median(shown.head_ms))
@@ -149,10 +147,6 @@ def _part(scored: ScoredPresses, first: int, count: int) -> ScoredPresses:
     return ScoredPresses(scored.maps[rows], scored.scores[rows])
 
 
-def _only(of: Mapping[str, T], taps: Iterable[str]) -> dict[str, T]:
-    return {tap: of[tap] for tap in taps}
-
-
 class TrunkBench:
     """One trunk, whose features serve every method. taps: all that the methods read. Errors: FitError for a trunk that
     lacks one."""
@@ -169,14 +163,14 @@ class TrunkBench:
         """Errors: FitError where the method has no head for this trunk."""
         config = self._config
         parameters = detector.parameters(config.mode, **config.overrides)
-        grid = replace(self._grid, taps=_only(self._grid.taps, detector.taps(parameters)))
+        grid = replace(self._grid, taps={tap: self._grid.taps[tap] for tap in detector.taps(parameters)})
         check_head(detector, grid, parameters)
         return Learner(detector, grid, parameters, config.seed, config.threads)
 
     def take(self, frames: U8) -> Features:
         return extract(self._session, frames, self._grid, lambda fraction: None)
 
-    def features(self, brought: Brought, taps: Iterable[str]) -> tuple[Nominal, Features]:
+    def features(self, brought: Brought) -> tuple[Nominal, Features]:
         """Of the presses to learn and of those to score, taken once for all methods."""
         learnt, key = brought.learnt, brought.registered is not None
         if key not in self._features:
@@ -185,6 +179,4 @@ class TrunkBench:
             scored = self.take(brought.frames)
             self.trunk_ms = (time.perf_counter() - start) * 1e3 / len(brought.frames)
             self._features[key] = nominal, scored
-        nominal, scored = self._features[key]
-        free = nominal.no_contact and _only(nominal.no_contact, taps)
-        return replace(nominal, features=_only(nominal.features, taps), no_contact=free), _only(scored, taps)
+        return self._features[key]

@@ -3,8 +3,9 @@
 Run with `pytest tests/bench/test_detection_choice.py -m bench -s`. Of each trial what every pair of a method and a
 trunk showed of the damage put into the nominal presses, and the truth: AU-PRO up to 1 % and image AUROC of the trial's
 own damaged presses, that no choice sees, scored by the fitted bundle. A pair takes a quarter of a minute of one core.
-With DETECTION_CHOICE_CACHE naming a folder each row is kept there; DETECTION_CHOICE_METHODS names methods that are
-measured and printed too. Real trials need the folder of real frames.
+With DETECTION_CHOICE_CACHE naming a folder each row is kept there. DETECTION_CHOICE_METHODS names methods that are
+measured too, with a parameter if wanted: "padim,patchcore,fapm,spade window_mm=1.0". Real trials need the folder of
+real frames.
 
 The set of judgement is DETECTION_CHOICE_SET=judgement.
 """
@@ -31,6 +32,7 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.trunks import DEFAULT_BACKBONE, OTHER_BACKBONES, open_trunk
 from calibration.metrics import aupro, auroc
 from edge import registry
+from edge.cli.named_values import named_values
 from edge.core.errors import PoseNotFound
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scorer
@@ -80,21 +82,15 @@ def measured(trial: Trial, pairs: Sequence[Pair]) -> Iterator[dict[str, Any]]:
         "part", "top", PROFILE, region, padim, usual, threads=1, register="auto", augment="auto"
     )
     judge = DamageJudge(trial.nominal, config)
-    for trunk in TRUNKS:
-        methods = [method for method, of in pairs if of == trunk]
-        comparison = Comparison(config, Candidates(methods, (trunk,)))
+    for method, trunk in pairs:
+        name, *settings = method.split()
+        chosen = replace(config, overrides=named_values("--set", settings))
+        comparison = Comparison(chosen, Candidates((name,), (trunk,)))
         comparison.run(judge, lambda stage, fraction: None)
-        for (method, _), seen in comparison.seen.items():
-            detector = registry.detector(method)
-            opened = open_trunk(trunk, detector.taps(detector.parameters()))
-            truth = _truth(trial, replace(config, detector=detector, trunk=opened, threshold=1.0))
-            yield {
-                "method": method,
-                "trunk": trunk,
-                "found": seen.found,
-                "truth": truth,
-                "registered": seen.is_registered,
-            }
+        (seen,) = comparison.seen.values()
+        truth = _truth(trial, replace(comparison.chosen(), threshold=1.0))
+        row = {"found": seen.found, "truth": truth, "registered": seen.is_registered}
+        yield {"method": method, "trunk": trunk, **row}
 
 
 def _truth(trial: Trial, config: FitConfig) -> tuple[float | None, float | None]:
@@ -185,11 +181,13 @@ def _rule(
     pick: Callable[[Mapping[Pair, Row]], Pair],
 ) -> str:
     taken = [of[pick(of)]["truth"] for of in trials]
+    is_real = [next(iter(of.values()))["trial"].startswith(("ball", "finger")) for of in trials]
     best = [max(row["truth"][0] for (method, _), row in of.items() if method in methods) for of in trials]
     right = sum(one[0] == most for one, most in zip(taken, best, strict=True))
     lost = max(most - one[0] for one, most in zip(taken, best, strict=True))
     area, press = np.mean(taken, axis=0)
-    return f"| {name} | {area:.3f} / {press:.3f} | {right} of {len(trials)} | {lost:.3f} |"
+    real = " / ".join(f"{one:.3f}" for one in np.mean(np.array(taken)[is_real], axis=0))
+    return f"| {name} | {area:.3f} / {press:.3f} | {real} | {right} of {len(trials)} | {lost:.3f} |"
 
 
 def other_methods(found: Sequence[Row]) -> Iterator[str]:
@@ -212,7 +210,8 @@ def test_the_choice_against_the_truth(real_tactile: Path) -> None:
     pairs = " | ".join(f"{method}, {trunk}" for method in METHODS for trunk in TRUNKS)
     print(f"\n| trial | {pairs} | chosen | lost |\n{'|---' * 7}|")
     print(*(line(trial, of) for trial, of in by_trial(found).items()), sep="\n")
-    print("\n| rule | AU-PRO / image AUROC | best of its choices | largest loss |\n|---|---|---|---|")
+    print("\n| rule | AU-PRO / image AUROC | real touch alone | best of its choices | largest loss |")
+    print("|---|---|---|---|---|")
     print(*summary(found), sep="\n")
     print(
         "\n| method | trials | it alone | without it | as a candidate too | taken |\n|---|---|---|---|---|---|"

@@ -79,7 +79,8 @@ def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: Fi
     seen = {method: np.mean(list(of[TACTILE].values())) for method, of in facts["found"].items()}
     assert set(seen) == set(candidates.methods)
     assert facts["chosen"] == chosen.detector.name == max(seen, key=lambda method: seen[method])
-    assert chosen.trunk.id == TACTILE
+    taps = chosen.detector.taps(chosen.detector.parameters("corrected"))
+    assert chosen.trunk.graph == open_trunk(TACTILE, taps).graph
     fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest
     assert fitted.method == facts["chosen"]
     assert method_sentence(fitted.facts) == facts["why"]
