@@ -6,8 +6,9 @@ back, so that places which left the field count.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +31,14 @@ from edge.model.session import open_session
 
 __all__ = ["MOST_PRESSES", "Brought", "DamageJudge", "Seen", "TrunkBench", "separated"]
 
+T = TypeVar("T")
 U8 = NDArray[np.uint8]
 
 MOST_PRESSES = 24
 """Of more presses methods and trunks are judged by this many, which bounds the time."""
+
+_TIMED = 9
+"""The trunk's time is the median of this many presses, one at a time, as a gateway runs it."""
 
 
 @dataclass(frozen=True)
@@ -130,9 +135,7 @@ class DamageJudge:
         frames = np.concatenate([self._few.frames, *(one.frames for one in self.damaged.values())])
         if pose.learnt is None:
             return Brought(self._few, frames)
-        registrar, start = Registrar(pose.learnt.part), time.perf_counter()
-        found = [registrar.register(rgb) for rgb in frames]
-        ms = (time.perf_counter() - start) * 1e3 / len(frames)
+        found, ms = _timed(Registrar(pose.learnt.part).register, frames)
         return Brought(pose.posed(self._few), np.stack([one.rgb for one in found]), found, ms)
 
     def _copies(self, learner: Learner, brought: Brought, take: Take) -> Copies | None:
@@ -140,6 +143,16 @@ class DamageJudge:
         name = learner.detector.name
         each = augmentation_of(config.augment, self._few, name, config.mode, is_registered).each
         return Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, take)
+
+
+def _timed(work: Callable[[U8], T], frames: U8) -> tuple[list[T], float]:
+    """The work on each frame, and its median time in ms."""
+    found, ms = [], []
+    for rgb in frames:
+        start = time.perf_counter()
+        found.append(work(rgb))
+        ms.append((time.perf_counter() - start) * 1e3)
+    return found, float(np.median(ms))
 
 
 def _part(scored: ScoredPresses, first: int, count: int) -> ScoredPresses:
@@ -175,8 +188,7 @@ class TrunkBench:
         learnt, key = brought.learnt, brought.registered is not None
         if key not in self._features:
             free = None if learnt.no_contact is None else self.take(learnt.no_contact)
-            nominal, start = Nominal(self.take(learnt.frames), learnt.touched, free), time.perf_counter()
-            scored = self.take(brought.frames)
-            self.trunk_ms = (time.perf_counter() - start) * 1e3 / len(brought.frames)
-            self._features[key] = nominal, scored
+            nominal = Nominal(self.take(learnt.frames), learnt.touched, free)
+            self._features[key] = nominal, self.take(brought.frames)
+            _, self.trunk_ms = _timed(lambda rgb: self.take(rgb[None]), learnt.frames[:_TIMED])
         return self._features[key]
