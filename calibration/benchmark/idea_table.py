@@ -81,11 +81,11 @@ def idea_table(rows: Rows) -> str:
 
 def _result(found: Sequence[Worth]) -> str:
     """Where it pays and where it harms."""
-    places = [words for words, *_ in _COLUMNS]
+    places = [words.replace(",", "") for words, *_ in _COLUMNS]
     words = []
     for word in ("pays", "harms"):
         shown = [place for place, of in zip(places, found, strict=True) if getattr(of, word)]
-        words += [f"{word}: {', '.join(shown)}"] * bool(shown)
+        words += [f"{word}: {' and '.join(shown)}"] * bool(shown)
     return "; ".join(words) or "not decided"
 
 
@@ -102,16 +102,19 @@ def _means(rows: Rows) -> Iterator[list[object]]:
         yield [name, words, *cells]
 
 
-def trial_table(rows: Rows) -> str:
-    """AU-PRO of every joined trunk by trial and method, means over its seeds."""
-    columns = [(trial, method) for trial, of in rows[0][_JOINED].items() for method in of]
+def trial_table(rows: Rows, *, is_joined: bool) -> str:
+    """AU-PRO of every trunk by trial and method, means over its seeds."""
+    read = _JOINED if is_joined else _ALONE
+    columns = [(trial, method) for trial, of in rows[0][read].items() for method in of]
     lines = []
     for name in (*_COMPARED, *IDEAS):
-        found = [row[_JOINED] for row in rows if row["idea"] == name]
+        found = [row[read] for row in rows if row["idea"] == name]
         lines.append(
             [name, *(f"{np.mean([of[trial][method] for of in found]):.3f}" for trial, method in columns)]
         )
-    return table(["joined trunk", *(f"{trial}, {method}" for trial, method in columns)], lines)
+    return table(
+        ["joined" if is_joined else "alone", *(f"{trial}, {method}" for trial, method in columns)], lines
+    )
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -125,7 +128,8 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ConfigError(
                 f"'{given[0]}' holds no rows; write them with calibration.benchmark.idea_ablation"
             )
-        print(idea_table(rows), trial_table(rows), sep="\n", end="")
+        by_trial = [trial_table(rows, is_joined=is_joined) for is_joined in (False, True)]
+        print(idea_table(rows), *by_trial, sep="\n", end="")
     except (GelgateError, OSError) as error:
         print(error, file=sys.stderr)
         return 3

@@ -74,7 +74,10 @@ def _touch(folder: Path, studies: Path | None) -> dict[str, Any] | None:
 def _ideas(studies: Path | None) -> dict[str, str] | None:
     """The tables of the ablation of ideas. Errors: ConfigError for rows that are not complete."""
     rows = [] if studies is None else rows_of(studies / ROWS)
-    return {"gains": idea_table(rows), "trials": trial_table(rows)} if rows else None
+    if not rows:
+        return None
+    alone, joined = (trial_table(rows, is_joined=is_joined) for is_joined in (False, True))
+    return {"gains": idea_table(rows), "alone": alone, "joined": joined}
 
 
 def _beside(folder: Path, what: str, name: str = NAME) -> dict[str, Any] | None:
