@@ -128,8 +128,9 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ConfigError(
                 f"'{given[0]}' holds no rows; write them with calibration.benchmark.idea_ablation"
             )
+        gained = idea_table(rows)
         by_trial = [trial_table(rows, is_joined=is_joined) for is_joined in (False, True)]
-        print(idea_table(rows), *by_trial, sep="\n", end="")
+        print(gained, *by_trial, sep="\n", end="")
     except (GelgateError, OSError) as error:
         print(error, file=sys.stderr)
         return 3

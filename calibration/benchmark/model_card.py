@@ -76,8 +76,9 @@ def _ideas(studies: Path | None) -> dict[str, str] | None:
     rows = [] if studies is None else rows_of(studies / ROWS)
     if not rows:
         return None
+    gains = idea_table(rows)
     alone, joined = (trial_table(rows, is_joined=is_joined) for is_joined in (False, True))
-    return {"gains": idea_table(rows), "alone": alone, "joined": joined}
+    return {"gains": gains, "alone": alone, "joined": joined}
 
 
 def _beside(folder: Path, what: str, name: str = NAME) -> dict[str, Any] | None:
