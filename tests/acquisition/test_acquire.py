@@ -35,7 +35,9 @@ def payloads(folder: Path) -> set[bytes]:
 def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: Path) -> None:
     """Signals after every press, a forecast after every fourth, and the printed command fits what was promised."""
     out = tmp_path / "acquired"
-    done = gelgate("acquire", recording, "-o", out, *OPTIONS, "--per-piece", 2, "--most", 12, "--go-on")
+    # The command fits on this backbone: a comparison of several would take seconds.
+    words = (*OPTIONS, "--per-piece", 2, "--most", 12, "--go-on", "--backbone", "tactile_resnet18")
+    done = gelgate("acquire", recording, "-o", out, *words)
     assert done.code == 0, done.err
     lines = done.out.splitlines()
     assert sum(line.startswith("press ") for line in lines) == 12
@@ -50,9 +52,9 @@ def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: P
     assert 0 < float(str(found[-1]["unseen"])) < float(str(found[7]["unseen"]))
     assert names(out)[:3] == ["bolt-pos1_s001_p01.png", "bolt-pos1_s001_p02.png", "bolt-pos1_s002_p01.png"]
     assert (out / "coverage.png").read_bytes().startswith(b"\x89PNG")
-    words = shlex.split(lines[-1])
-    words[words.index("-o") + 1] = str(tmp_path / "bundle")
-    assert gelgate(*words[1:]).code == 0
+    printed = shlex.split(lines[-1])
+    printed[printed.index("-o") + 1] = str(tmp_path / "bundle")
+    assert gelgate(*printed[1:]).code == 0
     limit = Bundle.load(tmp_path / "bundle").manifest.threshold
     assert limit.by_press is not None
     assert limit.by_piece is not None
