@@ -2,7 +2,8 @@
 
 import argparse
 import io
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["figure", "svg"]
 
 COLOURS: Final = ("#2f6db3", "#c8621f", "#27876a", "#8257ab", "#b93a5b", "#86751c", "#5d6a75", "#1f8ea3")
+PEER = "X"
+_MOST_IN_A_ROW = 10
 INK, SOFT, GRID, FLOOR = "#22272b", "#626a70", "#eceae4", "#ece7da"
 
 STYLE: Final[dict[Any, Any]] = {
@@ -57,7 +60,7 @@ def figure(rows: Sequence[Row]) -> "Figure":
     for row in drawn:
         _mark(axes, row, COLOURS[methods.index(row["method"]) % len(COLOURS)])
     _front(axes, drawn)
-    _legend(axes, methods)
+    _legend(axes, methods, {row["method"] for row in drawn if row.get("peer")})
     first = rows[0]
     made.text(0.075, 0.945, "What accuracy costs", fontsize=13, fontweight="bold", color=INK)
     made.text(0.075, 0.908, _subtitle(first, len(drawn)), fontsize=8.5, color=SOFT)
@@ -130,7 +133,7 @@ def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
 
 
 def _mark(axes: "Axes", row: Row, colour: str) -> None:
-    shape = {"lr": "o", "hr": "s"}.get(row["view"], "D")
+    shape = PEER if row.get("peer") else {"lr": "o", "hr": "s"}.get(row["view"], "D")
     is_hollow = row["work"]["int8"] > 0
     axes.scatter(
         row["ms"]["median"],
@@ -158,7 +161,7 @@ def _front(axes: "Axes", rows: Sequence[Row]) -> None:
         )
 
 
-def _legend(axes: "Axes", methods: Sequence[str]) -> None:
+def _legend(axes: "Axes", methods: Sequence[str], peers: Collection[str]) -> None:
     from matplotlib.lines import Line2D
 
     def entry(label: str, marker: str, face: str, edge: str, size: float = 6) -> Line2D:
@@ -173,10 +176,10 @@ def _legend(axes: "Axes", methods: Sequence[str]) -> None:
             label=label,
         )
 
-    entries = [
-        entry(METHOD_NAMES.get(name, name), "o", COLOURS[k % len(COLOURS)], COLOURS[k % len(COLOURS)])
-        for k, name in enumerate(methods)
-    ]
+    entries = []
+    for k, name in enumerate(methods):
+        colour = COLOURS[k % len(COLOURS)]
+        entries.append(entry(METHOD_NAMES.get(name, name), PEER if name in peers else "o", colour, colour))
     entries += [
         entry("int8 trunk", "o", "white", SOFT),
         entry("high resolution", "s", SOFT, SOFT),
@@ -189,7 +192,7 @@ def _legend(axes: "Axes", methods: Sequence[str]) -> None:
         bbox_to_anchor=(0.5, -0.115),
         frameon=False,
         fontsize=7.5,
-        ncols=len(entries),
+        ncols=math.ceil(len(entries) / (2 if len(entries) > _MOST_IN_A_ROW else 1)),
         columnspacing=1.3,
         handletextpad=0.3,
     )
