@@ -89,21 +89,37 @@ class Comparison:
     def run(self, judge: DamageJudge, report: Report) -> None:
         """On one trunk after the other, all methods on the same features. Errors: FitError where no pair can be
         tried."""
-        trunks = self._candidates.trunks
-        for number, trunk in enumerate(trunks):
-            report("choice", number / len(trunks))
+        benches = self._benches()
+        for number, (trunk, bench) in enumerate(benches.items()):
+            report("choice", number / len(benches))
+            self._run_on(judge, bench, trunk)
+        if benches:
+            report("choice", 1.0)
+        if not self.seen:
+            raise next(iter(self._errors.values()))
+
+    def _benches(self) -> dict[str, TrunkBench]:
+        """The trunks on which some method can be tried; what cannot is known before the work."""
+        found: dict[str, TrunkBench] = {}
+        for trunk in self._candidates.trunks:
             try:
                 bench = TrunkBench(open_trunk(trunk, self._taps), self._taps, self._config)
             except (ConfigError, FitError) as error:
                 self._errors |= {(method, trunk): error for method in self._detectors}
-            else:
-                self._run_on(judge, bench, trunk)
-        report("choice", 1.0)
-        if not self.seen:
-            raise next(iter(self._errors.values()))
+                continue
+            for method, detector in self._detectors.items():
+                try:
+                    bench.learner(detector)
+                except FitError as error:
+                    self._errors[method, trunk] = error
+                else:
+                    found[trunk] = bench
+        return found
 
     def _run_on(self, judge: DamageJudge, bench: TrunkBench, trunk: str) -> None:
         for method, detector in self._detectors.items():
+            if (method, trunk) in self._errors:
+                continue
             try:
                 self.seen[method, trunk] = judge.seen(detector, bench)
             except FitError as error:
