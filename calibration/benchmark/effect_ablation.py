@@ -23,7 +23,10 @@ from calibration.benchmark.short_trunks import (
     ShortTrunk,
     TrialReading,
     about,
+    arguments,
+    chosen,
     complete,
+    exit_code,
     opened,
     read,
     readings,
@@ -33,8 +36,6 @@ from calibration.benchmark.short_trunks import (
 from calibration.benchmark.trial import Trial
 from calibration.simulator.effects import EFFECTS as SIMULATED
 from calibration.training.train_config import EFFECTS, TrainConfig
-from edge.core.errors import ConfigError, GelgateError
-from edge.core.suggest import suggestion
 
 __all__ = [
     "ALL",
@@ -121,48 +122,27 @@ def _planned(
                 yield name, seed, recipe.model_copy(update={"seed": seed, "effects": effects})
 
 
-def _chosen(only: Sequence[str]) -> Mapping[str, tuple[str, ...]]:
-    """Every variant, or those of these names and every effect. Errors: ConfigError for an unknown name."""
-    for name in only:
-        if name not in VARIANTS:
-            raise ConfigError(f"no variant is named '{name}'; {suggestion(name, VARIANTS)}")
-    return {name: VARIANTS[name] for name in VARIANTS if not only or name in (ALL, *only)}
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """The command line; 0 when done, else the sentence and its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="calibration.benchmark.effect_ablation", description="Train trunks without each effect in turn."
-    )
-    parser.add_argument("out", type=Path, help="output folder; an interrupted run in it is continued")
-    parser.add_argument("--tactile", type=Path, required=True, help="folder of real tactile frames")
-    parser.add_argument(
-        "--seeds", type=int, default=1, help="trunks of each kind; of those with every effect 3 more"
-    )
-    parser.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="EFFECT",
-        help="leave out only this one, for further seeds where the first leave a doubt; may be given several times",
-    )
-    parser.add_argument("--steps", type=int, default=120, help="optimiser steps of each trunk")
-    parser.add_argument("--pairs", type=int, default=8, help="pairs of frames per step")
-    parser.add_argument("--side", type=int, default=96, help="pixels per side of a frame")
-    given = parser.parse_args(words)
-    try:
-        recipe = TrainConfig.shipped(steps=given.steps, pairs=given.pairs, side=given.side, stages=1)
-        if not given.tactile.is_dir():
-            raise ConfigError(
-                f"'{given.tactile}' is no folder of real tactile frames; name it with --tactile"
-            )
-        variants = _chosen(given.only)
-        measure_costs(given.out)
-        ablate(given.out, recipe, given.seeds, readings(given.tactile), variants)
-    except (GelgateError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 3
-    return 0
+    given = arguments(
+        "calibration.benchmark.effect_ablation",
+        "Train trunks without each effect in turn.",
+        "trunks of each kind; of those with every effect 3 more",
+        (
+            "EFFECT",
+            "leave out only this one, for further seeds where the first leave a doubt; may be given several times",
+        ),
+    ).parse_args(words)
+    return exit_code(partial(_run, given))
+
+
+def _run(given: argparse.Namespace) -> None:
+    """Errors: ConfigError for a wrong recipe, folder or name."""
+    recipe = TrainConfig.shipped(steps=given.steps, pairs=given.pairs, side=given.side, stages=1)
+    trials = readings(given.tactile)
+    variants = {name: VARIANTS[name] for name in chosen(given.only, VARIANTS, ALL, "variant")}
+    measure_costs(given.out)
+    ablate(given.out, recipe, given.seeds, trials, variants)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,12 @@ import numpy as np
 
 from calibration.benchmark.effect_ablation import ALL, NOT_TRAINED, VARIANTS
 from calibration.benchmark.seed_differences import LEAST_WORTH, Worth, differences
-from calibration.benchmark.short_trunks import mean_of, rows_of
+from calibration.benchmark.short_trunks import exit_code, mean_of, rows_of
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.effects import EFFECTS as SIMULATED
 from calibration.studies.page_parts import table
 from calibration.training.train_config import EFFECTS
-from edge.core.errors import ConfigError, GelgateError
+from edge.core.errors import ConfigError
 
 __all__ = ["KEPT", "LEAST_SHARE", "LEAST_WORTH", "effect_table", "leaving", "trial_table", "worths"]
 
@@ -185,16 +186,14 @@ def main(words: Sequence[str] | None = None) -> int:
     if len(given) != 1:
         print("name one file of rows, such as docs/studies/effects.jsonl", file=sys.stderr)
         return 2
-    try:
-        if not (rows := rows_of(Path(given[0]))):
-            raise ConfigError(
-                f"'{given[0]}' holds no rows; write them with calibration.benchmark.effect_ablation"
-            )
-        print(effect_table(rows), trial_table(rows), sep="\n", end="")
-    except (GelgateError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 3
-    return 0
+    return exit_code(partial(_print, Path(given[0])))
+
+
+def _print(path: Path) -> None:
+    """Errors: ConfigError for a file without complete rows."""
+    if not (rows := rows_of(path)):
+        raise ConfigError(f"'{path}' holds no rows; write them with calibration.benchmark.effect_ablation")
+    print(effect_table(rows), trial_table(rows), sep="\n", end="")
 
 
 if __name__ == "__main__":

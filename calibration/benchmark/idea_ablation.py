@@ -37,7 +37,10 @@ from calibration.benchmark.short_trunks import (
     ShortTrunk,
     TrialReading,
     about,
+    arguments,
+    chosen,
     complete,
+    exit_code,
     opened,
     read,
     readings,
@@ -45,8 +48,7 @@ from calibration.benchmark.short_trunks import (
 )
 from calibration.benchmark.trial import Trial
 from calibration.training.train_config import EFFECTS, TrainConfig
-from edge.core.errors import ConfigError, DatasetError, GelgateError
-from edge.core.suggest import suggestion
+from edge.core.errors import DatasetError
 from edge.model.onnx_prune import cut_trunk
 from edge.model.session import open_session
 
@@ -169,51 +171,28 @@ def joined(tactile: bytes, frames: NDArray[np.uint8]) -> bytes:
     return build_tactile_lite0(tactile, lite0, scale=seen / (RATIO * felt))
 
 
-def _chosen(only: Sequence[str]) -> list[str]:
-    """Every idea, or those of these names and the base. Errors: ConfigError for an unknown name."""
-    for name in only:
-        if name not in IDEAS:
-            raise ConfigError(f"no idea is named '{name}'; {suggestion(name, IDEAS)}")
-    return [name for name in IDEAS if not only or name in (BASE, *only)]
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """The command line; 0 when done, else the sentence and its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="calibration.benchmark.idea_ablation", description="Train trunks with each idea in turn."
+    given = arguments(
+        "calibration.benchmark.idea_ablation",
+        "Train trunks with each idea in turn.",
+        "trunks of each idea; of the base 2 more",
+        ("IDEA", "this idea and the base; may be given several times"),
+    ).parse_args(words)
+    return exit_code(partial(_run, given))
+
+
+def _run(given: argparse.Namespace) -> None:
+    """Errors: ConfigError for a wrong recipe, folder or name."""
+    recipe = TrainConfig.shipped(
+        steps=given.steps,
+        pairs=given.pairs,
+        side=given.side,
+        stages=1,
+        effects=tuple(name for name in EFFECTS if name != "pose_jitter"),
     )
-    parser.add_argument("out", type=Path, help="output folder; an interrupted run in it is continued")
-    parser.add_argument("--tactile", type=Path, required=True, help="folder of real tactile frames")
-    parser.add_argument("--seeds", type=int, default=1, help="trunks of each idea; of the base 2 more")
-    parser.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="IDEA",
-        help="this idea and the base; may be given several times",
-    )
-    parser.add_argument("--steps", type=int, default=120, help="optimiser steps of each trunk")
-    parser.add_argument("--pairs", type=int, default=8, help="pairs of frames per step")
-    parser.add_argument("--side", type=int, default=96, help="pixels per side of a frame")
-    given = parser.parse_args(words)
-    try:
-        recipe = TrainConfig.shipped(
-            steps=given.steps,
-            pairs=given.pairs,
-            side=given.side,
-            stages=1,
-            effects=tuple(name for name in EFFECTS if name != "pose_jitter"),
-        )
-        if not given.tactile.is_dir():
-            raise ConfigError(
-                f"'{given.tactile}' is no folder of real tactile frames; name it with --tactile"
-            )
-        of = Comparison(given.tactile, readings(given.tactile))
-        ablate(given.out, recipe, given.seeds, of, _chosen(given.only))
-    except (GelgateError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 3
-    return 0
+    of = Comparison(given.tactile, readings(given.tactile))
+    ablate(given.out, recipe, given.seeds, of, chosen(given.only, IDEAS, BASE, "idea"))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ than the base by more than chance, and harms where they are worse by more than c
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,9 @@ from calibration.benchmark.ideas import (
     PHOTOGRAPH_OF_IT,
 )
 from calibration.benchmark.seed_differences import Worth, differences
-from calibration.benchmark.short_trunks import mean_of, rows_of
+from calibration.benchmark.short_trunks import exit_code, mean_of, rows_of
 from calibration.studies.page_parts import table
-from edge.core.errors import ConfigError, GelgateError
+from edge.core.errors import ConfigError
 
 __all__ = ["gains", "idea_table", "trial_table"]
 
@@ -123,18 +124,16 @@ def main(words: Sequence[str] | None = None) -> int:
     if len(given) != 1:
         print("name one file of rows, such as docs/studies/ideas.jsonl", file=sys.stderr)
         return 2
-    try:
-        if not (rows := rows_of(Path(given[0]))):
-            raise ConfigError(
-                f"'{given[0]}' holds no rows; write them with calibration.benchmark.idea_ablation"
-            )
-        gained = idea_table(rows)
-        by_trial = [trial_table(rows, is_joined=is_joined) for is_joined in (False, True)]
-        print(gained, *by_trial, sep="\n", end="")
-    except (GelgateError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 3
-    return 0
+    return exit_code(partial(_print, Path(given[0])))
+
+
+def _print(path: Path) -> None:
+    """Errors: ConfigError for a file without complete rows."""
+    if not (rows := rows_of(path)):
+        raise ConfigError(f"'{path}' holds no rows; write them with calibration.benchmark.idea_ablation")
+    gained = idea_table(rows)
+    by_trial = [trial_table(rows, is_joined=is_joined) for is_joined in (False, True)]
+    print(gained, *by_trial, sep="\n", end="")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Short trunks of an ablation: the trials that read them, and their rows, which an interrupted run continues."""
 
+import argparse
 import json
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -14,7 +16,8 @@ from calibration.benchmark.presses import development_trial
 from calibration.benchmark.real_touch import real_touch_trial
 from calibration.benchmark.trial import Trial
 from calibration.training.train_config import TrainConfig
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.suggest import suggestion
 from edge.model.onnx_prune import cut_trunk
 from plugins.backbones.resnet import build_trunk
 
@@ -25,7 +28,10 @@ __all__ = [
     "ShortTrunk",
     "TrialReading",
     "about",
+    "arguments",
+    "chosen",
     "complete",
+    "exit_code",
     "mean_of",
     "opened",
     "read",
@@ -61,8 +67,10 @@ class ShortTrunk:
 def readings(data: Path) -> list[TrialReading]:
     """The trials of the comparison. data: the folder of real tactile frames.
 
-    PaDiM compares place by place and says nothing of presses that lie anywhere.
+    PaDiM compares place by place and says nothing of presses that lie anywhere. Errors: ConfigError for no folder.
     """
+    if not data.is_dir():
+        raise ConfigError(f"'{data}' is no folder of real tactile frames; name it with --tactile")
     real = partial(partial, real_touch_trial, data)
     return [
         *(
@@ -163,3 +171,35 @@ def read(
         }
         for of in trials
     }
+
+
+def arguments(prog: str, description: str, seeds: str, only: tuple[str, str]) -> argparse.ArgumentParser:
+    """The arguments of an ablation. seeds: what --seeds means. only: what --only names, and what it means."""
+    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument("out", type=Path, help="output folder; an interrupted run in it is continued")
+    parser.add_argument("--tactile", type=Path, required=True, help="folder of real tactile frames")
+    parser.add_argument("--seeds", type=int, default=1, help=seeds)
+    parser.add_argument("--only", action="append", default=[], metavar=only[0], help=only[1])
+    parser.add_argument("--steps", type=int, default=120, help="optimiser steps of each trunk")
+    parser.add_argument("--pairs", type=int, default=8, help="pairs of frames per step")
+    parser.add_argument("--side", type=int, default=96, help="pixels per side of a frame")
+    return parser
+
+
+def chosen(only: Sequence[str], known: Iterable[str], base: str, what: str) -> list[str]:
+    """All that are known, or the base and those of these names. what: a name's kind. Errors: ConfigError."""
+    names = list(known)
+    for name in only:
+        if name not in names:
+            raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, names)}")
+    return [name for name in names if not only or name in (base, *only)]
+
+
+def exit_code(work: Callable[[], None]) -> int:
+    """Do the work of a command; 0 when done, 3 after the sentence of what is wrong."""
+    try:
+        work()
+    except (GelgateError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 3
+    return 0
