@@ -78,7 +78,7 @@ options = { host = "localhost", port = 1883 }
 #   { channel = 1, when = ["pass"] },
 #   { channel = 2, when = ["fail"] },
 #   { channel = 2, when = ["halted"], blink_ms = 500 },
-#   { channel = 3, when = ["fail", "error"], pulse_ms = 300, deadline_ms = 500 },
+#   { channel = 3, when = ["fail", "unsure", "rejected", "error"], pulse_ms = 300, deadline_ms = 500 },
 # ]
 """
 

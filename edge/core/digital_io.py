@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, Protocol, get_args, runtime_checkable
 
 __all__ = [
+    "VERDICTS",
     "Actuator",
     "Condition",
     "Debounce",
@@ -134,6 +135,13 @@ class OutputRule:
             raise ValueError(f"the output on channel {self.channel} has a pulse and a deadline, or neither")
         if self.pulse_ns is not None:
             self._check_pulse()
+
+    @property
+    def passed_over(self) -> tuple[str, ...]:
+        """Verdicts besides `pass` that a pulse at `fail` leaves out: as a reject gate it lets these parts through."""
+        if self.pulse_ns is None or "fail" not in self.when:
+            return ()
+        return tuple(word for word in VERDICTS if word != "pass" and word not in self.when)
 
     def _check_pulse(self) -> None:
         if self.safe or self.blink_ns is not None:

@@ -38,9 +38,16 @@ def found_trigger(table: TriggerTable) -> str:
 
 
 def found_actuator(table: ActuatorTable) -> str:
-    """The light or relay of this table, for a person. Errors: DeviceNotFound, ConfigError."""
+    """The light or relay of this table, for a person, with warnings. Errors: DeviceNotFound, ConfigError."""
     plugin = registry.actuator(table.plugin)
-    return _found(table, plugin.discover(plugin.Options.model_validate(table.options)))
+    warnings = [
+        f"the pulse on channel {rule.channel} leaves out {', '.join(rule.passed_over)}: a reject gate lets these "
+        "parts through; add them to `when`"
+        for rule in (output.rule() for output in table.outputs)
+        if rule.passed_over
+    ]
+    found = _found(table, plugin.discover(plugin.Options.model_validate(table.options)))
+    return "; warning: ".join([found, *warnings])
 
 
 def _found(table: PluginTable, discovered: Sequence[DiscoveredPort]) -> str:

@@ -7,6 +7,7 @@ import pytest
 
 from edge.cli.run import EXAMPLE
 from edge.config import load_config
+from edge.core.digital_io import VERDICTS
 from edge.core.errors import ConfigError
 
 SOUND = """
@@ -157,7 +158,7 @@ def test_several_bundles_are_relative_to_the_file(tmp_path: Path) -> None:
 
 
 def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
-    """Without their `# `, a pedal and a relay board with four outputs."""
+    """Without their `# `, a pedal and a relay board with four outputs; its reject gate lets nothing through."""
     before, _, commented = EXAMPLE.partition("# A pedal, and")
     tables = "\n".join(line.removeprefix("#").removeprefix(" ") for line in commented.splitlines()[1:])
     (tmp_path / "gelgate.toml").write_text(before + tables, encoding="utf-8")
@@ -165,3 +166,4 @@ def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
 
     assert [trigger.action for trigger in config.triggers] == ["acknowledge"]
     assert [output.channel for output in config.actuators[0].outputs] == [1, 2, 2, 3]
+    assert config.actuators[0].outputs[3].rule().when == set(VERDICTS) - {"pass"}

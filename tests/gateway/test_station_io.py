@@ -175,7 +175,18 @@ def test_the_check_before_the_start_looks_for_the_board(
         configured(tmp_path / "away", recording, bundle, text.replace("log =", "unplugged_s = [0, 5], log ="))
     )
 
-    assert found_actuator(there.actuators[0]) == "USBRelay8 at virtual/relay"
+    whole = configured(
+        tmp_path / "whole",
+        recording,
+        bundle,
+        text.replace('["fail"],', '["fail", "unsure", "rejected", "error"],'),
+    )
+
+    assert found_actuator(there.actuators[0]) == (
+        "USBRelay8 at virtual/relay; warning: the pulse on channel 3 leaves out unsure, rejected, error: a reject "
+        "gate lets these parts through; add them to `when`"
+    )
+    assert found_actuator(load_config(whole).actuators[0]) == "USBRelay8 at virtual/relay"
     with pytest.raises(DeviceNotFound, match="nothing for 'virtual_hid' is plugged in; check the cable"):
         found_actuator(away.actuators[0])
 
