@@ -186,7 +186,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
     renderer = _renderer(scene, seed, HR if is_large else LR, plan.gel, plan.position)
     streams = named_streams(seed)
     sound, exposure = piece(plan, streams), Exposure(0, plan.time_s)
-    defect = damage(plan, scene.press_depth_mm, scene.mask_depth_mm, streams)
+    defect = damage(plan, scene, streams)
     depth, key, worn = scene.press_depth_mm, plan.key, plan.gel_presses
     mask = None
     if defect is None:

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from calibration.simulator.defects import Defect, place_defect
+from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
@@ -65,16 +66,17 @@ _TRIES = 8
 _LOOK = Field((224, 224), LR.mm_per_px)
 
 
-def damage(plan: PressPlan, depth_mm: float, mask_depth_mm: float, streams: Streams) -> Defect | None:
-    """The defect of that piece at that position, None for a sound one; its place depends only on the piece.
+def damage(plan: PressPlan, scene: Scene, streams: Streams) -> Defect | None:
+    """The defect of that piece at that position, None for a sound one; its place depends on the piece and the scene.
 
     Where the imprint does not show it, another spot is tried, at most 8 times. A defect of almost no severity shows
     nowhere and stays at the last spot.
     """
     if not plan.kind:
         return None
+    where = plan.part, plan.position, plan.specimen
     return _damage(
-        plan.part, plan.position, plan.specimen, plan.kind, plan.severity, depth_mm, mask_depth_mm, streams
+        *where, plan.kind, plan.severity, scene.press_depth_mm, scene.mask_depth_mm, scene.effects, streams
     )
 
 
@@ -87,12 +89,11 @@ def _damage(
     severity: float,
     depth_mm: float,
     mask_depth_mm: float,
+    effects: tuple[str, ...],
     streams: Streams,
 ) -> Defect:
-    sound = PARTS[part].positions[position]
-    return placed_damage(
-        sound, kind, severity, depth_mm, mask_depth_mm, streams("defect", part, position, number)
-    )
+    sound, rng = PARTS[part].positions[position], streams("defect", part, position, number)
+    return placed_damage(sound, kind, severity, depth_mm, mask_depth_mm, rng, effects)
 
 
 def placed_damage(
@@ -102,9 +103,10 @@ def placed_damage(
     depth_mm: float,
     mask_depth_mm: float,
     rng: np.random.Generator,
+    effects: tuple[str, ...] = DEFAULT_EFFECTS,
 ) -> Defect:
-    """A defect on a sound shape, at a spot where the imprint shows it, if a few tries find one."""
-    look = Renderer(_LOOK, ("deformation",))
+    """A defect on a sound shape, at a spot where the imprint with these effects shows it, if a few tries find one."""
+    look = Renderer(_LOOK, effects)
     for _ in range(_TRIES):
         defect = place_defect(kind, severity, sound, depth_mm, rng)
         mask = look.mask(*look.imprints(sound, defect, depth_mm, Pose()), mask_depth_mm)

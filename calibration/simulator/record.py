@@ -222,7 +222,7 @@ def press_frames(
 ) -> Iterator[FrameOut]:
     """The frames of one press, in order. index: which press of the run, from 0. first_frame: of its first frame."""
     renderer, streams, fps = _renderer(scene, seed), named_streams(seed), scene.camera.fps
-    defect = damage(plan, scene.press_depth_mm, scene.mask_depth_mm, streams)
+    defect = damage(plan, scene, streams)
     sound = piece(plan, streams)
     placed = renderer.place(Pose(), plan.key)
     height = sample(sound if defect is None else Damaged(sound, defect), placed, renderer.field)

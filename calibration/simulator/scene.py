@@ -176,6 +176,11 @@ class Scene(_Table):
             raise ValueError(f"a recording has one camera mode, found {list(self.camera.modes)}")
         if self.nominal and "native" in self.camera.modes:
             raise ValueError("a dataset has the camera modes lr and hr, found native")
+        if self.nominal and "residual_imprint" in self.effects:
+            raise ValueError(
+                "a dataset's presses are single pictures without a press before, so 'residual_imprint' has no effect; "
+                "leave it out of `effects`, or describe recordings with [[runs]]"
+            )
         if len({run.name for run in self.runs}) != len(self.runs):
             raise ValueError(f"runs have different names, found {[run.name for run in self.runs]}")
         return self

@@ -8,7 +8,7 @@ from types import CodeType, FrameType, FunctionType
 import numpy as np
 import pytest
 
-from calibration.simulator import dataset_writer, record
+from calibration.simulator import dataset_writer, plan, record
 from calibration.simulator.effects import DEFAULT_EFFECTS, EFFECTS, chosen
 from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.parts import PARTS
@@ -83,11 +83,12 @@ tail_s = 0.125
 [[runs]]
 name = "line"
 presses = 2
+faulty = 1
 """
 
 
 def everything(scene: Scene) -> list[bytes]:
-    """Bytes of one press by the renderer, one of a dataset, and one of a recording after another press."""
+    """Bytes of one press by the renderer, one of a dataset, and one of a damaged piece in a recording."""
     plans = recording_plan(scene, scene.runs[0], 7, 1.0)
     pictures = [picture(scene.effects).tobytes()]
     pictures += [rgb.tobytes() for _, rgb in dataset_writer.press_pictures(scene, plans[0], 7)]
@@ -124,7 +125,7 @@ def test_left_out_the_bytes_are_those_of_a_program_without_it(
     assert isinstance(function, FunctionType)
     monkeypatch.setattr(sys.modules[function.__module__], function.__name__, gone)
     assert everything(scene) == here
-    for cached in (dataset_writer._renderer, record._renderer):
+    for cached in (dataset_writer._renderer, record._renderer, plan._damage):
         cached.cache_clear()
     assert everything(scene) == here
 

@@ -62,7 +62,7 @@ def test_the_demos_damage_shows_for_many_seeds() -> None:
     look, part = Renderer(LR, ("deformation",)), PARTS["PZ1"].positions["pos1"]
     for seed in range(10):
         for plan in recording_plan(scene, scene.runs[1], seed, 0.8):
-            defect = damage(plan, scene.press_depth_mm, scene.mask_depth_mm, named_streams(seed))
+            defect = damage(plan, scene, named_streams(seed))
             if defect is not None:
                 sound, damaged = look.imprints(part, defect, scene.press_depth_mm, Pose())
                 assert look.mask(sound, damaged, scene.mask_depth_mm).sum() >= 40

@@ -58,6 +58,7 @@ def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
         (("[nominal]", "[camera]\nmodes = ['lr', 'lr']\n[nominal]"), "camera modes are different"),
         (("[nominal]", "[defects]\nseverity = [0.9, 0.1]\n[nominal]"), "[least, most]"),
         (("[nominal]", "[camera]\nmodes = ['native']\n[nominal]"), "found native"),
+        (('"noise"', '"residual_imprint"'), "'residual_imprint' has no effect; leave it out of `effects`"),
         (("[nominal]", "[defects]\nkinds = ['dents']\n[nominal]"), "did you mean 'dent'?"),
     ],
 )
