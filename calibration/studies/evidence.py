@@ -1,8 +1,8 @@
 """Which of several methods is better, by rows: paired differences over parts and draws, and when they do not decide.
 
-Methods are compared on the same parts and seeds. The 95 % interval of a mean is Student's t: over the means of the
-parts, or over the draws of presses where there is one part, which says nothing about others. Seeds that learn the same
-presses are one draw. A method is the best if the interval of its advantage over each other method is above zero.
+Methods are compared on the same parts and seeds. The 95 % interval of a mean is that of `intervals`: over the means of
+the parts, or over the draws of presses where there is one part, which says nothing about others. Seeds that learn the
+same presses are one draw. A method is the best if the interval of its advantage over each other method is above zero.
 """
 
 import math
@@ -65,8 +65,8 @@ class Standing:
     why: str
 
 
-def summarised(sample: Sample) -> Mean:
-    """The mean over parts of the means over seeds, with its interval."""
+def summarised(sample: Sample, span: tuple[float, float] = (-math.inf, math.inf)) -> Mean:
+    """The mean over parts of the means over seeds, with its interval. span: the lowest and highest value possible."""
     groups = {
         part: np.array([value for (name, _), value in sorted(sample.values.items()) if name == part])
         for part in sorted({part for part, _ in sample.values})
@@ -74,14 +74,17 @@ def summarised(sample: Sample) -> Mean:
     centres = np.array([group.mean() for group in groups.values()])
     draws = min(1 if part in sample.same else len(group) for part, group in groups.items())
     few = next(iter(groups.values()))[:draws] if len(groups) == 1 else centres
-    low, high = mean_interval(few)
+    low, high = mean_interval(few, *span)
     return Mean(float(centres.mean()), low, high, len(groups), draws)
 
 
-def ranking(samples: Samples, *, higher_is_better: bool = True) -> Standing:
-    """The standing of methods. Errors: ValueError without a method."""
+def ranking(
+    samples: Samples, *, higher_is_better: bool = True, span: tuple[float, float] = (-math.inf, math.inf)
+) -> Standing:
+    """The standing of methods. span: of the measure. Errors: ValueError without a method."""
     sign = 1 if higher_is_better else -1
-    means = {method: summarised(sample) for method, sample in samples.items()}
+    width = span[1] - span[0]
+    means = {method: summarised(sample, span) for method, sample in samples.items()}
     order = sorted(means, key=lambda method: -sign * means[method].value)
     first, means = order[0], {method: means[method] for method in order}
     if len(order) == 1:
@@ -93,7 +96,7 @@ def ranking(samples: Samples, *, higher_is_better: bool = True) -> Standing:
         difference = samples[first].minus(samples[other])
         if not difference.values:
             return Standing(means, None, (other,), f"{first} and {other} have no part and seed in common")
-        advantage = summarised(difference)
+        advantage = summarised(difference, (-width, width))
         if not advantage.has_interval:
             return Standing(means, None, tuple(order[1:]), _too_few(difference, advantage))
         low, high = sorted((sign * advantage.low, sign * advantage.high))

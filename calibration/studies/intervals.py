@@ -1,7 +1,8 @@
 """95 % intervals of a mean over few draws, and which seeds are draws of their own.
 
-An interval is Student's t. With three to ten values the percentiles of a bootstrap are too narrow: of ten values they
-held the true mean in 90 % of simulated cases, of five in 83 %, of three in 75 %.
+An interval is Student's t, on a scale on which it stays within the values' range. With three to ten values the
+percentiles of a bootstrap are too narrow: of ten values they held the true mean in 90 % of simulated cases, of five
+in 83 %, of three in 75 %.
 """
 
 import math
@@ -42,13 +43,27 @@ def t_quantile(freedom: int) -> float:
     )
 
 
-def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The 95 % interval of the mean of values (n,); nan where there are too few."""
+def mean_interval(
+    values: NDArray[np.float64], lowest: float = -math.inf, highest: float = math.inf
+) -> tuple[float, float]:
+    """The 95 % interval of the mean of values (n,); nan where there are too few.
+
+    lowest, highest: the range of the values. With both, the interval is computed for the logit of the mean, with
+    `lowest` alone for its logarithm, each with the slope at the mean; so both ends are in the range.
+    """
     if len(values) < MIN_DRAWS:
         return math.nan, math.nan
     mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
     half = t_quantile(len(values) - 1) * error
-    return mean - half, mean + half
+    if math.isinf(lowest):
+        return mean - half, mean + half
+    below, above = mean - lowest, highest - mean
+    if min(below, above) <= 0:
+        return mean, mean  # every value is at this end of the range
+    factor = math.exp(min(half * (1 / below + 1 / above), 700.0))
+    share = below / (highest - lowest)
+    low, high = (lowest + below * f / (1 + share * (f - 1)) for f in (1 / factor, factor))
+    return low, min(high, highest)
 
 
 def is_drawn(row: Mapping[str, Any]) -> bool:

@@ -1,13 +1,16 @@
 """`gelgate recommend`: which method to take for a need, from the rows of the studies alone.
 
 The needs are the columns of the seed paper's Table 4, and what else a station may need. An answer has the rows' numbers
-with their intervals; where the rows do not decide, or are missing, it says so and names the command that gives them.
+with their intervals. Where the rows do not decide, it says so, and what to take then; where they are missing, it names
+the command that gives them.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from calibration.fitting.candidates import DEFAULT_METHOD
 from calibration.studies.evidence import Mean, Sample, Samples, Standing, ranking
 from calibration.studies.intervals import is_drawn
 from calibration.studies.published import judgements, no_fixture
@@ -23,13 +26,19 @@ FEW = 8
 FEW_SHOT = 0.05
 """The share of the target position's presses of the few-shot gain."""
 
+CLOSE = 0.05
+"""Where the rows do not decide, a mean this far below the highest is as good for the choice."""
+
+_SPAN_OF_A_GAIN = (-1.0, 1.0)
+
 
 @dataclass(frozen=True)
 class Question:
     """One question to the rows.
 
     title: as it is printed, with the measure. study: whose rows answer it. values: of one row set by method, empty
-    where the rows do not cover the question. command: what gives the rows. column: of the paper's Table 4.
+    where the rows do not cover the question. command: what gives the rows. column: of the paper's Table 4. span: the
+    lowest and highest value possible.
     """
 
     title: str
@@ -39,6 +48,7 @@ class Question:
     higher_is_better: bool = True
     unit: str = ""
     column: str | None = None
+    span: tuple[float, float] = (0.0, 1.0)
 
     @property
     def judgements(self) -> Mapping[str, str]:
@@ -66,7 +76,8 @@ class Answer:
             f"  {name:<10} {mean.value:8.4f}{unit}{_span(mean)}{said.get(name, '')}"
             for name, mean in found.means.items()
         ]
-        return [self.question.title, counted, *listed, f"  -> {self.verdict}"]
+        then = [f"     {self.then}"] if self.then else []
+        return [self.question.title, counted, *listed, f"  -> {self.verdict}", *then]
 
     @property
     def verdict(self) -> str:
@@ -80,6 +91,27 @@ class Answer:
             return found.best
         between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
         return f"undecided{between}: {found.why}"
+
+    @property
+    def then(self) -> str:
+        """What to take where the rows do not decide: the default of `gelgate fit` where it is close to the best."""
+        if self.standing is None or not self.standing.rivals:
+            return ""
+        means = self.standing.means
+        first = next(iter(means))
+        behind = {
+            name: abs(means[first].value - means[name].value) for name in (first, *self.standing.rivals)
+        }
+        if (
+            first != DEFAULT_METHOD
+            and self.question.higher_is_better
+            and behind.get(DEFAULT_METHOD, 1) <= CLOSE
+        ):
+            why = f"it is the default of `gelgate fit`, {behind[DEFAULT_METHOD]:.3f} below the highest mean"
+            return f"Take {DEFAULT_METHOD} then: {why}."
+        best = "highest" if self.question.higher_is_better else "lowest"
+        also = "is the default of `gelgate fit`, and " if first == DEFAULT_METHOD else ""
+        return f"Take {first} then: it {also}has the {best} mean."
 
 
 def _span(mean: Mean) -> str:
@@ -194,6 +226,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             lambda rows: gains(rows, "aupro_001", "target_fraction", 0.0, FEW_SHOT),
             _CROSS,
             column="few-shot cross-pos. gain",
+            span=_SPAN_OF_A_GAIN,
         ),
     ),
     "high-resolution": (
@@ -209,12 +242,14 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             lambda rows: gains(rows, "aupro_001_common", "view", "lr", "hr_tiled"),
             _FINE,
             column="HR benefit",
+            span=_SPAN_OF_A_GAIN,
         ),
         Question(
             "high resolution: gain by its detail alone, over low resolution scaled up and tiled",
             "resolution",
             lambda rows: gains(rows, "aupro_001_common", "view", "lr_tiled", "hr_tiled"),
             _FINE,
+            span=_SPAN_OF_A_GAIN,
         ),
     ),
     "no-fixture": (
@@ -241,6 +276,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             _GOOD,
             higher_is_better=False,
             unit=" ms",
+            span=(0.0, math.inf),
         ),
     ),
 }
@@ -255,7 +291,9 @@ def answered(question: Question, rows: Sequence[Row]) -> Answer:
     except ConfigError as error:
         return Answer(question, None, str(error))
     samples = {method: sample for method, sample in samples.items() if sample.values}
-    return Answer(question, ranking(samples, higher_is_better=question.higher_is_better) if samples else None)
+    if not samples:
+        return Answer(question, None)
+    return Answer(question, ranking(samples, higher_is_better=question.higher_is_better, span=question.span))
 
 
 def recommended(rows: Sequence[Row], needs: Sequence[str] = ()) -> list[Answer]:

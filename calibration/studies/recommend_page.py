@@ -19,7 +19,8 @@ def page(rows: "pd.DataFrame") -> Page:
         "# Which method to take\n",
         "The answers of `gelgate recommend` from these rows. Each method has its mean with a 95 % interval: over the "
         "parts, or over the draws of presses where there is one part. A method is the answer if the interval of its "
-        f"advantage over each other one is above zero. The last column is the judgement of Table 4 of: {source()}.\n",
+        "advantage over each other one is above zero. Where none is, a sentence says what to take then. The last "
+        f"column is the judgement of Table 4 of: {source()}.\n",
     ]
     for title, group in by_setup(only_scored(rows)):
         records = group.astype(object).where(group.notna(), None).to_dict("records")
@@ -30,7 +31,8 @@ def page(rows: "pd.DataFrame") -> Page:
 
 def _section(answer: Answer) -> str:
     question = answer.question
-    title = f"### {question.title[0].upper() + question.title[1:]}\n\n**{answer.verdict}**\n"
+    then = f" {answer.then}" if answer.then else ""
+    title = f"### {question.title[0].upper() + question.title[1:]}\n\n**{answer.verdict}**{then}\n"
     if answer.standing is None:
         return title
     means = answer.standing.means

@@ -31,6 +31,18 @@ def test_fewer_draws_have_no_interval() -> None:
     assert mean_interval(np.full(MIN_DRAWS, 0.5)) == (0.5, 0.5)
 
 
+@pytest.mark.parametrize("span", [(0.0, 1.0), (-1.0, 1.0), (0.0, math.inf)])
+def test_an_interval_stays_within_the_range_of_its_measure(span: tuple[float, float]) -> None:
+    """Three parts, of which one is lost: Student's t alone gives -0.68 to 1.85. Far from the ends both are the same."""
+    low, high = mean_interval(np.array([0.0, 0.86, 0.9]), *span)
+    assert span[0] < low < 0.587 < high < span[1]
+
+    close = np.array([0.50, 0.51, 0.52])
+    assert mean_interval(close, *span) == pytest.approx(mean_interval(close), abs=2e-3)
+    assert mean_interval(np.zeros(3), *span) == (0.0, 0.0)
+    assert mean_interval(np.array([0.0, 0.0, 1e-9]), *span)[1] <= span[1]
+
+
 @pytest.mark.parametrize(
     ("row", "expected"),
     [

@@ -45,6 +45,20 @@ def test_the_same_results_agree() -> None:
     assert "| PZ3 | `lr` | AU-PRO@0.01 | 0.361 | 0.261 | +0.100 | easier |" in text
 
 
+def test_the_summary_counts_every_setup() -> None:
+    """One setup agrees, another differs; the least and the most found with all presses are next to the paper's."""
+    full = rows()[lambda frame: frame["view"] == "lr"].assign(study="good-fraction", fraction=1.0, pool=110)
+    alike, other = pd.concat([rows(), full]), pd.concat([rows(sign=-1), full.assign(aupro_001=0.05)])
+    text = page(pd.concat([alike, other.assign(backbone="other")])).markdown
+
+    assert (
+        "| tiny, corrected, press | 18 agree, 0 differ, 0 undecided | 12 agree, 0 differ, 0 undecided |"
+        in text
+    )
+    assert "| **all** | **18 agree, 12 differ, 6 undecided** | **12 agree, 12 differ, 0 undecided** |" in text
+    assert "| PZ3 | 0.050, other, corrected, press | 0.361, tiny, corrected, press | 0.261 |" in text
+
+
 def test_opposite_results_differ_and_are_listed() -> None:
     """Orders and directions turned around differ; each direction that differs has a line, and parts are harder."""
     text = page(rows(sign=-1)).markdown

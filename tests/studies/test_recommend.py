@@ -84,7 +84,36 @@ def test_rows_that_overlap_do_not_decide(need: str) -> None:
 
     assert answer.standing is not None
     assert answer.standing.best is None
-    assert "undecided between spade and padim:" in answer.lines()[-1]
+    assert "undecided between spade and padim:" in answer.lines()[-2]
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        ({"spade": 0.8, "padim": 0.8}, "padim then: it is the default of `gelgate fit`, 0.000 below the highest mean."),
+        ({"padim": 0.8, "fapm": 0.8}, "padim then: it is the default of `gelgate fit`, and has the highest mean."),
+        ({"spade": 0.8, "fapm": 0.8, "padim": 0.2}, "spade then: it has the highest mean."),
+    ],
+)  # fmt: skip
+def test_an_undecided_answer_says_what_to_take(levels: dict[str, float], expected: str) -> None:
+    """The default where it is as good, else the highest mean."""
+    answer = recommended(covering("localisation", levels), ["localisation"])[0]
+
+    assert answer.lines()[-1] == f"     Take {expected}"
+
+
+def test_a_part_that_one_method_loses_leaves_the_default() -> None:
+    """The default's mean is far below although the rows do not decide; and no interval leaves the range of AU-PRO."""
+    rows = [
+        row | {"aupro_001": 0.0 if row["part"] == "PZ3" and row["method"] == "padim" else row["aupro_001"]}
+        for row in covering("localisation", {"spade": 0.88, "padim": 0.88})
+    ]
+    answer = recommended(rows, ["localisation"])[0]
+
+    assert answer.standing is not None
+    assert answer.lines()[-1] == "     Take spade then: it has the highest mean."
+    mean = answer.standing.means["padim"]
+    assert 0 < mean.low < mean.high < 1
 
 
 @pytest.mark.parametrize("need", NEEDS)
