@@ -88,6 +88,9 @@ class BundleOpener:
         """Errors: BundleError."""
         is_sound = earlier is not None and earlier.inspector.fault is None
         if earlier is not None and is_sound and _digest(one.path, trust) == earlier.bundle.digest:
+            Bundle.load(
+                one.path, trust=trust
+            )  # a graph that has changed under its manifest is refused, as at a start
             return OpenBundle(one.path, one.names, earlier.inspector, earlier.golden_difference)
         if self._tried is not None:
             try_once(one.path, trust, table.threads, self._tried)
@@ -121,7 +124,7 @@ def _bundles_in(folder: Path) -> Iterator[Path]:
             f"inspection.bundle_folder: {folder} cannot be read ({error.strerror}); name a folder of bundles"
         ) from error
     for path in paths:
-        if not path.name.startswith(".") and (path.suffix == ".zip" or (path / MANIFEST).is_file()):
+        if not path.name.startswith(".") and (path.suffix == ".zip" or (path / MANIFEST).exists()):
             yield path
 
 

@@ -53,10 +53,14 @@ class _Folder:
 
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
         try:
-            # O_NONBLOCK: a named pipe in place of a file must not hang the gateway.
-            descriptor = os.open(
-                self._path / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-            )
+            with open(self._path / name, "rb", opener=_open_unfollowed) as file:
+                status = os.fstat(file.fileno())
+                if not stat.S_ISREG(status.st_mode):
+                    raise BundleCorrupt(
+                        f"bundle {self.where}: {name} is not a plain file; copy the complete bundle again"
+                    )
+                _check_size(self.where, name, status.st_size, limit)
+                return file.read(limit + 1)
         except FileNotFoundError as error:
             raise _missing(self.where, name) from error
         except OSError as error:
@@ -64,14 +68,11 @@ class _Folder:
                 f"bundle {self.where}: {name} cannot be read ({error.strerror}); copy the complete bundle again, "
                 "links are not followed"
             ) from error
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise BundleCorrupt(
-                    f"bundle {self.where}: {name} is not a plain file; copy the complete bundle again"
-                )
-            _check_size(self.where, name, status.st_size, limit)
-            return file.read(limit + 1)
+
+
+def _open_unfollowed(path: str, flags: int) -> int:
+    """O_NONBLOCK: a named pipe in place of a file must not hang the gateway."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
 class _Zip:

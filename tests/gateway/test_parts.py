@@ -201,6 +201,38 @@ def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder:
         assert retained(station, "alarm/bundle") is None
 
 
+@pytest.mark.parametrize("name", ["head.onnx", "trunk.onnx", "bank"])
+def test_a_reload_notices_a_file_that_changed_under_its_manifest(
+    config: Path, folder: Path, name: str
+) -> None:
+    """The next start would refuse it, so the reload does: alarm `bundle`, and the open one goes on."""
+    with SteppedStation(config) as station:
+        old = station.loop.selection.inspector
+        path = folder / "a" / name
+        file = next(path.iterdir()) if path.is_dir() else path
+        file.write_bytes(file.read_bytes()[:-1] + b"!")
+        reloaded(station)
+
+        assert station.loop.selection.inspector is old
+        assert f"{file.name} has SHA-256" in str(retained(station, "alarm/bundle"))
+
+
+def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
+    config: Path, folder: Path, bundle: Path
+) -> None:
+    """The alarm names it, its earlier bundle goes on, and the other new bundle is used."""
+    with SteppedStation(config) as station:
+        old = station.loop.selection.inspector
+        (folder / "a" / "manifest.json").unlink()
+        (folder / "a" / "manifest.json").mkdir()
+        variant(bundle, folder / "b", part="PZ1", revision=7)
+        reloaded(station)
+
+        assert station.loop.selection.inspector is old
+        assert station.loop.selection.bundles[PZ1].bundle.manifest.revision == 7
+        assert "manifest.json cannot be read (Is a directory)" in str(retained(station, "alarm/bundle"))
+
+
 def test_info_names_the_parts_that_a_reload_brings(config: Path, folder: Path, bundle: Path) -> None:
     """Also where the bundle in use stays as it is: a dashboard that selects has the list."""
     with SteppedStation(config) as station:

@@ -107,6 +107,14 @@ def test_a_named_pipe_does_not_hang_the_reader(tmp_path: Path) -> None:
         open_archive(tmp_path / "b").read("pipe.npy")
 
 
+def test_a_folder_in_the_place_of_a_file_is_named(tmp_path: Path) -> None:
+    """It is a fault of the bundle, not an OSError with the number of a descriptor."""
+    write_archive(tmp_path / "b", FILES)
+    (tmp_path / "b" / "head.onnx").mkdir()
+    with pytest.raises(BundleCorrupt, match=r"head\.onnx cannot be read \(Is a directory\)"):
+        open_archive(tmp_path / "b").read("head.onnx")
+
+
 def test_nothing_at_the_path_is_a_sentence(tmp_path: Path) -> None:
     """The sentence says how to make a bundle."""
     with pytest.raises(BundleCorrupt, match="gelgate fit"):
