@@ -1,8 +1,13 @@
 """The real clock. Tests pass their own."""
 
 import time
+from typing import Final
 
 __all__ = ["SystemClock"]
+
+# 1 January 2262: the last year that nanoseconds in 64 bits reach, as the database keeps them, ends on 11 April.
+_LATEST_NS: Final = 9_214_646_400 * 10**9
+_DAY_NS: Final = 86_400 * 10**9
 
 
 class SystemClock:
@@ -12,7 +17,9 @@ class SystemClock:
         return time.monotonic_ns()
 
     def time_ns(self) -> int:
-        return time.time_ns()
+        """A clock beyond 2262 is wrong, and its time cannot be kept: it becomes its time of day on that day."""
+        now_ns = time.time_ns()
+        return min(now_ns, _LATEST_NS + now_ns % _DAY_NS)
 
     def sleep(self, seconds: float) -> None:
         time.sleep(seconds)

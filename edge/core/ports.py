@@ -20,7 +20,8 @@ __all__ = [
 
 
 class Clock(Protocol):
-    """Time, injected. `monotonic_ns` orders events; `time_ns` is the wall clock written into payloads."""
+    """Time, injected. `monotonic_ns` orders events; `time_ns` is the wall clock written into payloads, and fits into 64
+    bits."""
 
     def monotonic_ns(self) -> int: ...
     def time_ns(self) -> int: ...

@@ -7,6 +7,7 @@ from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.clock import SystemClock
 from edge.gateway.clock_guard import ClockGuard
 
 
@@ -45,3 +46,21 @@ def test_a_station_writes_a_step_into_the_table_of_acts(
 
     assert (act.who, act.verb, act.outcome) == ("the gateway", "clock_step", "done")
     assert act.arguments == {"seconds": 86400.0}
+
+
+def test_a_clock_beyond_2262_loses_no_press(
+    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nanoseconds in 64 bits end there: the station goes on, while the clock is wrong and when it is right again."""
+    today_ns = 1_795_000_000 * 10**9
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        monkeypatch.setattr(station.clock, "time_ns", SystemClock().time_ns)
+        monkeypatch.setattr("time.time_ns", lambda: today_ns + 400 * 365 * 86_400 * 10**9)
+        station.play_until(lambda: station.loop.is_halted or len(station.reports) == 1)
+        assert not station.loop.is_halted
+        monkeypatch.setattr("time.time_ns", lambda: today_ns)
+        station.play()
+
+        times = [report.result.time_ns for report in station.reports]
+    assert [time_ns == today_ns for time_ns in times] == [False, True, True]
+    assert times[0] // 10**9 // 86_400 == 9_214_646_400 // 86_400
