@@ -42,19 +42,30 @@ class GelRecord:
     note: str = ""
 
     @property
+    def can_be(self) -> bool:
+        """Whether this is a count of presses; a row that was changed by hand may hold another number."""
+        return self.presses >= 0 and self.limit_presses >= 1
+
+    @property
     def state(self) -> GelState:
-        """The state of its press count, or `replace` when it is optically worn."""
-        if (self.wear_index or 0.0) >= 1.0:
+        """The state of its press count, or `replace` when it is optically worn or its count cannot be."""
+        if (self.wear_index or 0.0) >= 1.0 or not self.can_be:
             return GelState.REPLACE
         return GelLife(self.presses, self.limit_presses, self.warn_fraction).state
 
 
 def mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:
-    """The gel mounted on this sensor, None for an unknown sensor."""
+    """The gel mounted on this sensor, None for an unknown sensor. Errors: StoreError for a count that cannot be."""
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM gels WHERE serial = ? AND removed_ns IS NULL", (serial,)
     ).fetchone()
-    return None if row is None else _record(row, warn_fraction)
+    gel = None if row is None else _record(row, warn_fraction)
+    if gel is not None and not gel.can_be:
+        raise StoreError(
+            f"gel {gel.gel_id} of sensor {serial} has {gel.presses} of {gel.limit_presses} presses in the ledger, "
+            "which no gelgate writes; mount a new gel with `gelgate gel replace`, or bring back a copy of the database"
+        )
+    return gel
 
 
 def history(connection: sqlite3.Connection, serial: str | None, warn_fraction: float) -> list[GelRecord]:

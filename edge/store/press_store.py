@@ -269,7 +269,8 @@ class Store:
             ) from error
 
     def check(self) -> None:
-        """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged."""
+        """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged, or the mounted
+        gel whose count cannot be."""
         with self._database.reading("checking") as connection:
             found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
@@ -277,6 +278,9 @@ class Store:
             raise StoreError(
                 f"database {self.path} is damaged ({damage}); move it away to keep it for repair; a new one is made"
             )
+        with self._database.reading("checking") as connection:
+            for gel in ledger.history(connection, None, self._warn_fraction):
+                ledger.mounted(connection, gel.serial, self._warn_fraction)
 
     def close(self) -> None:
         """Close the file; harmless when repeated."""

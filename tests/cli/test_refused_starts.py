@@ -91,6 +91,19 @@ def database(path: Path, application: int, version: int) -> None:
     connection.close()
 
 
+def impossible_count(bench: Bench) -> Path:
+    """The row of the mounted gel was changed by hand."""
+    from edge.store.press_store import Store
+
+    path = bench.folder / "edited.db"
+    with Store(path) as store:
+        store.gel("TEST0001", 10**18)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE gels SET presses = -5, limit_presses = 0")
+        connection.commit()
+    return bench.config(database="edited.db")
+
+
 def mqtt(options: str) -> Callable[[Bench], Path]:
     return lambda bench: bench.config(sink=f'plugin = "mqtt"\noptions = {{ {options} }}')
 
@@ -131,6 +144,9 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),
     "a newer database": (newer, 1, ("newer.db has schema version 99", "knows up to", "use the newer gelgate")),
     "another program's database": (foreign, 1, ("foreign.db belongs to another program", "name another file")),
+    "a gel that was pressed less than never": (
+        impossible_count, 1, ("TEST0001-1 of sensor TEST0001 has -5 of 0 presses", "gelgate gel replace"),
+    ),
     "no such host": (
         mqtt('host = "broker.invalid"'), 3, ("'broker.invalid' is not known", "correct sinks.0.options.host"),
     ),
