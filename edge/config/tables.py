@@ -288,7 +288,10 @@ class CommandTable(Table):
         description="verbs for a person at the sink `page` who has its token; without a token none is served there",
     )
     requests_per_minute: int = Field(
-        default=60, ge=1, le=6000, description="more are refused, of all verbs together"
+        default=60,
+        ge=1,
+        le=6000,
+        description="of signed, unsigned and page requests each, of all verbs together; more are refused",
     )
 
     @model_validator(mode="after")

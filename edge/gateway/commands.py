@@ -6,6 +6,7 @@ outcome, and is not done again.
 """
 
 import logging
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -30,6 +31,9 @@ REPEATED_WITHIN_S: Final = 60.0
 # Who asked, in the table of acts: a person at a page, where he gave no name.
 PAGE: Final = "page"
 
+# Each kind of request has a rate of its own, taken when it is known who asks: nobody uses up that of another.
+_KINDS: Final = ("signed", "unsigned", PAGE, "refused", "refused at the page", "logged")
+
 
 @dataclass(frozen=True)
 class Change:
@@ -47,10 +51,12 @@ Handler = Callable[[Mapping[str, Any]], Change]
 
 @dataclass(frozen=True)
 class _Asked:
-    """who: for the table of acts. why: it is refused, None if it may be done. signature: that was checked."""
+    """who: for the table of acts. why: it is refused, None if it may be done. kind: whose rate it takes. signature:
+    that was checked."""
 
     who: str
     why: str | None
+    kind: str
     signature: str | None = None
 
 
@@ -61,7 +67,8 @@ _Admit = Callable[[str, CommandRequest, int], _Asked]
 class Commands:
     """Verbs and their handlers; a `Station.on_command`. Handlers are called from the sinks' threads.
 
-    store: keeps the acts. per_minute: requests that are served; more are refused, and not recorded.
+    store: keeps the acts. per_minute: requests of one kind that are served; more are refused, and not recorded. As many
+    that are not admitted are recorded and have a line in the log; more are answered alone.
     """
 
     def __init__(
@@ -77,7 +84,10 @@ class Commands:
         self._store = store
         self._clock = clock
         self._per_minute = per_minute
-        self._rate = Rate(per_minute, clock)
+        self._rates = {kind: Rate(per_minute, clock) for kind in _KINDS}
+        self._flood_lines = Rate(1, clock)
+        # A signature is valid for two minutes, in which three times the rate may come: what is left at first, and two.
+        self._signatures: deque[str] = deque(maxlen=3 * per_minute)
 
     def __call__(self, verb: str, payload: bytes) -> bytes:
         """The response to one request over MQTT."""
@@ -94,25 +104,24 @@ class Commands:
 
     def refused_at_page(self, verb: str, payload: bytes, why: str) -> bytes:
         """The response to a request that a page refuses, such as without its token. It is recorded."""
-        log.warning("command %.64r was refused at the page: %s", verb, why)
+        self._warn(verb, f"{why} (at the page)")
         transaction = _transaction(payload)
         act = Act(self._clock.time_ns(), PAGE, verb[:64], transaction, outcome="refused", sentence=why)
-        try:
-            self._store.begin_act(act, REPEATED_WITHIN_S)
-        except StoreError as error:
-            log.error("a refused request is not recorded: %s", error)
+        if self._rates["refused at the page"].take():
+            try:
+                self._store.begin_act(act, REPEATED_WITHIN_S)
+            except StoreError as error:
+                log.error("a refused request is not recorded: %s", error)
         return self._answer(verb, transaction, error=why)
 
     def _response(self, verb: str, payload: bytes, admit: _Admit) -> bytes:
         transaction = None
         try:
-            if not self._rate.take():
-                raise ValueError(f"more than {self._per_minute} requests a minute; ask again later")
             request = _request(payload)
             transaction = request.transaction
             return self._allowed(verb, request, admit)
         except (GelgateError, TypeError, ValueError) as error:
-            log.warning("command %.64r was refused: %s", verb, error)
+            self._warn(verb, error)
             return self._answer(verb, transaction, error=str(error))
         except Exception:  # a sink's thread ends here: a request must not end it
             log.exception("command %.64r failed", verb)
@@ -120,19 +129,29 @@ class Commands:
                 verb, transaction, error="it failed with an internal error; see the gateway's log"
             )
 
+    def _warn(self, verb: str, why: object) -> None:
+        """A line for each request that is not done; of a flood one line a minute."""
+        if self._rates["logged"].take():
+            log.warning("command %.64r was refused: %s", verb, why)
+        elif self._flood_lines.take():
+            log.warning("more than %d requests a minute are refused: not each has its line", self._per_minute)
+
     def refused(self, verb: str, payload: bytes, why: str) -> bytes:
         """The response to a request that a sink refuses unread; a `Station.on_refused`."""
         return self._answer(verb, _transaction(payload), error=why)
 
     def _over_mqtt(self, verb: str, request: CommandRequest, now_ns: int) -> _Asked:
         why = self._policy.refusal(verb, request, now_ns)
-        signed = why is None and verb in self._policy.signed
-        who = f"{request.by or 'unnamed'}, over MQTT, {'signed' if signed else 'unsigned'}"
-        return _Asked(who, why, request.signature if signed else None)
+        signature = request.signature if why is None and verb in self._policy.signed else None
+        kind = "unsigned" if signature is None else "signed"
+        who = f"{request.by or 'unnamed'}, over MQTT, {kind}"
+        if why is not None or signature in self._signatures:  # anybody may send a copy again
+            kind = "refused"
+        return _Asked(who, why, kind, signature)
 
     def _at_page(self, verb: str, request: CommandRequest, now_ns: int) -> _Asked:
         who = PAGE if request.by is None else f"{request.by}, at the {PAGE}"
-        return _Asked(who, self._policy.page_refusal(verb))
+        return _Asked(who, self._policy.page_refusal(verb), PAGE)
 
     def _allowed(self, verb: str, request: CommandRequest, admit: _Admit) -> bytes:
         """Record the request, do it unless it was done before, and record its outcome. Errors: those of a handler."""
@@ -140,9 +159,13 @@ class Commands:
         asked = admit(verb, request, now_ns)
         why = self._unknown(verb) or asked.why
         act = Act(now_ns, asked.who, verb[:64], request.transaction, request.arguments, asked.signature)
-        if why is not None:
+        is_within_rate = self._rates[asked.kind].take()
+        if why is not None and is_within_rate:
             self._store.begin_act(replace(act, outcome="refused", sentence=why), REPEATED_WITHIN_S)
-            raise ValueError(why)
+        if why is not None or not is_within_rate:
+            raise ValueError(why or f"more than {self._per_minute} requests a minute; ask again later")
+        if asked.signature is not None:
+            self._signatures.append(asked.signature)
         act_id, earlier = self._store.begin_act(act, REPEATED_WITHIN_S)
         if earlier is not None:
             return self._repeated(act, earlier)

@@ -49,9 +49,9 @@ A request is a JSON object of at most {largest} bytes, published with QoS 1 and 
   done twice, and the answer with `is_repeated` is the first outcome. Use a new id for each request.
 - The response is published on `cmd/<verb>/response`. At level 5 a request may name a response topic below that one;
   with any other the request is refused.
-- More than `requests_per_minute`, larger ones, and those that find {waiting} others waiting are refused, with a
-  response.
-- Every request that is not refused for its number or size is in the table of acts: `gelgate acts`.
+- Signed, unsigned and page requests each have their own `requests_per_minute`, counted after the check. More of them,
+  larger ones, and those that find {waiting} others waiting are refused, with a response.
+- Every request that is done or fails is in the table of acts, `gelgate acts`, and of the refused `requests_per_minute`.
 
 A signed request also has `by`, `time_ns` (within 60 s of the station's clock) and `signature`. The signature is the
 HMAC-SHA256, in hexadecimal, of one JSON text with sorted keys, without blanks, and with `\\u` escapes for everything

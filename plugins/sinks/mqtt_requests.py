@@ -6,8 +6,11 @@ the station's rights anything else could be overwritten, its own state included.
 
 import logging
 import queue
+from typing import Final
 
+from edge.clock import SystemClock
 from edge.core.errors import SinkError
+from edge.core.rate import Rate
 from edge.core.sink_context import Station
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
 from edge.messaging.mqtt_broker import Outgoing, Received
@@ -17,6 +20,9 @@ __all__ = ["Requests"]
 
 log = logging.getLogger(__name__)
 
+# A flood has no line for each request.
+LINES_PER_MINUTE: Final = 10
+
 
 class Requests:
     """The requests of one station. `receive` is called by the connection's thread, `next` by the answering one."""
@@ -24,7 +30,7 @@ class Requests:
     def __init__(self, station: Station) -> None:
         self._station = station
         self._waiting: queue.Queue[Received | None] = queue.Queue(WAITING_REQUESTS)
-        self._is_refusing = False
+        self._lines = Rate(LINES_PER_MINUTE, SystemClock())
 
     def receive(self, request: Received, connection: Connection | None) -> None:
         """Keep the request for `next`, or refuse it at once. Never waits."""
@@ -40,8 +46,9 @@ class Requests:
             except queue.Full:
                 why = f"{WAITING_REQUESTS} requests are waiting; ask again later"
         if why is not None:
+            if self._lines.take():
+                log.warning("a request on %s is refused: %s", request.topic, why)
             self._refuse(request, why, connection)
-        self._note(request, why)
 
     def next(self) -> Received | None:
         """The oldest request; waits for one. None after `close`."""
@@ -75,12 +82,6 @@ class Requests:
         if self._station.on_refused is not None and connection is not None:
             payload = self._station.on_refused(_verb(request), request.payload[:LARGEST_REQUEST_BYTES], why)
             connection.publish_soon(_response(request, payload))
-
-    def _note(self, request: Received, why: str | None) -> None:
-        """One line for a flood, not one for each request."""
-        if why is not None and not self._is_refusing:
-            log.warning("a request on %s is refused: %s", request.topic, why)
-        self._is_refusing = why is not None
 
 
 def _verb(request: Received) -> str:

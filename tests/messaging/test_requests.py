@@ -119,14 +119,20 @@ def test_at_level_5_the_broker_is_told_the_largest_packet(sink: MqttSink, broker
 
 
 def test_requests_that_find_no_room_are_answered(
-    broker: ScriptedBroker, sink: MqttSink, asked: Asked
+    broker: ScriptedBroker, sink: MqttSink, asked: Asked, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A flood while nothing is served: what fits waits, and each of the others has its answer, with one log line."""
+    """A flood of which little is served: what fits waits, each of the others has its answer, and few have a line."""
     for number in range(WAITING_REQUESTS + 60):
         broker.send(TRIGGER, b"%d" % number)
-
     until(lambda: len(broker.published) == 60)
-    assert len(asked.refused) == 60
+    for number in range(1, 21):
+        sink._requests.next()
+        broker.send(TRIGGER, b"%d" % number)
+        broker.send(TRIGGER, b"%d" % number)
+        until(lambda wanted=60 + number: len(broker.published) == wanted)
+
+    assert len(asked.refused) == 80
+    assert sum("is refused" in line for line in caplog.messages) <= 12
     assert set(asked.refused) == {f"{WAITING_REQUESTS} requests are waiting; ask again later"}
 
 
