@@ -6,12 +6,11 @@
 Names are loaded at use: importing this package imports neither onnx nor torch. docs/export.md has the whole way.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
-    from export.bundle_stages import bundle_stages, compared_with
+    from export.bundle_stages import compared_with
     from export.external_graph import WrapConfig, wrap_files
     from export.importers.api import (
         ImportedBundle,
@@ -29,27 +28,6 @@ if TYPE_CHECKING:
     from export.precision import chosen, in_precision, measured
     from export.single_graph import Adapted, GraphInput, adapted
 
-_HOMES = {
-    "backbone": ("BackboneExport", "BackboneOptions", "export_backbone"),
-    "bundle_stages": ("bundle_stages", "compared_with"),
-    "external_graph": ("WrapConfig", "wrap_files"),
-    "importers.api": (
-        "ImportOptions",
-        "ImportedBundle",
-        "import_detector",
-        "import_fapm",
-        "import_inreach",
-        "import_padim",
-        "import_patchcore",
-        "import_spade",
-    ),
-    "merge": ("merge_bundle", "merged_graph"),
-    "openvino_model": ("write_openvino",),
-    "parity": ("ParityReport", "Stage", "compare", "order_stage"),
-    "precision": ("chosen", "in_precision", "measured"),
-    "single_graph": ("Adapted", "GraphInput", "adapted"),
-}
-
 __all__ = [
     "Adapted",
     "BackboneExport",
@@ -61,7 +39,6 @@ __all__ = [
     "Stage",
     "WrapConfig",
     "adapted",
-    "bundle_stages",
     "chosen",
     "compare",
     "compared_with",
@@ -83,7 +60,29 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(f"export.{module}"), name)
-    raise AttributeError(f"export has no '{name}'; it has {', '.join(__all__)}")
+    if name not in __all__:
+        raise AttributeError(f"export has no '{name}'; it has {', '.join(__all__)}")
+    from export import (
+        backbone,
+        bundle_stages,
+        external_graph,
+        merge,
+        openvino_model,
+        parity,
+        precision,
+        single_graph,
+    )
+    from export.importers import api
+
+    homes = (
+        api,
+        backbone,
+        bundle_stages,
+        external_graph,
+        merge,
+        openvino_model,
+        parity,
+        precision,
+        single_graph,
+    )
+    return next(getattr(home, name) for home in homes if hasattr(home, name))

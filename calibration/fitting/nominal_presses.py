@@ -4,7 +4,7 @@ From a recording the contact tracker takes the settled frame of every press, exa
 free gel. Each picture is a press; with a picture of the free gel its touched area is known too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -190,14 +190,14 @@ def read_presses(
     free = _pictures(listed_pictures(no_contact), profile, resize)
     for _, picture in free:
         gathered.add_free(picture)
-    reference = _reference([picture for _, picture in free])
+    contact = _contacts([picture for _, picture in free])
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
     files = listed_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in listed_pictures(no_contact))]
     for path, picture in _pictures(files, profile, resize):
-        _add_picture(picture, _name(path), specimens.get(path) or specimen_of(path), reference, gathered)
+        gathered.add(picture, _name(path), specimens.get(path) or specimen_of(path), contact(picture))
     _require_left_out(gathered)
     if not gathered.frames and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
@@ -226,28 +226,10 @@ def named_presses(
     gathered = _Gathered(profile, region)
     for picture in no_contact:
         gathered.add_free(picture)
-    reference = _reference(no_contact)
+    contact = _contacts(no_contact)
     for name, picture in pictures.items():
-        _add_picture(picture, name, specimen_of(Path(name)), reference, gathered)
+        gathered.add(picture, name, specimen_of(Path(name)), contact(picture))
     return gathered.presses()
-
-
-def _add_picture(
-    picture: NDArray[np.uint8],
-    name: str,
-    specimen: str | None,
-    reference: Reference | None,
-    gathered: _Gathered,
-) -> None:
-    gathered.add(picture, name, specimen, None if reference is None else _contact(picture, reference))
-
-
-def _contact(picture: NDArray[np.uint8], reference: Reference) -> _Contact:
-    """As the gateway finds it."""
-    difference = reference.difference(_view(picture))
-    relief = ReliefOfReference(reference.view).of(difference, ContactSettings.light_levels)
-    mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
-    return _Contact(mask, relief.area)
 
 
 def specimen_of(path: Path) -> str | None:
@@ -369,11 +351,23 @@ def _view(picture: NDArray[np.uint8]) -> View:
     return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _reference(pictures: Sequence[NDArray[np.uint8]]) -> Reference | None:
-    if not pictures:
-        return None
-    mean = np.stack([_view(picture) for picture in pictures]).mean(axis=0, dtype=np.float64)
-    return Reference(np.asarray(mean, np.float32), len(pictures), 0)
+def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Contact | None]:
+    """How a picture's contact is found, as the gateway finds it; none is known without the free gel."""
+    if not free:
+        return lambda picture: None
+    mean = np.stack([_view(picture) for picture in free]).mean(axis=0, dtype=np.float64)
+    reference = Reference(np.asarray(mean, np.float32), len(free), 0)
+    structure = ReliefOfReference(reference.view)
+
+    def contact(picture: NDArray[np.uint8]) -> _Contact:
+        difference = reference.difference(_view(picture))
+        relief = structure.of(difference, ContactSettings.light_levels)
+        mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
+        return _Contact(mask, relief.area)
+
+    for picture in free:  # from these it learns the noise: a part that fills the view has structure all over
+        contact(picture)
+    return contact
 
 
 def touched_union(

@@ -3,7 +3,6 @@
 From Python: `from calibration.simulator import PARTS, Renderer`; docs/simulator.md has an example.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,21 +13,14 @@ if TYPE_CHECKING:
     from calibration.simulator.renderer import Renderer
     from calibration.simulator.streams import named_streams
 
-_HOMES = {
-    "DEFAULT_EFFECTS": "effects",
-    "HR": "field_of_view",
-    "LR": "field_of_view",
-    "PARTS": "parts",
-    "Renderer": "renderer",
-    "named_streams": "streams",
-    "place_defect": "defects",
-}
-
 __all__ = ["DEFAULT_EFFECTS", "HR", "LR", "PARTS", "Renderer", "named_streams", "place_defect"]
 
 
 def __getattr__(name: str) -> Any:
     """Imported at use: the command line imports this package for its help."""
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    from calibration.simulator import defects, effects, field_of_view, parts, renderer, streams
+
+    homes = (defects, effects, field_of_view, parts, renderer, streams)
+    return next(getattr(home, name) for home in homes if hasattr(home, name))

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from tradeoff_rows import row
 
-from calibration.studies import tradeoff, tradeoff_figure
-from calibration.tradeoff.figure import svg
+from calibration.tradeoff.figure import front_sentence, svg
+from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
 from calibration.tradeoff.plan import chosen_points
 from calibration.tradeoff.rows import read_rows, write_rows
 from calibration.tradeoff.run import RunSettings, presses_of
@@ -223,6 +223,8 @@ def test_the_readme_shows_the_picture_with_its_commands() -> None:
     rows: list[dict[str, Any]] = read_rows(ROOT / "docs/studies/tradeoff.jsonl")
     assert len(rows) >= 60
     assert f"{len(rows)} operating points" in svg_text(rows)
+    assert front_sentence(rows) in readme
+    assert picture.read_bytes() == svg(rows)
 
 
 def svg_text(rows: list[dict[str, Any]]) -> str:

@@ -58,6 +58,20 @@ def test_the_picture_is_small_and_the_same_every_time(rows: list[dict[str, Any]]
     assert b"date" not in drawn.lower()
 
 
+def test_the_picture_fits_its_points_and_names_the_front(rows: list[dict[str, Any]]) -> None:
+    """The axis begins at the fastest point, however fast the machine could be; each point of the front has its name."""
+    axes = figure(rows).axes[0]
+    low, high = axes.get_xlim()
+    assert (
+        0.8 * min(one["ms"]["low"] for one in rows)
+        < low
+        < high
+        < 1.3 * max(one["ms"]["high"] for one in rows)
+    )
+    assert len(axes.texts) == sum(one["is_on_front"] for one in rows)
+    assert {text.get_text() for text in axes.texts} == {"SPADE int8", "FAPM int8", "FAPM float32"}
+
+
 def test_the_table_lists_the_front_fastest_first(rows: list[dict[str, Any]]) -> None:
     """One line per point on the front, and a heading."""
     front = [one for one in rows if one["is_on_front"]]

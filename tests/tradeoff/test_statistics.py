@@ -46,6 +46,17 @@ def test_the_same_work_has_one_time() -> None:
     assert pooled == pytest.approx([6.5, 6.5])
 
 
+def test_the_p95_is_not_below_the_median() -> None:
+    """Seven rounds; the other point's decoding took 30 ms more, so the pooled median is far above this point's own."""
+    extra = np.zeros((4, 7, 2))
+    extra[0, :, 1] = 30.0
+    extra[2, 5, 0] = 4.0
+    times = press_times(samples(np.ones(7), extra=extra), seed=0)
+    assert times.ms[0, 0] == pytest.approx(37)
+    assert times.p95[0] == pytest.approx(37 + 0.7 * 4)
+    assert (times.stages_p95 >= times.stages).all()
+
+
 def test_the_interval_covers_rounds_that_differ() -> None:
     """A stage that takes 1 ms in most rounds and 5 in some: the median's interval begins at the median of most."""
     extra = np.zeros((4, 11, 2))
