@@ -12,8 +12,7 @@ from typing import Final
 
 from edge import registry
 from edge.config import Config, sink_names
-from edge.core.errors import ConfigError, GelgateError
-from edge.core.part_position import PartPosition
+from edge.core.errors import GelgateError
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.press_again import Costs
 from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
@@ -30,7 +29,7 @@ from edge.gateway.gel_proof_watch import GelProofWatch
 from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import served
-from edge.gateway.opening import BundleOpener, Opened, device_opener, overview_opener
+from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part, overview_opener
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
@@ -75,7 +74,7 @@ def build(
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), _retained_state(config)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
-    part = _first_part(config, bundles, store)
+    part = first_part(config.inspection, bundles, store.selected())
     commands = _commands(config, calls, store, clock)
     publisher = _publisher(config, clock, retained_state, commands, closing)
     status = StationStatus(_announcer(config, publisher.announce, closing), clock)
@@ -158,19 +157,6 @@ def _open_bundles(
     for error in opened.faults.values():
         raise error
     return opener, opened.bundles
-
-
-def _first_part(config: Config, bundles: BundleSet, store: Store) -> PartPosition:
-    """The part that was selected last, or that of the configuration. Errors: ConfigError, StoreError."""
-    before, name = store.selected(), config.inspection.part
-    if before is not None and before in bundles:
-        return before
-    if name is None:
-        return next(iter(bundles.bundles))
-    try:
-        return bundles.named(name)
-    except ValueError as error:
-        raise ConfigError(f"inspection.part: {error}") from error
 
 
 def _staging(opener: BundleOpener, read_again: Callable[[], Config]) -> OpenBundles:

@@ -30,6 +30,7 @@ __all__ = [
     "Opened",
     "bundle_tables",
     "device_opener",
+    "first_part",
     "overview_opener",
     "played_recording",
     "try_once",
@@ -113,6 +114,18 @@ def bundle_tables(table: InspectionTable) -> tuple[BundleTable, ...]:
             f"inspection.bundle_folder: there is no bundle in {table.bundle_folder}; `gelgate fit` makes one"
         )
     return found
+
+
+def first_part(table: InspectionTable, bundles: BundleSet, selected: PartPosition | None) -> PartPosition:
+    """The part that was selected last, or that of the configuration. Errors: ConfigError."""
+    if selected is not None and selected in bundles:
+        return selected
+    if table.part is None:
+        return next(iter(bundles.bundles))
+    try:
+        return bundles.named(table.part)
+    except ValueError as error:
+        raise ConfigError(f"inspection.part: {error}") from error
 
 
 def _bundles_in(folder: Path) -> Iterator[Path]:

@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Self
+from typing import Self, TypeVar
 
 from edge import registry
 from edge.config import Config, OverviewTable, PluginTable
@@ -21,7 +21,6 @@ from edge.core.errors import (
     GelgateError,
     StoreError,
 )
-from edge.core.part_position import PartPosition
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
@@ -29,13 +28,15 @@ from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import COMMANDS
 from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
-from edge.gateway.opening import BundleOpener, device_opener
+from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
 from edge.store.press_store import Store
 
 __all__ = ["Finding", "Preflight", "preflight"]
 
 CONNECT_TIMEOUT_S = 2.0
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -120,9 +121,12 @@ def preflight(config: Config, clock: Clock) -> Preflight:
     """
     tried = config.store.path.with_name(config.store.path.name + ".tried")
     opener = BundleOpener(tried, config.inspection.threads, clock)
-    opener.newest = partial(_newest_revision, config)
+    opener.newest = lambda part: _stored(config, lambda store: store.newest_revision(part))
     found = Preflight(opener)
     found.open_bundles(config)
+    if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
+        selected = _stored(config, Store.selected)
+        found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     if config.overview is not None:
         found.try_part("overview", partial(_overview, config.overview))
@@ -150,11 +154,11 @@ def _described(one: OpenBundle) -> str:
     )
 
 
-def _newest_revision(config: Config, part: PartPosition) -> int | None:
-    """A database that cannot be read has its own finding."""
+def _stored(config: Config, ask: Callable[[Store], T]) -> T | None:
+    """An answer of the database; None of a new one. One that cannot be read has its own finding."""
     if config.store.path.is_file():
         with contextlib.suppress(StoreError), Store(config.store.path) as store:
-            return store.newest_revision(part)
+            return ask(store)
     return None
 
 

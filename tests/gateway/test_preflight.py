@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from parts import parts_config, variant
+from parts import parts_config, two_parts, variant
 from ports import free_port
 from station import station_config
 
@@ -116,6 +116,22 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     assert [finding.error is None for finding in found] == [True, False, False]
     assert "has revision 3, and revision 4 was in use here" in found[1].text
     assert "head.onnx has SHA-256" in found[2].text
+
+
+def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """As at the start, where the part that was selected last comes first."""
+    inspection = f'bundle_folder = "{two_parts(tmp_path / "bundles", bundle)}"\npart = "PZ9"'
+    config = load_config(parts_config(tmp_path / "station", recording, inspection))
+    with preflight(config, SystemClock()) as checked:
+        (finding,) = [finding for finding in checked.findings if finding.part == "part"]
+    assert isinstance(finding.error, ConfigError)
+    assert "inspection.part: " in finding.text
+    assert "PZ9" in finding.text
+
+    with Store(config.store.path) as store:
+        store.use_bundle(PartPosition("PZ1", "pos1"), None, "digest", 0)
+    with preflight(config, SystemClock()) as checked:
+        assert [finding.text for finding in checked.findings if finding.part == "part"] == ["PZ1/pos1"]
 
 
 def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
