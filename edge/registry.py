@@ -7,6 +7,8 @@ of its group (`edge.core.plugins`) is refused here, so that no other code has to
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar
 
 from edge.core.errors import ConfigError
@@ -28,6 +30,7 @@ __all__ = [
     "command",
     "detector",
     "device",
+    "hidden_package",
     "importer",
     "names",
     "options",
@@ -183,12 +186,31 @@ def _load(group: Group, name: str) -> object:
         )
     try:
         loaded: object = points[0].load()
-    except (ImportError, AttributeError) as error:
+    except (Exception, SystemExit) as error:  # whatever the code of another package does while it is imported
+        package = _package(points[0])
+        remedy = hidden_package(points[0].module) if package == "gelgate" else None
         raise ConfigError(
-            f"the {group} plugin '{name}' ({points[0].value}) cannot be loaded: {error}; "
-            f"pip install the packages it needs, such as the extras of {_package(points[0])}"
+            f"the {group} plugin '{name}' of {package} ({points[0].value}) cannot be loaded: "
+            f"{error if isinstance(error, ImportError | AttributeError) else repr(error)}; "
+            + (
+                remedy
+                or f"pip install the packages it needs, such as the extras of {package}, or uninstall it"
+            )
         ) from error
     return loaded
+
+
+def hidden_package(module: str) -> str | None:
+    """Which folder hides the package of gelgate that this module is in, as a sentence; None if none does."""
+    package, ours = module.partition(".")[0], Path(__file__).resolve().parents[1]
+    spec = find_spec(package) if package and (ours / package).is_dir() else None
+    places = list((spec and spec.submodule_search_locations) or [spec.origin if spec and spec.origin else ""])
+    found = Path(places[0]).resolve()
+    if spec is None or found.parent == ours:
+        return None
+    return (
+        f"{found} hides gelgate's own package '{package}'; rename it, or take {found.parent} off PYTHONPATH"
+    )
 
 
 def _package(point: EntryPoint) -> str:

@@ -6,12 +6,14 @@ Exit codes: EXIT_MEANINGS. After 2 or 3 a restart does not help: a person has to
 """
 
 import errno
+import os
 import platform
+import stat
 import sys
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from types import MappingProxyType
-from typing import Annotated, Final, NoReturn
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
@@ -59,16 +61,52 @@ _ORDER: Final = (
 _DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
+# What a shell connects to other programs or to nothing.
+_STREAMS: Final = ("/dev/null", "/dev/std", "/dev/fd/", "/dev/tty", "/dev/pts/")
+
+
+class _LoadedVerbs(Mapping[str, Any]):
+    """Name to verb; a verb is loaded when it is asked for, so that one that cannot be loaded stops no other."""
+
+    def __getitem__(self, name: str) -> Any:
+        """The command of typer; a function becomes one, a `Typer` becomes a group. Errors: ConfigError."""
+        if name not in registry.names("commands"):
+            raise KeyError(name)
+        app, verb = typer.Typer(rich_markup_mode=None), registry.command(name)
+        if isinstance(verb, typer.Typer):
+            app.add_typer(verb, name=name)
+        else:
+            app.command(name)(verb)
+        return typer.main.get_group(app).commands[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(registry.names("commands"))
+
+    def __len__(self) -> int:
+        return len(registry.names("commands"))
+
+
 class _Verbs(typer.core.TyperGroup):
     """The verbs in the order of work."""
 
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.commands = _LoadedVerbs()  # type: ignore[assignment]  # nothing is added to it
+
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        known = super().list_commands(ctx)
-        return [*(name for name in _ORDER if name in known), *sorted(set(known) - set(_ORDER))]
+        """Those that can be loaded, with a warning for each other one."""
+        names = set(self.commands)
+        for name in sorted(names):
+            try:
+                self.commands[name]
+            except errors.ConfigError as error:
+                names.remove(name)
+                print(f"gelgate: warning: {error}", file=sys.stderr)
+        return [*(name for name in _ORDER if name in names), *sorted(names - set(_ORDER))]
 
 
 def build() -> typer.Typer:
-    """The application with every registered verb: a function becomes a command, a `Typer` becomes a group."""
+    """The application with every registered verb."""
     app = typer.Typer(
         name="gelgate",
         cls=_Verbs,
@@ -79,12 +117,6 @@ def build() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_options)
-    for name in registry.names("commands"):
-        verb = registry.command(name)
-        if isinstance(verb, typer.Typer):
-            app.add_typer(verb, name=name)
-        else:
-            app.command(name)(verb)
     return app
 
 
@@ -124,11 +156,19 @@ def exit_code(error: type[errors.GelgateError]) -> int:
 
 def main() -> NoReturn:
     """Run the command line; every refusal is one sentence on stderr and a documented exit code."""
+    for word in filter(_is_endless, sys.argv[1:]):
+        print(f"gelgate: {word} is neither a file nor a folder; give one of them", file=sys.stderr)
+        sys.exit(2)
     try:
         build()()
     except errors.GelgateError as error:
         print(f"gelgate: {error}", file=sys.stderr)
         sys.exit(exit_code(type(error)))
+    except ImportError as error:
+        if (hidden := registry.hidden_package(error.name or "")) is None:
+            raise
+        print(f"gelgate: {hidden}", file=sys.stderr)
+        sys.exit(exit_code(errors.ConfigError))
     except OSError as error:
         if error.filename is None and error.errno not in _DISK:
             raise
@@ -143,6 +183,16 @@ def main() -> NoReturn:
     except SystemExit as end:
         sys.exit(_interrupted() if end.code == 130 else end.code)  # typer ends silently on Ctrl-C
     sys.exit(0)
+
+
+def _is_endless(word: str) -> bool:
+    """Whether a word of the command line names a pipe or a device: a verb that reads it may wait for ever."""
+    name = word.partition("=")[2] if word.startswith("--") else word
+    try:
+        kind = stat.S_IFMT(os.stat(name).st_mode)
+    except (OSError, ValueError):
+        return False
+    return kind not in (stat.S_IFREG, stat.S_IFDIR) and not name.startswith(_STREAMS)
 
 
 def _interrupted() -> int:

@@ -3,12 +3,15 @@
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 from command_line import gelgate
 
+from edge import registry
 from edge.cli import EXIT_MEANINGS, build
 
 # 270 are usual. What a page of help costs is what it imports, on a gateway's slow processor too.
@@ -77,6 +80,56 @@ def test_the_verbs_are_in_the_order_of_work() -> None:
     assert list(listed())[:10] == [
         "demo", "devices", "record", "simulate", "acquire", "fit", "carry", "evaluate", "check", "run",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("value", ["no_such_package.lamp:main", "broken_lamp:main", "math:pi"])
+def test_a_verb_that_cannot_be_loaded_stops_no_other(
+    value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not in the list, with a warning; the other verbs and `--version` do not mention it; it ends with 3."""
+    (tmp_path / "broken_lamp.py").write_text("raise RuntimeError('no lamp')")
+    monkeypatch.syspath_prepend(tmp_path)
+    points = {**registry._points("commands"), "lamp": [EntryPoint("lamp", value, "gelgate.commands")]}
+    monkeypatch.setattr(registry, "_points", lambda group: points)
+
+    first = gelgate("--help")
+    assert (first.code, "fit" in first.out, "lamp" in first.out) == (0, True, False)
+    assert first.err.startswith("gelgate: warning: the ")
+    assert "'lamp'" in first.err
+    assert [gelgate(*words).err for words in (["--version"], ["topics"])] == ["", ""]
+    assert gelgate("lamp").code == 3
+    assert "'lamp'" in gelgate("lamp").sentence()
+
+
+def test_a_folder_that_hides_a_package_of_ours_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another `export` on PYTHONPATH is the fault, not a package that is missing."""
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export/__init__.py").touch()
+    monkeypatch.delitem(sys.modules, "export", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    assert registry.hidden_package("export.command") == (
+        f"{tmp_path}/export hides gelgate's own package 'export'; rename it, or take {tmp_path} off PYTHONPATH"
+    )
+    assert registry.hidden_package("edge.cli") is None
+    assert registry.hidden_package("no_such_package") is None
+
+
+def test_a_folder_that_hides_the_command_line_itself_is_named(tmp_path: Path) -> None:
+    """Nothing of `edge` can be loaded then, so the sentence comes from outside."""
+    (tmp_path / "edge").mkdir()
+    (tmp_path / "edge/__init__.py").touch()
+    root = Path(__file__).resolve().parents[2]
+    code = (
+        "import sys; sys.meta_path[:] = [one for one in sys.meta_path if 'Editable' not in repr(one)]\n"
+        f"sys.path[:0] = [{str(tmp_path)!r}, {str(root)!r}]; import gelgate; gelgate.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+    assert (done.returncode, done.stdout) == (3, "")
+    assert f"{tmp_path}/edge hides gelgate's own package 'edge'" in done.stderr
 
 
 def test_help_loads_nothing_heavy() -> None:
