@@ -48,6 +48,7 @@ def page(
     import threading
 
     from edge.cli.broker_options import broker_at
+    from edge.clock import SystemClock
     from edge.logs import start
     from edge.messaging.subscriber import station_filter
     from edge.page.from_broker import BrokerStation
@@ -58,7 +59,8 @@ def page(
     broker = broker_at(host, port, "page", username, password_file, ca)
     shown = BrokerStation(broker, station_filter(prefix, site, line, station))
     changes = _changes(shown, settings, secret_file)
-    server = PageServer(shown.shown, changes, settings.access(), settings.bind, settings.port)
+    where = (settings.access(), settings.bind, settings.port)
+    server = PageServer(shown.shown, changes, *where, SystemClock())
     start("text", is_verbose=False)
     try:
         shown.start()

@@ -10,11 +10,15 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
 
+from edge.clock import SystemClock
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.extras import needs
 from edge.messaging.alarm_payload import ALARMS
+from edge.page.access import Access
+from edge.page.http_server import HttpHandler, HttpServer
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -91,23 +95,34 @@ def served(port: int) -> Iterator[Metrics]:
     Errors: ConfigError where the extra is not installed or the port is taken.
     """
     needs("metrics", "metrics.port")
-    from prometheus_client import CollectorRegistry, ProcessCollector, start_http_server
+    from prometheus_client import CollectorRegistry, ProcessCollector
+    from prometheus_client.exposition import choose_encoder
 
     registry, metrics = CollectorRegistry(), Metrics()
     ProcessCollector(registry=registry)
     registry.register(metrics)
+
+    class Scrape(HttpHandler):
+        access = Access()
+
+        def do_GET(self) -> None:
+            if urlsplit(self.path).path != "/metrics":
+                self.say(404, "the counters are at /metrics")
+                return
+            encode, content_type = choose_encoder(self.headers.get("Accept", ""))
+            self.answer(200, content_type, encode(registry))
+
     try:
-        server, thread = start_http_server(port, ADDRESS, registry)
+        server = HttpServer((ADDRESS, port), Scrape, SystemClock(), "metrics")
     except OSError as error:
         raise ConfigError(
             f"metrics.port {port} cannot be served on {ADDRESS}: {error.strerror}; choose another port"
         ) from error
+    server.start()
     try:
         yield metrics
     finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+        server.close()
 
 
 def _values(found: object) -> dict[str, float]:

@@ -19,14 +19,14 @@ from edge.core.ports import Clock
 from edge.core.printable import printable
 from edge.core.rate import Rate
 
-__all__ = ["READ_ONLY", "Access", "Network", "Refused", "TokenGate", "change_refusal"]
+__all__ = ["READ_ONLY", "Access", "AddressRates", "Network", "Refused", "TokenGate", "change_refusal"]
 
 Network = IPv4Network | IPv6Network
 
 # Wrong tokens a minute from one address; then its requests are refused, also with the right one.
 WRONG_PER_MINUTE: Final = 10
 
-# Addresses whose wrong tokens are counted; of more the oldest is forgotten.
+# Addresses that are counted; of more the oldest is forgotten.
 MOST_ADDRESSES: Final = 256
 
 READ_ONLY: Final = "this page only shows: no token is configured for it"
@@ -82,13 +82,28 @@ def change_refusal(headers: Mapping[str, str]) -> Refused | None:
     return None
 
 
+class AddressRates:
+    """At most this number of events a minute for each address."""
+
+    def __init__(self, per_minute: int, clock: Clock) -> None:
+        self._per_minute = per_minute
+        self._clock = clock
+        self._rates: OrderedDict[str, Rate] = OrderedDict()
+
+    def of(self, client: str) -> Rate:
+        """That of one address."""
+        rate = self._rates.setdefault(client, Rate(self._per_minute, self._clock))
+        while len(self._rates) > MOST_ADDRESSES:
+            self._rates.popitem(last=False)
+        return rate
+
+
 class TokenGate:
     """Admits who has the token. Any thread may use it. token: None admits no one."""
 
     def __init__(self, token: bytes | None, clock: Clock) -> None:
         self._digest = None if token is None else _digest(token)
-        self._clock = clock
-        self._wrong: OrderedDict[str, Rate] = OrderedDict()
+        self._wrong = AddressRates(WRONG_PER_MINUTE, clock)
 
     @property
     def is_open(self) -> bool:
@@ -97,10 +112,9 @@ class TokenGate:
 
     def refusal(self, client: str, authorization: str) -> Refused | None:
         """authorization: the header, `Bearer <token>`. It is compared in constant time."""
-        wrong = self._wrong.get(client)
-        if wrong is not None and wrong.is_exhausted:
+        if self._wrong.of(client).is_exhausted:
             return Refused(
-                429, f"more than {WRONG_PER_MINUTE} refused requests a minute from {client}; wait a minute"
+                429, f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
             )
         kind, _, given = authorization.partition(" ")
         if self._digest is None:
@@ -112,10 +126,7 @@ class TokenGate:
         return None
 
     def _counted(self, client: str, status: int, sentence: str) -> Refused:
-        rate = self._wrong.setdefault(client, Rate(WRONG_PER_MINUTE, self._clock))
-        rate.take()
-        while len(self._wrong) > MOST_ADDRESSES:
-            self._wrong.popitem(last=False)
+        self._wrong.of(client).take()
         return Refused(status, sentence, is_recorded=True)
 
 

@@ -7,9 +7,12 @@ from typing import Any, Final
 from edge.core.ports import Clock
 from edge.core.sink_context import PageRequests
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, CommandResponse
-from edge.page.access import READ_ONLY, Refused, TokenGate, change_refusal
+from edge.page.access import READ_ONLY, AddressRates, Refused, TokenGate, change_refusal
 
 __all__ = ["UNLOCK", "Changes", "is_verb"]
+
+# Requests of other pages that are recorded for one address; more would push guesses at the token out of the table.
+FOREIGN_PER_MINUTE: Final = 1
 
 # Asks for nothing but whether the token is right.
 UNLOCK: Final = "unlock"
@@ -28,6 +31,7 @@ class Changes:
     ) -> None:
         self._station = station
         self._gate = gate
+        self._foreign = AddressRates(FOREIGN_PER_MINUTE, clock)
         self._clock = clock
         self._why_not = why_not
 
@@ -41,19 +45,17 @@ class Changes:
         """Why nothing is done for this request, from its headers alone. Their names are in lower case."""
         if self._station is None:
             return Refused(403, self._why_not)
-        return self._too_large(headers) or change_refusal(headers) or self._gate_refusal(client, headers)
-
-    def _gate_refusal(self, client: str, headers: Mapping[str, str]) -> Refused | None:
-        return self._gate.refusal(client, headers.get("authorization", ""))
+        refused = self._too_large(headers) or change_refusal(headers)
+        if refused is None:
+            return self._gate.refusal(client, headers.get("authorization", ""))
+        return refused._replace(is_recorded=refused.is_recorded and self._foreign.of(client).take())
 
     def _too_large(self, headers: Mapping[str, str]) -> Refused | None:
-        length = headers.get("content-length", "")
-        if not length.isascii() or not length.isdigit():
+        if "content-length" not in headers:
             return Refused(411, "a request says how many bytes it has (Content-Length)")
-        if int(length[:12]) > LARGEST_REQUEST_BYTES:
-            return Refused(
-                413, f"a request has at most {LARGEST_REQUEST_BYTES} bytes, this one has {length[:12]}"
-            )
+        length = int(headers["content-length"])
+        if length > LARGEST_REQUEST_BYTES:
+            return Refused(413, f"a request has at most {LARGEST_REQUEST_BYTES} bytes, this one has {length}")
         return None
 
     def refuse(self, verb: str, payload: bytes, refused: Refused) -> bytes:

@@ -40,7 +40,7 @@ class PageSink:
         self._shown = Shown("/".join(station.root.split("/")[1:-2]))
         changes = Changes(station.page, TokenGate(options.token(), clock), clock)
         wanted = options.port if port is None else port
-        self._server = PageServer(self._shown, changes, options.access(), options.bind, wanted)
+        self._server = PageServer(self._shown, changes, options.access(), options.bind, wanted, clock)
         self.port = self._server.port
 
     def send(self, message: Message) -> None:

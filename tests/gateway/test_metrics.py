@@ -1,6 +1,7 @@
 """Counters for Prometheus: every number of the stats, every alarm, on this machine alone."""
 
 import socket
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from edge.gateway.metrics import METRICS, Metrics, served
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import Payload
 from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
+from edge.page.http_server import MOST_OF_ONE
 
 T0 = 1_780_000_000 * 10**9
 
@@ -111,6 +113,17 @@ def test_they_are_served_on_one_loopback_address_alone(port: int) -> None:
         socket.create_connection(("127.0.0.1", port), timeout=10).close()
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", port), timeout=10)
+
+
+def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
+    """A name server of others may answer with our address. Half requests take no place from a whole one."""
+    with served(port), ExitStack() as opened:
+        for _ in range(MOST_OF_ONE + 10):
+            slow = opened.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
+            slow.sendall(b"GET /metrics")
+        assert ask(port, "/metrics", Host="attacker.example")[0] == 403
+        assert ask(port, "/")[0] == 404
+        assert "process_open_fds" in ask(port, "/metrics")[1].decode()
 
 
 def test_a_port_that_is_taken_is_one_sentence(port: int) -> None:

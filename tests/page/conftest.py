@@ -13,9 +13,14 @@ from plugins.sinks.page import PageOptions, PageSink
 
 
 @pytest.fixture
-def sink() -> Iterator[PageSink]:
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def sink(clock: FakeClock) -> Iterator[PageSink]:
     """It only shows."""
-    opened = PageSink(PageOptions(), Station(ROOT, "press2"), FakeClock(), port=0)
+    opened = PageSink(PageOptions(), Station(ROOT, "press2"), clock, port=0)
     yield opened
     opened.close()
 

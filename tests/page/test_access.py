@@ -166,4 +166,4 @@ def test_the_addresses_that_are_counted_are_bounded() -> None:
     one = gate()
     for n in range(MOST_ADDRESSES + 50):
         one.refusal(f"fd00::{n:x}", "Bearer guess")
-    assert len(one._wrong) <= MOST_ADDRESSES
+    assert len(one._wrong._rates) <= MOST_ADDRESSES

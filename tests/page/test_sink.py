@@ -3,9 +3,11 @@
 import http.client
 import json
 import socket
+import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from http.server import BaseHTTPRequestHandler
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
-from edge.page.server import MOST_OF_ONE, _Server
+from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png
 from plugins.sinks.page import PageOptions, PageSink, plugin
@@ -233,28 +235,106 @@ def test_a_connection_that_a_browser_keeps_open_ends_with_the_page(sink: PageSin
             assert kept.recv(65536) == b""
 
 
-def test_connections_are_bounded(sink: PageSink) -> None:
-    """One too many is closed at once, without an answer; when another one ends there is room again."""
-    with ExitStack() as opened:
-        first, *_ = [
-            opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=60))
-            for _ in range(MOST_OF_ONE)
-        ]
-        one_more = opened.enter_context(socket.create_connection(("127.0.0.1", sink.port), timeout=60))
-        request = b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
-        with suppress(ConnectionError):
-            one_more.sendall(request)
-            assert one_more.recv(1) == b""
+def connected(port: int, sent: bytes = b"") -> socket.socket:
+    """A client that sends this, and nothing more."""
+    client = socket.create_connection(("127.0.0.1", port), timeout=60)
+    client.sendall(sent)
+    return client
 
-        first.sendall(request)
-        while first.recv(65536):
-            pass
-        assert ask(sink.port, "/station.json")[0] == 200
+
+def rest(client: socket.socket) -> bytes:
+    """What comes until the page ends the connection."""
+    with client, suppress(ConnectionError):
+        return b"".join(iter(lambda: client.recv(65536), b""))
+    return b""
+
+
+def opened(sink: PageSink) -> list[Any]:
+    """The connections of the server, as they are now."""
+    return list(sink._server._server._open.copy().values())
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    """Wait for the threads of the server."""
+    while not is_so():
+        threading.Event().wait(0.001)
+
+
+WHOLE = b"GET /station.json HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+WAITING = b"GET /live.json?after=1 HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+
+
+def test_slow_clients_shut_nobody_out(sink: PageSink) -> None:
+    """One more takes the place of the one that has waited longest for its request, which has no answer."""
+    slow = [connected(sink.port, WHOLE[:20]) for _ in range(MOST_OF_ONE)]
+
+    assert [ask(sink.port, "/station.json")[0] for _ in range(3)] == [200] * 3
+    assert rest(slow[0]) == b""
+    slow[-1].sendall(WHOLE[20:])
+    assert rest(slow[-1]).startswith(b"HTTP/1.1 200")
+    for client in slow:
+        client.close()
+
+
+def test_connections_are_bounded(sink: PageSink) -> None:
+    """Where all are answered, one too many is closed at once, without an answer; there is room again when one ends."""
+    asking = [connected(sink.port, WAITING) for _ in range(MOST_OF_ONE)]
+    until(lambda: sum(one.due_ns is None for one in opened(sink)) == MOST_OF_ONE)
+
+    one_more = connected(sink.port)
+    with suppress(ConnectionError):
+        one_more.sendall(WHOLE)
+    assert rest(one_more) == b""
+
+    sink.send(state("ready"))
+    assert all(rest(client).startswith(b"HTTP/1.1 200") for client in asking)
+    assert ask(sink.port, "/station.json")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "sent", [WHOLE[:20], b"POST /requests/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n{"]
+)
+def test_a_request_that_takes_too_long_is_left(sink: PageSink, clock: FakeClock, sent: bytes) -> None:
+    """As a whole, with its body: a byte now and then does not keep it."""
+    slow = connected(sink.port, sent)
+    slow.settimeout(REQUEST_S / 2)  # below the silence after which the server leaves anybody
+    until(lambda: len(opened(sink)) == 1)
+    for _ in range(2):
+        clock.sleep(REQUEST_S / 2 - 1)
+        slow.sendall(b" ")
+    clock.sleep(2)
+
+    assert b"200" not in rest(slow)
+
+
+@pytest.mark.parametrize(
+    ("request_line", "headers", "words"),
+    [
+        ("POST /requests/x", "Content-Length: \u00b2", "one whole number of bytes"),
+        ("POST /requests/x", "Content-Length: +2", "one whole number of bytes"),
+        ("POST /requests/x", "Content-Length: 2\r\nContent-Length: 2", "one whole number of bytes"),
+        ("POST /requests/x", "Content-Length: 2\r\nTransfer-Encoding: chunked", "read in two ways"),
+        ("POST /requests/x", "Accept : x\r\nContent-Length: 2", "read in two ways"),
+        ("GET /station.json", "Host: localhost", "read in two ways"),
+        ("GET /station.json", "Content-Length: 73", "a request with GET has no body"),
+        ("GET http://localhost/station.json", "Accept: x", "names a path that begins with '/'"),
+    ],
+)
+def test_what_a_proxy_may_read_otherwise_is_refused(
+    sink: PageSink, request_line: str, headers: str, words: str
+) -> None:
+    """With 400, and the connection ends: what follows is no second request."""
+    sent = f"{request_line} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n\r\n".encode("latin-1")
+    answer = rest(connected(sink.port, sent + WHOLE))
+
+    assert answer.startswith(b"HTTP/1.1 400")
+    assert words in answer.decode()
+    assert answer.count(b"HTTP/1.1") == 1
 
 
 def test_a_burst_of_connections_waits_for_a_loaded_gateway() -> None:
     """Before one is accepted all are made, so that they are accepted in their order."""
-    with _Server(("127.0.0.1", 0), BaseHTTPRequestHandler) as server, ExitStack() as opened:
+    with HttpServer(("127.0.0.1", 0), HttpHandler, FakeClock()) as server, ExitStack() as opened:
         for _ in range(MOST_OF_ONE + 1):
             opened.enter_context(socket.create_connection(server.server_address, timeout=10))
 

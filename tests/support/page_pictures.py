@@ -112,7 +112,7 @@ def served(scene: Scene) -> Iterator[int]:
         shown.see(message)
     verbs = PageRequests(frozenset({"select_part", "acknowledge_alarm", "replace_gel"}), _answer, _answer)
     server = PageServer(
-        shown, Changes(verbs, TokenGate(TOKEN.encode(), clock), clock), Access(), "127.0.0.1", 0
+        shown, Changes(verbs, TokenGate(TOKEN.encode(), clock), clock), Access(), "127.0.0.1", 0, clock
     )
     yield server.port
     server.close()
