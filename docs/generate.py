@@ -331,7 +331,7 @@ def _json(value: object) -> str:
 
 def backbone_page() -> str:
     """How the weights that ship were trained, and what they can and cannot do."""
-    return model_card.page(FOLDER.parent / "plugins" / "backbones", FOLDER / "studies")
+    return model_card.page(FOLDER.parent / "plugins" / "backbones")
 
 
 # Errors

@@ -162,7 +162,7 @@ def _write(out: Path, text: str, page: Path | None) -> None:
         out.mkdir(parents=True, exist_ok=True)
         (out / f"{model_card.NAME}_evaluation.json").write_text(text)
         if page is not None:
-            page.write_text(model_card.page(out, page.parent / "studies"), encoding="utf-8")
+            page.write_text(model_card.page(out), encoding="utf-8")
     except OSError as error:
         raise StoreError(
             f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"

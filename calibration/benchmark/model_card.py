@@ -1,10 +1,10 @@
 """The page about the backbone, docs/backbone.md, printed from the files next to the trunks.
 
 `make docs` writes it, and `gelgate evaluate-backbone --page` does after a new evaluation. `tactile_resnet18.json` comes
-from the training run, `tactile_resnet18_evaluation.json` from the evaluation, `tactile_resnet18_trials.json` from
-`calibration.benchmark.ablations`; the text is `calibration/benchmark/page.md.jinja`. The same three files of
-`tactile_lite0` are about the trunk that `calibration.training.joined_trunk` makes; its text is `touch.md.jinja`, with
-`ideas.md.jinja` about the rows of `calibration.benchmark.idea_ablation`.
+from the training run, `tactile_resnet18_evaluation.json` from the evaluation; `tactile_resnet18_trials.json` has what
+was tried, as it was measured with version 0.2.0. The text is `calibration/benchmark/page.md.jinja`. The same three
+files of `tactile_lite0` are about the trunk that `calibration.training.joined_trunk` makes; its text is
+`touch.md.jinja`.
 """
 
 import json
@@ -14,9 +14,6 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, TemplateError
 
-from calibration.benchmark.idea_ablation import ROWS
-from calibration.benchmark.idea_table import idea_table, trial_table
-from calibration.benchmark.short_trunks import rows_of
 from calibration.benchmark.trial import FORMAT
 from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError
@@ -45,21 +42,18 @@ _SHOWN = (
 )
 
 
-def page(folder: Path, studies: Path | None = None) -> str:
-    """The page about the weights in a folder. studies: the folder of studies' rows, for the section about ideas.
-
-    Errors: ConfigError when the facts are missing or invalid.
-    """
+def page(folder: Path) -> str:
+    """The page about the weights in a folder. Errors: ConfigError when the facts are missing or invalid."""
     facts_file = folder / f"{NAME}.json"
     try:
         facts = json.loads(facts_file.read_text(encoding="utf-8"))
-        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"), _touch(folder, studies))
+        return card(facts, _beside(folder, "evaluation"), _beside(folder, "trials"), _touch(folder))
     except (OSError, ValueError, KeyError, TemplateError) as error:
         raise ConfigError(f"no model card from '{facts_file}': {error}; package the run again") from error
 
 
-def _touch(folder: Path, studies: Path | None) -> dict[str, Any] | None:
-    """Facts, evaluation, trials and ideas of the trunk for real touch; None where a folder is a run of the other."""
+def _touch(folder: Path) -> dict[str, Any] | None:
+    """Facts, evaluation and trials of the trunk for real touch; None where a folder is a run of the other."""
     file = folder / f"{tactile_lite0.name}.json"
     if not file.is_file():
         return None
@@ -67,18 +61,7 @@ def _touch(folder: Path, studies: Path | None) -> dict[str, Any] | None:
         "facts": json.loads(file.read_text(encoding="utf-8")),
         "evaluation": _beside(folder, "evaluation", tactile_lite0.name),
         "trials": _beside(folder, "trials", tactile_lite0.name),
-        "ideas": _ideas(studies),
     }
-
-
-def _ideas(studies: Path | None) -> dict[str, str] | None:
-    """The tables of the ablation of ideas. Errors: ConfigError for rows that are not complete."""
-    rows = [] if studies is None else rows_of(studies / ROWS)
-    if not rows:
-        return None
-    gains = idea_table(rows)
-    alone, joined = (trial_table(rows, is_joined=is_joined) for is_joined in (False, True))
-    return {"gains": gains, "alone": alone, "joined": joined}
 
 
 def _beside(folder: Path, what: str, name: str = NAME) -> dict[str, Any] | None:
@@ -95,7 +78,7 @@ def card(
 ) -> str:
     """The page as Markdown. An evaluation or trials file of other weights or another format is omitted.
 
-    touch: facts, evaluation, trials and ideas of the trunk for real touch.
+    touch: facts, evaluation and trials of the trunk for real touch.
     """
     template = _environment(facts["recipe"]).get_template("page.md.jinja")
     return template.render(

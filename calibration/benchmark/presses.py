@@ -4,8 +4,8 @@ They use the simulator's scenes and renderer; training has other parts, other da
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from calibration.simulator import parts as analogues
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.plan import PressPlan, dataset_plan, placed_damage
 from calibration.simulator.pose import HeightField, Pose, sample
-from calibration.simulator.random_parts import RandomPart, random_part
+from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
@@ -30,8 +30,6 @@ __all__ = [
     "PARTS",
     "SCENE_SEED",
     "Condition",
-    "Pictures",
-    "development_pictures",
     "development_trial",
     "part_trial",
 ]
@@ -100,44 +98,13 @@ def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) 
 
 def development_trial(number: int, sizes: Sizes | None = None, condition: str = "plain") -> Trial:
     """The random part with that number: odd and even ones alternate between a hand and a fixture."""
-    return _development(number, sizes or Sizes(), CONDITIONS[condition]).trial()
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Complete pictures, uint8 (240, 320, 3) each: learnt presses, sound ones of other pieces, and the free gel."""
-
-    learnt: list[NDArray[np.uint8]]
-    sound: list[NDArray[np.uint8]]
-    free: NDArray[np.uint8]
-
-
-def development_pictures(
-    number: int,
-    sizes: Sizes | None = None,
-    change: Callable[[RandomPart], HeightField] = lambda part: part,
-    depth_mm: float = DEVELOPMENT_DEPTH_MM,
-) -> Pictures:
-    """Presses of the same random part, or of the part after a change, to this depth; no damaged ones."""
-    chosen = replace(sizes or Sizes(), damaged=0)
-    return _development(number, chosen, CONDITIONS["plain"], change, depth_mm).pictures()
-
-
-def _development(
-    number: int,
-    sizes: Sizes,
-    condition: Condition,
-    change: Callable[[RandomPart], HeightField] = lambda part: part,
-    depth_mm: float = DEVELOPMENT_DEPTH_MM,
-) -> "_Rendered":
-    name = f"RP{number}"
-    shape = change(random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number])))
+    shape = random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number]))
     jitter = analogues.PARTS["PZ3" if number % 2 else "PZ5"].jitter
     scene = next(scene for scene in paper_scenes() if scene.part == "PZ3").model_copy(
         update={
-            "part": name,
+            "part": f"RP{number}",
             "positions": ("pos1",),
-            "depth_mm": depth_mm,
+            "depth_mm": DEVELOPMENT_DEPTH_MM,
             "jitter": JitterTable(
                 shift_mm=jitter.shift_mm,
                 turn_deg=jitter.turn_deg,
@@ -146,7 +113,7 @@ def _development(
             ),
         }
     )
-    return _Rendered(shape, scene, condition, DEVELOPMENT_SEED, sizes)
+    return _Rendered(shape, scene, CONDITIONS[condition], DEVELOPMENT_SEED, sizes or Sizes()).trial()
 
 
 @dataclass(frozen=True)
@@ -201,15 +168,6 @@ class _Rendered:
             np.stack([REGION.crop(p.mask) for p in scored]),
             np.zeros(len(scored), np.bool_),
         )
-
-    def pictures(self) -> Pictures:
-        with reproducible_opencv():
-            shown = sorted(self._pictures(), key=lambda picture: picture.plan.name)
-            free = self.gel.free_gel(("free", 0), self.condition.learnt_at)
-        learnt, sound = (
-            [p.rgb for p in shown if self._is_learnt(p.plan) == wanted] for wanted in (True, False)
-        )
-        return Pictures(learnt, sound, free)
 
     def _is_learnt(self, plan: PressPlan) -> bool:
         return not plan.kind and plan.specimen <= self.sizes.pieces - self.sizes.held_out

@@ -96,14 +96,7 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
         is_other=kind == 1,
         is_relit=kind == 2,
         alpha=ALPHA,
-        learnt_free=_free_gels(learnt, presses.free),
-        scored_free=_free_gels([*held, *_in_turn(held, edits), *others, *held], presses.free),
     )
-
-
-def _free_gels(cuts: Sequence[_Cut], free: U8) -> U8:
-    """The free gel in the region of each."""
-    return np.stack([np.asarray(cut.region.crop(free), np.uint8) for cut in cuts])
 
 
 def _in_turn(held: Sequence[_Cut], count: int) -> list[_Cut]:

@@ -25,8 +25,7 @@ class Trial:
     frames: uint8 (n, h, w, 3). masks: bool (n, h, w), all False for an undamaged press. is_foreign: bool (n,), frames
     of another kind of sensor, which have no mask and are neither sound nor damaged. is_other, is_relit: bool (n,), None
     for no such frames: presses of another object by the same sensor, and sound presses under another light. alpha: the
-    false-alarm rate of the fitted limit, None where no limit is fitted and no measure at it is given. learnt_free,
-    scored_free: uint8 (n, h, w, 3), the free gel where each frame was cut; None where all are cut at one place.
+    false-alarm rate of the fitted limit, None where no limit is fitted and no measure at it is given.
     """
 
     name: str
@@ -37,8 +36,6 @@ class Trial:
     is_other: NDArray[np.bool_] | None = None
     is_relit: NDArray[np.bool_] | None = None
     alpha: float | None = None
-    learnt_free: NDArray[np.uint8] | None = None
-    scored_free: NDArray[np.uint8] | None = None
 
     @property
     def is_own(self) -> NDArray[np.bool_]:

@@ -36,27 +36,12 @@ from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["Lesson", "TrainingRun", "learning_rate", "train"]
+__all__ = ["TrainingRun", "learning_rate", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
 _LOG = "log.jsonl"
 _LOSS_NAMES = tuple(f.name for f in fields(Losses))
-
-
-@dataclass(frozen=True)
-class Lesson:
-    """What a trunk learns from besides its recipe; as it is, nothing.
-
-    draw: the batch of a step. further: makes a module that gives a further loss from trunk, maps, batch and step; what
-    the module learns is in the checkpoints.
-    """
-
-    draw: Callable[[TrainConfig, int, torch.device], Pairs] = draw_step
-    further: Callable[[], nn.Module] | None = None
-
-
-_PLAIN = Lesson()
 
 
 @dataclass(frozen=True)
@@ -93,8 +78,8 @@ def learning_rate(recipe: TrainConfig, step: int) -> float:
 class _Learner:
     """Network, heads and optimiser of one run."""
 
-    def __init__(self, recipe: TrainConfig, device: torch.device, lesson: Lesson = _PLAIN) -> None:
-        self.recipe, self.device, self.lesson = recipe, device, lesson
+    def __init__(self, recipe: TrainConfig, device: torch.device) -> None:
+        self.recipe, self.device = recipe, device
         torch.manual_seed(recipe.seed)
         self.trunk = TrunkNetwork(recipe.stages).to(device)
         self.heads = heads(recipe.stages).to(device)
@@ -102,8 +87,6 @@ class _Learner:
         if device.type == "cuda":
             torch.backends.cudnn.benchmark = True
         self.model = nn.ModuleDict({"trunk": self.trunk, "heads": self.heads})
-        if lesson.further is not None:
-            self.model["further"] = lesson.further().to(device)
         decayed = [p for p in self.model.parameters() if p.ndim > 1]
         plain = [p for p in self.model.parameters() if p.ndim <= 1]
         groups = [{"params": decayed}, {"params": plain, "weight_decay": 0.0}]
@@ -112,7 +95,7 @@ class _Learner:
         self.before: tuple[dict[str, Any], ...] = ()
 
     def draw(self, step: int) -> Pairs:
-        return self.lesson.draw(self.recipe, step, self.device)
+        return draw_step(self.recipe, step, self.device)
 
     def learn(self, draw: Callable[[int], Pairs] | None = None) -> Losses:
         """One step on the batch of its number. draw: step to batch; by default in this process."""
@@ -121,13 +104,9 @@ class _Learner:
         self.model.train()
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(recipe, self.step)
-        maps = self._maps(batch)
-        found = losses(maps, self.heads, batch, recipe)
-        total = found.total(recipe)
-        if self.lesson.further is not None:
-            total = total + self.model["further"](self.trunk, maps, batch, self.step)
+        found = losses(self._maps(batch), self.heads, batch, recipe)
         self.optimiser.zero_grad(set_to_none=True)
-        total.backward()
+        found.total(recipe).backward()
         nn.utils.clip_grad_norm_(self.model.parameters(), 5.0)
         self.optimiser.step()
         self.step += 1
@@ -215,23 +194,21 @@ def train(
     run: TrainingRun,
     say: Callable[[str], None] = _say,
     advance: Callable[[int], None] = _nothing,
-    lesson: Lesson = _PLAIN,
 ) -> Path:
     """Train to the recipe's last step or to the run's time limit; the folder of the last checkpoint.
 
-    say: takes a line for people. advance: takes the number of steps done, after each. lesson: its own batches are drawn
-    in this process.
+    say: takes a line for people. advance: takes the number of steps done, after each.
     Errors: ConfigError for a resume with other settings or a folder in use, GelgateError for a full disk.
     """
     device = _device(run.device)
     if run.threads:
         torch.set_num_threads(run.threads)
-    learner = _Learner(recipe, device, lesson)
+    learner = _Learner(recipe, device)
     log = _start(learner, run)
     started, since, since_step = time.monotonic(), time.monotonic(), learner.step
     say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
-    is_ahead = run.is_drawn_ahead and device.type == "cpu" and lesson.draw is draw_step
+    is_ahead = run.is_drawn_ahead and device.type == "cpu"
     source = drawn_ahead(recipe, learner.step) if is_ahead else nullcontext(learner.draw)
     with _stop_asked() as is_stopped, source as draw:
         while learner.step < recipe.steps:

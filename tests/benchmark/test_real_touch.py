@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calibration.benchmark import command, edit_sheet, real_touch
+from calibration.benchmark import command, real_touch
 from calibration.benchmark.pictures import BALLS
 from calibration.benchmark.real_touch import EDITS, real_touch_trial
 from calibration.benchmark.sets import SENSORS, SETS, evaluation_sets
@@ -124,34 +124,3 @@ def test_presses_with_a_cut_of_the_gel_are_no_registered_ones(real_tactile: Path
     )
     assert len(registered.nominal) == 13
     assert len(anywhere.nominal) == 29
-
-
-def test_a_sheet_shows_the_edits(
-    real_tactile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One row of three pictures per edit, a row's name on the output; a file that cannot be written is a sentence."""
-    trial = real_touch_trial(real_tactile, "ball 6.31 mm, registered", edits=2)
-    row = edit_sheet.sheet_row(trial, 2)
-    assert row.shape == (224, 6 * 224, 3)
-    assert not np.array_equal(row[:, :224], row[:, 224:448])
-    assert not np.array_equal(row[:, 224:448], row[:, 448:672])
-    assert edit_sheet.main([str(tmp_path), str(tmp_path / "out.png")]) == 2
-    assert "fetch them again" in capsys.readouterr().err
-
-
-def test_each_frame_has_the_free_gel_of_its_region(real_tactile: Path) -> None:
-    """An edit has that of the press that it was made of, and so has a press under another light."""
-    found = real_touch_trial(real_tactile, "ball 6.31 mm, registered", edits=8)
-    assert found.learnt_free is not None
-    assert found.scored_free is not None
-    assert found.is_relit is not None
-    assert found.learnt_free.shape == found.nominal.frames.shape
-    assert found.scored_free.shape == found.frames.shape
-    damaged = found.masks.any(axis=(1, 2))
-    sound = found.is_own & ~damaged
-    frames, free = found.frames.astype(float), found.scored_free
-    made_of = [int(np.abs(frames[sound] - frame).mean(axis=(1, 2, 3)).argmin()) for frame in frames[damaged]]
-    assert len(set(made_of)) > 1
-    assert np.array_equal(free[damaged], free[sound][made_of])
-    assert np.array_equal(free[found.is_relit], free[sound])
-    assert len(np.unique(free[sound], axis=0)) > 1

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
 
-from calibration.benchmark.wrong_objects import answers, without_relief
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.folds import held_out_folds
@@ -21,7 +21,11 @@ from calibration.simulator.pose import HeightField, Jitter, sample
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
+from edge.clock import SystemClock
 from edge.core.detector import Features, Grid, Nominal
+from edge.core.imaging.frames import CameraFrame
+from edge.gateway.inspector import Inspector
+from edge.model.bundle import Bundle
 from edge.model.limit_facts import missing_sentence
 from edge.model.scorer import Scorer
 
@@ -190,6 +194,18 @@ def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, pr
     assert max(known) <= max(threshold.nominal_scores) * (1 + 1e-4)
 
 
+def answers(bundle: Bundle, free: np.ndarray, pictures: list[np.ndarray]) -> set[str]:
+    """What the gateway says of these presses."""
+    inspector = Inspector(Scorer(bundle, 1), SystemClock())
+    named = {f"{k}": rgb for k, rgb in enumerate(pictures)}
+    touches = named_presses(named, bundle.profile, bundle.region, no_contact=[free]).touches
+    frames = [cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1].tobytes() for rgb in pictures]
+    return {
+        inspector.inspect(CameraFrame(png, 0, number, is_on_demand=True), touch).word
+        for number, (png, touch) in enumerate(zip(frames, touches, strict=True))
+    }
+
+
 def test_the_gateway_fails_a_smoother_object(fitted: Fitted, presses: Presses) -> None:
     """From the frame to the verdict. Its score is higher than the method's own; a sound press has the method's own."""
     free, bundle = presses.bench.free(), fitted.bundle()
@@ -197,9 +213,10 @@ def test_the_gateway_fails_a_smoother_object(fitted: Fitted, presses: Presses) -
         smooth, sound = (
             [presses.picture(part, k) for k in range(LEARNT, LEARNT + 4)] for part in (smooth_dome, pillow)
         )
-    assert set(answers(bundle, free, smooth)) == {"fail"}
-    assert set(answers(bundle, free, sound)) == {"pass"}
-    both, own = Scorer(bundle, 1), Scorer(without_relief(bundle), 1)
+    assert answers(bundle, free, smooth) == {"fail"}
+    assert answers(bundle, free, sound) == {"pass"}
+    unchecked = replace(bundle, bank={**bundle.bank, "relief_unit": np.zeros((1, 1), np.float32)})
+    both, own = Scorer(bundle, 1), Scorer(unchecked, 1)
     with_check, without = (
         np.mean([scorer.score(rgb).anomaly_score for rgb in presses.smooth]) for scorer in (both, own)
     )

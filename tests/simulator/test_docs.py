@@ -4,8 +4,6 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from calibration.benchmark.effect_table import effect_table, leaving, trial_table
-from calibration.benchmark.short_trunks import rows_of
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.parts import PARTS
@@ -21,8 +19,7 @@ from calibration.simulator.scene import (
 )
 from calibration.simulator.sensor_appearance import SENSORS
 
-DOCS = Path(__file__).parents[2] / "docs"
-MANUAL = (DOCS / "simulator.md").read_text()
+MANUAL = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
 
 
 def test_every_name_that_a_scene_can_use_is_in_the_manual() -> None:
@@ -45,11 +42,3 @@ def test_every_key_of_a_scene_is_in_the_manual() -> None:
     models = (Scene, Camera, Motion, JitterTable, NominalPieces, Defects, SceneRun)
     keys = {key for model in models for key in model.model_fields} - {"version"}
     assert [key for key in sorted(keys) if key not in MANUAL] == []
-
-
-def test_the_worth_of_each_effect_is_that_of_the_rows() -> None:
-    """The tables are printed from docs/studies/effects.jsonl, and no effect of the default list should have left it."""
-    rows = rows_of(DOCS / "studies" / "effects.jsonl")
-    assert effect_table(rows) in MANUAL
-    assert trial_table(rows) in MANUAL
-    assert leaving(rows) == []

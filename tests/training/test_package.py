@@ -9,12 +9,9 @@ import onnxruntime as ort
 import pytest
 import torch
 
-from calibration.benchmark import command as evaluation_command
-from calibration.benchmark.ablations import joined
-from calibration.benchmark.model_card import card, page
+from calibration.benchmark.model_card import TRIALS_FORMAT, card, page
 from calibration.benchmark.trial import FORMAT
 from calibration.training import package as packaging
-from calibration.training.checkpoint import Checkpoint, save
 from calibration.training.network import TrunkNetwork, state_arrays
 from calibration.training.train_config import STAGES, TrainConfig
 from edge import cli
@@ -132,37 +129,11 @@ def test_the_card_has_the_trunk_for_real_touch() -> None:
             "trials": ["ball"],
             "rows": [{"note": "wide", "measures": {"padim": {}}}],
         },
-        "ideas": None,
     }
     text = card(FACTS, None, touch=touch)
     assert "| own | 0.300 | 0.800 | 0.350 | 0.250 |" in text
     assert "| wide | padim | - |" in text
-    assert "### Ideas for the tactile channels" not in text
-    tables = {"gains": "| GAINS |", "alone": "| ALONE |", "joined": "| JOINED |"}
-    text = card(FACTS, None, touch=touch | {"ideas": tables})
-    assert "### Ideas for the tactile channels" in text
-    assert text.index("| GAINS |") < text.index("| ALONE |") < text.index("| JOINED |")
     assert "The trunk for real touch" not in card(FACTS, None)
-
-
-def test_the_page_reads_the_rows_of_the_studies(tmp_path: Path) -> None:
-    """Rows of ideas that are not complete are refused; a folder without rows gives no section."""
-    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
-    (tmp_path / "tactile_lite0.json").write_text((BACKBONES / "tactile_lite0.json").read_text())
-    assert "### Ideas" not in page(tmp_path, tmp_path)
-    (tmp_path / "ideas.jsonl").write_text('{"idea": "base", "seed": 0}\n')
-    with pytest.raises(ConfigError, match=r"the rows lack EfficientNet-Lite0 alone, .*; continue the run"):
-        page(tmp_path, tmp_path)
-
-
-def test_a_page_has_the_studies_beside_it(tmp_path: Path) -> None:
-    """A new evaluation's page reads the rows in the folder `studies` next to the page, as `make docs` does."""
-    (tmp_path / "studies").mkdir()
-    (tmp_path / "studies" / "ideas.jsonl").write_text('{"idea": "base", "seed": 0}\n')
-    (tmp_path / "tactile_resnet18.json").write_text(json.dumps(FACTS))
-    (tmp_path / "tactile_lite0.json").write_text((BACKBONES / "tactile_lite0.json").read_text())
-    with pytest.raises(ConfigError, match="continue the run"):
-        evaluation_command._write(tmp_path, json.dumps(evaluation({})), tmp_path / "page.md")
 
 
 def test_the_card_prints_no_evaluation_of_other_weights() -> None:
@@ -174,48 +145,26 @@ def test_the_card_prints_no_evaluation_of_other_weights() -> None:
         assert "0.700" not in text
 
 
-def test_the_card_tells_what_was_tried(tmp_path: Path) -> None:
+def test_the_card_tells_what_was_tried() -> None:
     """One row per run: how its settings differ from those that ship, its numbers by method, and the means per set."""
-    save(tmp_path / "run", Checkpoint(TrainConfig.shipped(seed=0, steps=9, window_mm=0.25), 9, {}, {}, {}))
-    rows = [
-        {
-            "backbone": trunk,
-            "detector": name,
-            "measures": {"aupro_fpr01": {"value": value}, "image_auroc": {"value": 0.9}},
-        }
-        for trunk, name, value in (
-            ("longer", "padim", 0.7512),
-            ("longer", "spade", 0.7),
-            ("other", "padim", 0.1),
-        )
-    ]
-    found = {
-        "format": FORMAT,
-        "trunks": {"longer": {}, "other": {}},
-        "sets": {
-            "parts": {"title": "Unseen parts", "rows": rows},
-            "screws": {"title": "S", "missing": "none"},
-        },
+    recipe = json.loads(TrainConfig.shipped(seed=0, steps=9, window_mm=0.25).to_json())
+    measures = {
+        name: {"aupro_fpr01": value, "image_auroc": 0.9}
+        for name, value in (("padim", 0.7512), ("spade", 0.7))
     }
-    tried = joined(found, {"longer": tmp_path / "run"}, {"longer": "on a Tuesday"})
+    row = {
+        "name": "longer",
+        "note": "on a Tuesday",
+        "before": 0,
+        "recipe": recipe,
+        "measures": {"parts": measures},
+    }
+    tried = {"format": TRIALS_FORMAT, "sets": {"parts": "Unseen parts"}, "rows": [row]}
     facts = {**FACTS, "recipe": json.loads(TrainConfig.shipped(seed=0, steps=5, window_mm=0.5).to_json())}
     text = card(facts, None, tried)
     assert "| trial | settings | padim: parts | spade: parts | AU-PRO: parts | AUROC: parts |" in text
     assert "| longer | on a Tuesday; steps 9, window_mm 0.25 | 0.751 | 0.700 | 0.726 | 0.900 |" in text
     assert "Training trials" not in card(facts, None, {**tried, "rows": []})
-    for runs, notes, sentence in (
-        (
-            {"longer": tmp_path},
-            {"oter": "x"},
-            "no run and trunk is named oter; the evaluation has longer, other",
-        ),
-        ({"shorter": tmp_path}, {}, "no run and trunk is named shorter"),
-        ({"other": tmp_path / "none"}, {}, "no checkpoint in"),
-    ):
-        with pytest.raises(ConfigError, match=sentence):
-            joined(found, runs, notes)
-    with pytest.raises(ConfigError, match="format 1, not"):
-        joined({**found, "format": 1}, {}, {})
 
 
 def test_the_page_names_the_call_that_made_its_tables(tmp_path: Path) -> None:

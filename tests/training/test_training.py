@@ -12,9 +12,8 @@ import torch
 from calibration.training import checkpoint as checkpoints
 from calibration.training.package import package
 from calibration.training.prefetch import draw_step
-from calibration.training.train import Lesson, TrainingRun, learning_rate, train
+from calibration.training.train import TrainingRun, learning_rate, train
 from calibration.training.train_config import EFFECTS, TrainConfig
-from calibration.training.training_pairs import Pairs
 from edge.core.errors import ConfigError, GelgateError
 
 SMALL = TrainConfig.shipped(steps=6, pairs=2, side=64, precision="float32", max_rate=2e-3)
@@ -96,44 +95,6 @@ def test_a_run_begins_with_anothers_weights(whole: Path, tmp_path: Path) -> None
         train(recipe, TrainingRun(tmp_path / "fourth", threads=1, device="cpu"))
 
 
-class Level(torch.nn.Module):
-    """A further loss: one learnt number is the mean of the features."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.level = torch.nn.Parameter(torch.zeros(()))
-
-    def forward(self, trunk: object, maps: list[torch.Tensor], batch: object, step: int) -> torch.Tensor:
-        return (maps[0].mean() - self.level) ** 2
-
-
-def test_a_lesson_s_own_loss_is_learnt_and_resumed(tmp_path: Path) -> None:
-    """What it learns is in the checkpoint, and a resumed run equals an uninterrupted one."""
-    recipe, lesson = SMALL.model_copy(update={"steps": 2, "stages": 1}), Lesson(further=Level)
-    first, second, third = (tmp_path / name for name in ("first", "second", "third"))
-    train(recipe, TrainingRun(first, threads=1, device="cpu", minutes=1e-9), lesson=lesson)
-    assert checkpoints.load(first).step == 1
-    for folder, resume in ((second, first), (third, None)):
-        train(recipe, TrainingRun(folder, resume=resume, threads=1, device="cpu"), lesson=lesson)
-
-    found, expected = weights(second), weights(third)
-    assert expected["further.level"] != 0
-    assert all(torch.equal(value, found[name]) for name, value in expected.items())
-
-
-def test_a_lesson_s_own_batches_are_drawn_in_this_process(tmp_path: Path) -> None:
-    """Also where batches are to be drawn ahead, which knows only the recipe's."""
-    steps: list[int] = []
-
-    def draw(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
-        steps.append(step)
-        return draw_step(recipe, step, device)
-
-    recipe = SMALL.model_copy(update={"steps": 2, "stages": 1})
-    train(recipe, TrainingRun(tmp_path, threads=1, device="cpu", is_drawn_ahead=True), lesson=Lesson(draw))
-    assert steps == [0, 1]
-
-
 def test_the_loss_falls_on_a_repeated_batch() -> None:
     """Twelve steps on one batch halve the geometry loss."""
     from calibration.training import train as module
@@ -142,9 +103,8 @@ def test_the_loss_falls_on_a_repeated_batch() -> None:
         steps=12, pairs=2, side=64, precision="float32", warm_up=0.0, max_rate=2e-3, high_resolution=0.25
     )
     torch.set_num_threads(1)
-    first = Lesson(lambda recipe, step, device: draw_step(recipe, 0, device))
-    learner = module._Learner(recipe, torch.device("cpu"), first)
-    found = [learner.learn() for _ in range(12)]
+    learner = module._Learner(recipe, torch.device("cpu"))
+    found = [learner.learn(lambda step: draw_step(recipe, 0, learner.device)) for _ in range(12)]
     assert found[-1].geometry.item() < 0.5 * found[0].geometry.item()
     assert found[-1].total(recipe).item() < found[0].total(recipe).item()
 
