@@ -165,10 +165,14 @@ def main() -> NoReturn:
         print(f"gelgate: {error}", file=sys.stderr)
         sys.exit(exit_code(type(error)))
     except ImportError as error:
-        if (hidden := registry.hidden_package(error.name or "")) is None:
+        hidden = registry.hidden_package(error.name or "")
+        is_memory_short = "failed to map segment" in str(
+            error
+        )  # the loader's words where an address space is full
+        if hidden is None and not is_memory_short:
             raise
-        print(f"gelgate: {hidden}", file=sys.stderr)
-        sys.exit(exit_code(errors.ConfigError))
+        print(f"gelgate: {hidden or f'{error}; allow more memory (`ulimit -v`, LimitAS=)'}", file=sys.stderr)
+        sys.exit(exit_code(errors.ConfigError) if hidden else 1)
     except OSError as error:
         if error.filename is None and error.errno not in _DISK:
             raise

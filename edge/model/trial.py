@@ -4,8 +4,10 @@ A graph can be made that computes for ever or fills the memory, and onnxruntime 
 the bundle, runs its graphs and scores its golden frames, as a start does.
 """
 
+import contextlib
 import json
 import resource
+import signal
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
@@ -49,14 +51,25 @@ def try_bundle(path: Path, trunks: Path | None = None, threads: int = 2, limits:
             f"bundle {path}: its first run did not end within {limits.seconds:g} s, so it cannot inspect; fit or "
             "export it again"
         ) from None
-    if done.returncode == REFUSED:
-        raise BundleCorrupt(done.stdout.strip())
-    if done.returncode != 0:
-        last = "".join(done.stderr.strip().splitlines()[-1:])
-        raise BundleCorrupt(
-            f"bundle {path}: its first run ended without a score ({last or f'exit code {done.returncode}'}); at most "
-            f"{limits.memory_bytes >> 20} MB are given to it; fit or export it again"
-        )
+    if done.returncode == 0:
+        return
+    said = done.stdout.strip()
+    if done.returncode == REFUSED and "allocate memory" not in said:
+        raise BundleCorrupt(said)
+    last = "".join((said or done.stderr.strip()).splitlines()[-1:]) or f"exit code {done.returncode}"
+    if done.returncode == -signal.SIGKILL:
+        last = "it was killed, as where the memory is full"
+    raise BundleCorrupt(
+        f"bundle {path}: its first run ended without a score ({last}); {_most(limits)} are given to it; allow more, or "
+        "fit or export it again"
+    )
+
+
+def _most(limits: Limits) -> str:
+    allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if allowed == resource.RLIM_INFINITY:
+        return f"at most {limits.memory_bytes >> 20} MB"
+    return f"by `ulimit -v` or LimitAS= at most {allowed >> 20} MB"
 
 
 def _main(task: str) -> int:
@@ -65,16 +78,24 @@ def _main(task: str) -> int:
     from edge.model.bundle import Bundle
     from edge.model.scorer import Scorer
 
+    with contextlib.suppress(OSError):  # where memory is short, this ends and not the gateway
+        Path("/proc/self/oom_score_adj").write_text("1000")
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + memory, used + memory))
+    _limit(resource.RLIMIT_AS, used + memory)
     # The parent may be killed while it waits: then the time of the processor ends the child.
-    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * threads) + 1, int(seconds * threads) + 2))
+    _limit(resource.RLIMIT_CPU, int(seconds * threads) + 1)
     try:
         Scorer(Bundle.load(path, trunks and Path(trunks)), threads).check_golden()
     except GelgateError as error:
         print(error)
         return REFUSED
     return 0
+
+
+def _limit(what: int, most: int) -> None:
+    """A lower limit that the process has already stays."""
+    limits = [one for one in (most, *resource.getrlimit(what)) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(what, (min(limits), min(limits)))
 
 
 if __name__ == "__main__":

@@ -71,10 +71,11 @@ def test_the_unit_and_the_printed_example_fit(tmp_path: Path) -> None:
 
 
 def test_the_unit_expects_the_reports_that_the_gateway_sends() -> None:
-    """Ready, and alive often enough; nobody else of the group may read what it writes."""
+    """Ready, and alive often enough; nobody else of the group may read what it writes; a bundle's first run that fills
+    the memory does not stop it."""
     unit = (SERVICE / "gelgate.service").read_text().splitlines()
 
-    assert {"Type=notify", "WatchdogSec=60", "UMask=0027", "MemoryMax=4G"} <= set(unit)
+    assert {"Type=notify", "WatchdogSec=60", "UMask=0027", "MemoryMax=4G", "OOMPolicy=continue"} <= set(unit)
 
 
 @pytest.mark.parametrize("error", [ConfigError, BundleError])

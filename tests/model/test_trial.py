@@ -1,5 +1,7 @@
 """The first run of a bundle, in a child process: bounded in time and memory, with the reason in one sentence."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -59,6 +61,29 @@ def test_a_sound_bundle_passes_and_a_damaged_one_is_refused_with_its_own_sentenc
 
     with pytest.raises(BundleCorrupt, match=r"head\.onnx has SHA-256"):
         try_bundle(path)
+
+
+def verify_below(path: Path, megabytes: int) -> tuple[int, str]:
+    """How `gelgate verify` ends where no process may use more address space."""
+    limited = f'ulimit -v {megabytes * 1000}; exec "$0" -c "from edge.cli import main; main()" verify "$1"'
+    done = subprocess.run(
+        ["sh", "-c", limited, sys.executable, path], capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stderr
+
+
+def test_the_limit_of_the_caller_is_kept(tmp_path: Path) -> None:
+    """6 GB are enough for a sound bundle; where they are not, the sentence says whose limit it is."""
+    path = write_bundle(tmp_path / "bolt", tiny.tiny_files()[1])
+    heavy = detector(tmp_path, "m = Expand (any, cube)\nextra = ReduceMax <keepdims = 0> (m)")
+
+    assert verify_below(path, 6000) == (0, "")
+    code, said = verify_below(heavy, 6000)
+    assert (code, "by `ulimit -v` or LimitAS= at most 5859 MB" in said, "Traceback" in said) == (
+        5,
+        True,
+        False,
+    )
 
 
 def test_a_station_tries_a_bundle_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
