@@ -32,14 +32,14 @@ test: $(VENV)/.test debian lint
 
 # What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 tests/training tests/export/test_backbone.py tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_fuzz.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 tests/training tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test
 	GELGATE_GOLDEN=1 $(BIN)/pytest tests/compatibility/test_golden.py
 
 # 400 damaged files of each kind through the readers of `gelgate export`; the tests try twelve.
-test-fuzz: $(VENV)/.train
+test-fuzz: $(VENV)/.test
 	GELGATE_MUTATIONS=400 $(BIN)/pytest tests/export/test_fuzz.py
 
 # Files that the newest anomalib writes now, imported and compared with what anomalib computes.

@@ -27,7 +27,15 @@ from export.weights_file import file_sha256, is_onnx, read_checkpoint, read_weig
 from plugins.backbones.input_steps import IMAGENET, InputSteps, applied
 from plugins.backbones.reference import forward
 from plugins.backbones.resnet import TAPS, build_trunk
-from plugins.backbones.topology import State, check_state, expected_shapes, topology
+from plugins.backbones.topology import (
+    TOPOLOGIES,
+    State,
+    Topology,
+    check_state,
+    expected_shapes,
+    recognised,
+    topology,
+)
 from plugins.backbones.vit import known_vit_taps, vit_shape
 from plugins.backbones.vit_reference import vit_forward
 from plugins.backbones.vit_trunk import build_vit_trunk
@@ -47,15 +55,15 @@ HALF_TOLERANCE = 5e-3
 class BackboneOptions:
     """How a file becomes a trunk.
 
-    topology: of a ResNet; ViTs and ONNX graphs need none. taps: see `export backbone --help`; empty: the usual ones.
-    licence: of the weights, required. encoder: a published touch encoder whose preprocessing is used. steps: instead of
-    its, or of ImageNet's. frame: (h, w) of the inspected region. version: V1 or V2 where the caller states it. second:
-    a file whose blocks follow. prefix: of the weights' names, where a file holds several networks. heads: of the
-    attention. prefix_tokens, high: of an ONNX graph; see `graph_trunk`.
+    topology: of a ResNet; None: the one that the weights have; ViTs and ONNX graphs need none. taps: see `export
+    backbone --help`; empty: the usual ones. licence: of the weights, required. encoder: a published touch encoder whose
+    preprocessing is used. steps: instead of its, or of ImageNet's. frame: (h, w) of the inspected region. version: V1
+    or V2 where the caller states it. second: a file whose blocks follow. prefix: of the weights' names, where a file
+    holds several networks. heads: of the attention. prefix_tokens, high: of an ONNX graph; see `graph_trunk`.
     """
 
     licence: str | None
-    topology: str = "wide_resnet50_2"
+    topology: str | None = None
     taps: tuple[str, ...] = ()
     encoder: str | None = None
     steps: InputSteps | None = None
@@ -171,7 +179,7 @@ def _from_weights(
 def _resnet(
     state: State, source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
 ) -> BackboneExport:
-    net = topology(options.topology)
+    net = _topology(state, options.topology, source)
     version = check_release(facts["file_sha256"], options.version, net.name, str(source))
     check_state(state, net, f"the weights in {source}", until=options.taps or TAPS)
     digest = _sha256_of(state, [name for name in sorted(expected_shapes(net)) if name in state])
@@ -185,6 +193,24 @@ def _resnet(
     planes = applied(steps, frames)
     expected = forward(state, net.name, planes.astype(np.float32), taps)
     return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
+
+
+def _topology(state: State, stated: str | None, source: Path) -> Topology:
+    """The ResNet whose weights these are. Errors: ConfigError where another one is stated, or none is known."""
+    found = recognised(state)
+    if stated is not None:
+        if found is not None and found.name != topology(stated).name:
+            raise ConfigError(
+                f"the weights in {source} are of a {found.name}, not a {stated}: --topology {found.name}"
+            )
+        return topology(stated)
+    if found is None:
+        raise ConfigError(
+            f"the weights in {source} ({len(state)} names, such as {', '.join(sorted(state)[:3])}) are not of a "
+            f"{', '.join(TOPOLOGIES)}, a vision transformer or a VQGAN; export the network to ONNX and name taps: "
+            "gelgate export backbone NETWORK.onnx --taps NAME,NAME"
+        )
+    return found
 
 
 def _vit(

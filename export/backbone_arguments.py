@@ -35,7 +35,13 @@ Licence = Annotated[
 ]
 Checkpoint = Annotated[Path, typer.Argument(help="A .pth, .safetensors or .onnx file.")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")]
-Topology = Annotated[str, typer.Option(help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2.")]
+Topology = Annotated[
+    str | None,
+    typer.Option(
+        help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2. Default: the one that the weights have.",
+        show_default=False,
+    ),
+]
 Taps = Annotated[
     str,
     typer.Option(

@@ -45,7 +45,7 @@ def backbone(
     checkpoint: Checkpoint,
     output: Output = Path("trunk.onnx"),
     licence: Licence = None,
-    topology: Topology = "wide_resnet50_2",
+    topology: Topology = None,
     taps: Taps = "",
     encoder: Encoder = "",
     mean: Mean = "",
@@ -66,14 +66,14 @@ def backbone(
 ) -> None:
     """Convert weights or a network to a trunk.
 
-    It is compared with the original at every tap before it is written. A .pth file needs PyTorch."""
+    It is compared with the original at every tap before it is written."""
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile as known_profile
     from edge.core.imaging.region import Region
     from edge.extras import needs
     from export.backbone import BackboneOptions
 
-    needs("train" if checkpoint.suffix in (".pth", ".pt", ".ckpt", ".tar") else "export", "export backbone")
+    needs("export", "export backbone")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     sensor = known_profile(profile)

@@ -92,7 +92,12 @@ def graph_trunk(
 
 
 def _check_values(model: Any, taps: Mapping[str, str], where: str) -> None:
-    known = [name for node in model.graph.node for name in node.output if name]
+    known: list[str] = []
+    seen = {one.name for one in model.graph.input} - {one.name for one in model.graph.initializer}
+    for node in model.graph.node:  # in the order of computation; what depends on no input is a weight
+        if seen.intersection(node.input):
+            seen.update(node.output)
+            known += [name for name in node.output if name]
     for tap, value in taps.items():
         if value not in known:
             raise ConfigError(

@@ -1,14 +1,6 @@
-"""Weights by name from a file: `.pth` through PyTorch's weights-only loader, `.safetensors` without PyTorch.
-
-A checkpoint is a pickle, and an unrestricted pickle runs any code of its author. Only PyTorch's weights-only loader is
-used here: it builds tensors and plain containers and refuses everything else. There is no fallback.
-"""
+"""Weights by name from a file: `.pth` and `.ckpt` by `export.reading`, which runs nothing in them."""
 
 import hashlib
-import importlib
-import pickle
-import warnings
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
+from export.reading.foreign import described, float32
+from export.reading.isolated import read_foreign
 from plugins.backbones.topology import State
 
 __all__ = ["MOST_BYTES", "file_sha256", "is_onnx", "read_checkpoint", "read_safetensors", "read_weights"]
@@ -54,33 +48,35 @@ def read_checkpoint(path: Path) -> State:
         raise ConfigError(
             f"{path} is already an ONNX graph; name its taps: gelgate export backbone {path} --taps"
         )
-    loaded = _load(path)
-    for name in CONTAINERS:
-        if isinstance(loaded, Mapping) and isinstance(loaded.get(name), Mapping):
-            loaded = loaded[name]
-    tensors = (
-        {name: value for name, value in loaded.items() if hasattr(value, "numpy")}
-        if isinstance(loaded, Mapping)
-        else {}
-    )
-    if not tensors:
+    with read_foreign(path) as foreign:
+        loaded = foreign.content
+        for name in CONTAINERS:
+            if isinstance(loaded, Mapping) and isinstance(loaded.get(name), Mapping):
+                loaded = loaded[name]
+        table = loaded if isinstance(loaded, Mapping) else {}
+        state = {
+            _unwrapped(str(name)): float32(value).copy()  # their files go with the reader's folder
+            for name, value in table.items()
+            if isinstance(value, np.ndarray)
+        }
+    if not state:
         raise ConfigError(
-            f"{path} holds {_described(loaded)} and no weights by name; save model.state_dict() with torch.save"
+            f"{path} holds {described(loaded)} and no weights by name; save model.state_dict() with torch.save"
         )
-    return {_unwrapped(str(name)): _as_numpy(value) for name, value in tensors.items()}
+    return state
 
 
 def read_safetensors(path: Path) -> State:
     """The weights in a `.safetensors` file, by name, float32. Errors: ConfigError with what is wrong in it."""
     _check_file(path)
     try:
-        safetensors = importlib.import_module("safetensors")
+        import safetensors
     except ImportError as error:
         raise ConfigError(
             f"reading {path} needs safetensors, which is not installed; pip install 'gelgate[export]'"
         ) from error
     try:
-        entries = safetensors.deserialize(path.read_bytes())
+        entries = safetensors.deserialize(path.read_bytes())  # type: ignore[no-untyped-call]
         state = {_unwrapped(name): _array(entry) for name, entry in entries}
     except (safetensors.SafetensorError, ValueError, KeyError) as error:
         raise ConfigError(
@@ -132,46 +128,7 @@ def _array(entry: Mapping[str, Any]) -> NDArray[np.float32]:
     return np.frombuffer(data, _DTYPES[dtype]).reshape(shape).astype(np.float32)
 
 
-def _load(path: Path) -> Any:
-    try:
-        torch = importlib.import_module("torch")
-    except ImportError as error:
-        raise ConfigError(
-            f"reading {path} needs PyTorch, which is not installed; pip install 'gelgate[train]', "
-            "or save the weights as .safetensors, or export on another machine and copy the .onnx file"
-        ) from error
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about old pickle protocols; real faults are raised
-        try:
-            return torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # on foreign bytes the loader raises any error
-            raise ConfigError(f"{path} {_complaint(path, error)}") from error
-
-
-def _complaint(path: Path, error: Exception) -> str:
-    if "TorchScript" in str(error):
-        return (
-            "is a TorchScript archive, not a checkpoint of weights; save model.state_dict() with torch.save"
-        )
-    if isinstance(error, pickle.UnpicklingError) and zipfile.is_zipfile(path):
-        return "holds more than weights and was not loaded; save model.state_dict() alone with torch.save"
-    return (
-        f"is not a PyTorch checkpoint of weights ({type(error).__name__}); give a file written by torch.save"
-    )
-
-
 def _unwrapped(name: str) -> str:
     while name.startswith(WRAPPERS):
         name = name.partition(".")[2]
     return name
-
-
-def _as_numpy(value: Any) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = value.detach().float().numpy()
-    return array
-
-
-def _described(value: object) -> str:
-    if isinstance(value, Mapping):
-        return f"a table of {', '.join(map(str, list(value)[:4])) or 'nothing'}"
-    return f"a {type(value).__name__}"

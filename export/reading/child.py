@@ -41,6 +41,7 @@ def main(file: Path, out: Path, memory_bytes: int, cpu_s: int, disk_bytes: int) 
     isolation = _without_network()
     out.mkdir(exist_ok=True)
     np.save(out / "first.npy", np.zeros(1))  # loads what writing an array loads
+    b"a".decode("cp437")  # the names in a zip archive
     sys.addaudithook(_refuse)
     try:
         form, content = read_here(file)

@@ -33,7 +33,9 @@ class ForbiddenGlobal(pickle.UnpicklingError):
     """A pickle names a function or class that no trained detector needs. name: the global."""
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"it names {name}, which is not on the list of what a trained detector may hold")
+        super().__init__(
+            f"it names {name}, which is not on the list of what weights or a trained detector may hold"
+        )
         self.name = name
 
 

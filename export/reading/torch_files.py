@@ -45,6 +45,8 @@ def read_archive(file: Any) -> Any:
         members = {member.filename: member for member in archive.infolist()}
         if len(members) > MOST_MEMBERS:
             raise ValueError(f"it has {len(members)} members, {MOST_MEMBERS} are allowed")
+        if any("/code/__torch__" in name for name in members):
+            raise ValueError("it is a TorchScript archive; save model.state_dict() with torch.save")
         for member in members.values():
             _check_member(member)
         roots = [name.removesuffix("data.pkl") for name in members if PurePosixPath(name).name == "data.pkl"]

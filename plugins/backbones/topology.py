@@ -22,6 +22,7 @@ __all__ = [
     "expected_shapes",
     "known_taps",
     "last_block",
+    "recognised",
     "topology",
 ]
 
@@ -147,6 +148,13 @@ def expected_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[
         for part in ("weight", "bias", "running_mean", "running_var"):
             shapes[f"{conv.norm}.{part}"] = (conv.outputs,)
     return shapes
+
+
+def recognised(state: State) -> Topology | None:
+    """The network whose weights these are, as far as they go; None where none has all of them in these shapes."""
+    weights = {key: tuple(value.shape) for key, value in state.items() if not _ignored(key)}
+    nets = (net for net in TOPOLOGIES.values() if weights.items() <= expected_shapes(net).items())
+    return next(nets, None) if weights else None
 
 
 def check_state(

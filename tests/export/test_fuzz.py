@@ -4,6 +4,7 @@
 """
 
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -56,8 +57,7 @@ def write_stages(path: Path) -> None:
 
 
 def write_checkpoint(path: Path) -> None:
-    torch = pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: checkpoints are written with torch")
-    torch.save({"layer1.0.conv1.weight": torch.zeros(4, 4, 3, 3), "epoch": 3}, path)
+    path.write_bytes(pickle.dumps({"layer1.0.conv1.weight": np.zeros((4, 4, 3, 3)), "epoch": 3}))
 
 
 def transformer(path: Path) -> object:

@@ -98,6 +98,18 @@ def test_what_cannot_be_a_tap(saved: Path, change: dict[str, Any], words: str) -
         export_backbone(saved, None, dataclasses.replace(OWN, **change))
 
 
+def test_weights_are_not_listed_as_taps(saved: Path) -> None:
+    """torch hands weights on through nodes of their own; what does not depend on the picture cannot be a tap."""
+    model = onnx.load_from_string(network())
+    weight = model.graph.initializer[0].name
+    model.graph.node.insert(0, onnx.helper.make_node("Identity", [weight], ["onnx::Conv_511"]))
+    saved.write_bytes(model.SerializeToString())
+    with pytest.raises(ConfigError, match="known: ") as refused:
+        export_backbone(saved, None, dataclasses.replace(OWN, taps=("layer2",)))
+    assert "onnx::Conv_511" not in str(refused.value)
+    assert conv_name(saved.read_bytes()) in str(refused.value)
+
+
 def test_names_of_taps() -> None:
     """NAME=VALUE, or the value's own name."""
     assert named_taps(["layer1=/a/b", "c"]) == {"layer1": "/a/b", "c": "c"}

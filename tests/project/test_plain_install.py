@@ -65,7 +65,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("watch --port 1 --validate", 3, "gelgate[validate]"),
     ("export tiles pz0/trunk.onnx", 3, "gelgate[export]"),
     ("export merge pz0", 3, "gelgate[export]"),
-    ("export backbone weights.pth", 3, "gelgate[train]"),
+    ("export backbone weights.pth", 3, "gelgate[export]"),
     ("export openvino pz0", 3, "gelgate[openvino]"),
     ("export import theirs.onnx nominal -o x --licence MIT --part PZ0", 3, "gelgate[export]"),
     ("export precision pz0 nominal -o x", 3, "gelgate[export]"),
