@@ -28,6 +28,9 @@ _AFTER: Final = (
 )
 _START: Final = "systemctl enable --now gelgate"
 
+# What ProtectHome and PrivateTmp of the unit hide from the program.
+_HIDDEN: Final = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
+
 
 def install_service(
     is_printed: Annotated[
@@ -35,12 +38,19 @@ def install_service(
     ] = False,
     config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(_CONFIG),
     root: Annotated[Path, typer.Option(help="Write below this folder, such as a mounted image.")] = Path("/"),
+    is_removed: Annotated[
+        bool, typer.Option("--remove", help="Stop the service and remove both files; data stays.")
+    ] = False,
 ) -> None:
     """Install the systemd unit and the udev rule.
 
     The commands that activate them are printed. The unit starts the program that runs this command. Writing to /etc
     needs root; with --print nothing is written.
     """
+    if is_removed:
+        _remove(root, config, is_printed=is_printed)
+        return
+    _refuse_hidden(config)
     texts = {root / place: _text(name, config) for name, place in _PLACES.items()}
     if is_printed:
         typer.echo("\n".join(_script(texts, config)))
@@ -52,6 +62,41 @@ def install_service(
     typer.echo("next, as root:")
     for command in (*_BEFORE, *_AFTER, f"{_START}    # when {config.absolute()} exists"):
         typer.echo(f"  {command}")
+
+
+def _refuse_hidden(config: Path) -> None:
+    """Errors: ConfigError where the unit could not start the program or read the configuration."""
+    from edge.core.errors import ConfigError
+
+    used = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[2], config.absolute()]
+    hidden = [path for path in used for place in _HIDDEN if path.resolve().is_relative_to(place)]
+    if hidden:
+        raise ConfigError(
+            f"the service needs {hidden[0]}, which its sandbox hides (ProtectHome, PrivateTmp); install gelgate "
+            "in /opt/gelgate with a Python of the system: /usr/bin/python3 -m venv /opt/gelgate; "
+            f"/opt/gelgate/bin/pip install <wheel or source folder>; the configuration belongs at {_CONFIG}; then {_PROGRAM} install-service"
+        )
+
+
+def _remove(root: Path, config: Path, *, is_printed: bool) -> None:
+    """Errors: GelgateError where a command of the removal fails."""
+    import subprocess
+
+    from edge.core.errors import GelgateError
+
+    files = [root / place for place in _PLACES.values()]
+    commands = [f"rm -fv '{path}'" for path in files]
+    if root == Path("/"):
+        commands = [f"! test -e '{files[-1]}' || systemctl disable --now gelgate", *commands, *_AFTER]
+    if is_printed:
+        typer.echo("\n".join(["#!/bin/sh", "set -e", *commands]))
+        return
+    if subprocess.run(["sh", "-ec", "\n".join(commands)], check=False).returncode != 0:
+        raise GelgateError("the service is not completely removed, see above; run it again as root")
+    typer.echo(
+        f"left as they are: /var/lib/gelgate (the database and the files beside it), {config.parent} (configuration, "
+        f"bundles), the program in {sys.prefix}, the user gelgate"
+    )
 
 
 def _text(name: str, config: Path) -> str:

@@ -10,6 +10,7 @@ import pytest
 from command_line import gelgate
 
 from calibration.simulator.effects import EFFECTS
+from edge.cli import install_service
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVICE = ROOT / "edge/service"
@@ -56,6 +57,13 @@ def test_a_page_that_does_not_exist_is_refused_with_the_nearest() -> None:
     assert "did you mean 'sensors'?" in ended.sentence()
 
 
+@pytest.fixture
+def is_outside_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever these tests run, their program counts as one that the unit can start."""
+    monkeypatch.setattr(install_service, "_HIDDEN", ())
+
+
+@pytest.mark.usefixtures("is_outside_home")
 def test_the_service_files_are_written_for_this_installation(tmp_path: Path) -> None:
     """The unit starts this program with that configuration; the rule is the shipped one."""
     ended = gelgate("install-service", "--root", tmp_path, "--config", "/srv/station.toml")
@@ -72,6 +80,39 @@ def test_the_service_files_are_written_for_this_installation(tmp_path: Path) -> 
         assert command in ended.out
 
 
+@pytest.mark.parametrize("what", ["prefix", "base_prefix"])
+@pytest.mark.parametrize("more", [[], ["--print"]])
+def test_a_program_that_the_sandbox_hides_is_no_service(
+    what: str, more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With ProtectHome and PrivateTmp systemd could not start it: where to install is said, and nothing is written."""
+    for name in ("prefix", "base_prefix"):
+        monkeypatch.setattr(sys, name, "/opt/gelgate")
+    monkeypatch.setattr(sys, what, "/home/ann/gelgate")
+    ended = gelgate("install-service", "--root", tmp_path, *more)
+
+    assert (ended.code, ended.out, list(tmp_path.iterdir())) == (3, "", [])
+    assert "needs /home/ann/gelgate, which its sandbox hides" in ended.sentence()
+    assert "python3 -m venv /opt/gelgate" in ended.sentence()
+
+
+@pytest.mark.usefixtures("is_outside_home")
+def test_a_service_is_removed_and_its_data_stays(tmp_path: Path) -> None:
+    """Both files go; where the data lies is said. On this system the service is stopped first."""
+    gelgate("install-service", "--root", tmp_path)
+    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == 2
+    ended = gelgate("install-service", "--root", tmp_path, "--remove")
+
+    assert (ended.code, [path for path in tmp_path.rglob("*") if path.is_file()]) == (0, [])
+    assert "/var/lib/gelgate" in ended.out
+    script = gelgate("install-service", "--remove", "--print").out.splitlines()
+    assert "systemctl disable --now gelgate" in script[2]
+    assert script[3:5] == [
+        "rm -fv '/etc/udev/rules.d/60-gelgate.rules'", "rm -fv '/etc/systemd/system/gelgate.service'",
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("is_outside_home")
 def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
     """`--print` changes nothing; its script, run by a shell, writes the files that the verb writes."""
     tools = tmp_path / "tools"
@@ -97,6 +138,7 @@ def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
     assert called[-1] == "systemctl daemon-reload"
 
 
+@pytest.mark.usefixtures("is_outside_home")
 def test_files_that_cannot_be_written_are_one_sentence() -> None:
     """Without the rights or on a read-only disk: the path, the reason, and what to check."""
     ended = gelgate("install-service", "--root", "/proc/no")

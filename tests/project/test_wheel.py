@@ -109,7 +109,7 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
     assert shipped == pages
 
 
-def test_the_installed_program_finds_its_manual_and_its_service_files(built: Path, tmp_path: Path) -> None:
+def test_the_installed_program_finds_its_manual(built: Path, tmp_path: Path) -> None:
     """Outside the source tree, with the wheel alone."""
     wheel = next(built.glob("*.whl"))
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--ignore-installed"]
@@ -126,9 +126,6 @@ def test_the_installed_program_finds_its_manual_and_its_service_files(built: Pat
 
     assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
     assert "decisions/0001-flat-packages" in gelgate("docs")
-    assert (ROOT / "edge/service/60-gelgate.rules").read_text(encoding="utf-8") in gelgate(
-        "install-service", "--print"
-    )
 
 
 def test_the_wheel_carries_the_licence_and_says_which(built: Path) -> None:
