@@ -75,19 +75,22 @@ class GelProof:
         return f"{shown} allow{'s' if self.presses == 1 else ''} {self.rate:.0%} of false alarms"
 
     def unproven(self, bundle: str, gel_id: str) -> str | None:
-        """One sentence while it is not proven: what is missing, and what to do."""
+        """One sentence while it is not proven: what is missing, and what to do. It is the same for each press while the
+        presses alarm too often to prove anything."""
         if self.proven is not None:
             return None
         needed = self.still_needed
-        todo = (
-            f"press {needed} more sound parts without an alarm, then"
-            if needed
-            else "if all parts were sound,"
-        )
+        shown = f"{self.sentence}, at most {PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure)"
+        if self.alarms > PROVEN_RATE * max(self.presses, trials_needed(PROVEN_RATE, 0)):
+            shown = f"more than {PROVEN_RATE:.0%} of its presses alarm there, and damaged parts count too: no proof"
+            todo = "Press sound parts alone until a number of them is asked for here"
+        elif needed:
+            todo = f"Press {needed} more sound parts without an alarm, then `gelgate gel prove`"
+        else:
+            todo = "If all parts were sound, `gelgate gel prove`"
         return (
-            f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {self.sentence}, at most "
-            f"{PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure). {todo[0].upper()}{todo[1:]} "
-            "`gelgate gel prove`; or carry it over (`gelgate carry`), or fit a bundle on this gel"
+            f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {shown}. {todo}; or carry it over "
+            "(`gelgate carry`), or fit a bundle on this gel"
         )
 
 

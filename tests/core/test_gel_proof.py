@@ -55,6 +55,21 @@ def test_an_alarm_asks_for_more_presses() -> None:
     assert upper_rate(1, 38) <= 0.1 < upper_rate(1, 37)
 
 
+def test_damaged_parts_are_no_reason_to_press_ever_more() -> None:
+    """Of each two parts one fails: the text stays the same with every press, and claims no proof. With enough sound
+    parts it asks for a number again."""
+    half = {GelProof(None, "x", 2 * n, n).unproven("b", "G2") for n in range(3, 200)}
+    later = GelProof(None, "x", 30, 3).unproven("b", "G2")
+
+    assert half == {
+        "bundle b is not yet proven on gel G2: x; more than 10% of its presses alarm there, and damaged parts count "
+        "too: no proof. Press sound parts alone until a number of them is asked for here; or carry it over "
+        "(`gelgate carry`), or fit a bundle on this gel"
+    }
+    assert later is not None
+    assert "Press 35 more sound parts without an alarm" in later
+
+
 def test_the_sentence_says_what_is_known_what_is_missing_and_what_to_do() -> None:
     """For the state, the alarm and the command line."""
     text = GelProof(None, "it was used on gel G1", 5).unproven("bolt/crest (0123abcd)", "G2")
