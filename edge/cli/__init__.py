@@ -68,8 +68,13 @@ _STREAMS: Final = ("/dev/null", "/dev/std", "/dev/fd/", "/dev/tty", "/dev/pts/")
 class _LoadedVerbs(Mapping[str, Any]):
     """Name to verb; a verb is loaded when it is asked for, so that one that cannot be loaded stops no other."""
 
+    def __init__(self) -> None:
+        self._loaded: dict[str, Any] = {}
+
     def __getitem__(self, name: str) -> Any:
         """The command of typer; a function becomes one, a `Typer` becomes a group. Errors: ConfigError."""
+        if name in self._loaded:
+            return self._loaded[name]
         if name not in registry.names("commands"):
             raise KeyError(name)
         app, verb = typer.Typer(rich_markup_mode=None), registry.command(name)
@@ -77,7 +82,8 @@ class _LoadedVerbs(Mapping[str, Any]):
             app.add_typer(verb, name=name)
         else:
             app.command(name)(verb)
-        return typer.main.get_group(app).commands[name]
+        self._loaded[name] = typer.main.get_group(app).commands[name]
+        return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(registry.names("commands"))
