@@ -24,7 +24,7 @@ from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import RecordingError, StoreError
 from edge.core.imaging.known_profiles import MINI_NATIVE
-from edge.recording.format import Recording, RecordingHeader, RecordingWriter
+from edge.recording.format import DELIVERED_SHARE, Recording, RecordingHeader, RecordingWriter
 
 __all__ = ["FrameOut", "press_frames", "record_run"]
 
@@ -161,7 +161,7 @@ def _header(scene: Scene) -> RecordingHeader:
     mode = scene.camera.modes[0]
     sizes = {"lr": LR.size, "hr": HR.size, "native": MINI_NATIVE}
     profile = {"lr": "cropped_lr", "hr": "", "native": "mini_lr"}[mode]
-    return RecordingHeader(_PRODUCT, _SERIAL, sizes[mode], scene.camera.fps, profile)
+    return RecordingHeader(_PRODUCT, _SERIAL, sizes[mode], scene.camera.fps / DELIVERED_SHARE, profile)
 
 
 def _motion(scene: Scene) -> PressMotion:

@@ -15,7 +15,7 @@ from pathlib import Path
 from edge.core.errors import DatasetError
 from edge.core.imaging.image_bytes import damage, kind, picture_size, with_comment
 from edge.core.imaging.quality import BLACK_LEVEL
-from edge.recording.format import RecordingHeader, RecordingWriter
+from edge.recording.format import DELIVERED_SHARE, RecordingHeader, RecordingWriter
 from edge.recording.from_video import VIDEO_SUFFIXES
 
 __all__ = ["CopyNoise", "PressLift", "images_in", "record_images"]
@@ -94,8 +94,7 @@ def record_images(
     Errors: DatasetError naming every image that is damaged or of another size than the first.
     """
     mode = _common_size([*presses, *([reference] if reference else [])])
-    # The sensor delivers three quarters of its nominal rate (firmware_notes/gelsight_mini.md).
-    header = RecordingHeader(product, serial, mode, nominal_fps=plan.fps / 0.75, profile=profile)
+    header = RecordingHeader(product, serial, mode, nominal_fps=plan.fps / DELIVERED_SHARE, profile=profile)
     with RecordingWriter(out, header) as writer:
         for shot in _shots(presses, reference, plan):
             _add_shot(writer, shot, plan)

@@ -42,7 +42,7 @@ class RecordedSensor:
         self.on_demand = pace == 0
         self._recording, self._clock, self._pace, self._loop = recording, clock, pace, loop
         self._times_ns = recording.times_ns()
-        self._period_ns = round(1e9 / recording.header.nominal_fps)
+        self._pause_ns = recording.gaps_ns()[0]  # between the last frame and the first one again
         self._freshness = Freshness()
         self._position = 0
         self._sequence = 0
@@ -95,7 +95,7 @@ class RecordedSensor:
             )
         self._position = 0
         length_ns = self._times_ns[-1] - self._times_ns[0] if self.on_demand else 0
-        self._start_ns = max(self._clock.monotonic_ns(), self._start_ns + length_ns + self._period_ns)
+        self._start_ns = max(self._clock.monotonic_ns(), self._start_ns + length_ns + self._pause_ns)
 
     def _take(self) -> bytes:
         try:

@@ -50,9 +50,9 @@ class UsbMockOptions(BaseModel):
         default=1.0,
         ge=0,
         le=1000,
-        description="1 is real time (0.75 of the nominal rate, as on the real sensor), 2 twice as fast, 0 as fast as "
-        "frames are read; at 0 frames keep their times of pace 1, so contact is detected as at pace 1 and no frame is "
-        "dropped; at 2 and more a recording may be too short to learn the free gel",
+        description="1 plays at the recorded times, 2 twice as fast, 0 as fast as frames are read; with 0 frames "
+        "have the recorded times, so contact is found as in real time and no frame is dropped; with 2 and more a "
+        "recording may be too short to learn the free gel",
     )
     loop: bool = Field(default=False, description="start over at the end")
     faults: tuple[Annotated[Fault, BeforeValidator(_fault)], ...] = Field(
@@ -83,6 +83,7 @@ class Bench:
             _board(recording.header, options.serial),
             _Payloads(recording),
             clock,
+            gaps_ns=recording.gaps_ns(),
             pace=options.pace,
             loop=options.loop,
             faults=options.faults,
@@ -91,7 +92,13 @@ class Bench:
             self.bus.plug_in(VirtualCamera(WEBCAM, (), clock, port=2))
         for port, serial in enumerate(options.neighbours, 3):
             self.bus.plug_in(
-                VirtualCamera(_board(recording.header, serial), _Payloads(recording), clock, port=port)
+                VirtualCamera(
+                    _board(recording.header, serial),
+                    _Payloads(recording),
+                    clock,
+                    gaps_ns=recording.gaps_ns(),
+                    port=port,
+                )
             )
         self.bus.plug_in(self.sensor)
 

@@ -24,14 +24,11 @@ from edge.core.imaging.known_profiles import profile
 from edge.gateway.acquisition import Acquisition
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from plugins.devices.usb_mock import UsbMockOptions, plugin
-from plugins.devices.virtual.camera import DELIVERED_SHARE
 
 pytestmark = pytest.mark.bench
 
 GELGATE = Path(sys.executable).parent / "gelgate"
 FPS, MEASURED_S, WARM_UP_S, FRAMES = 25.0, 60.0, 25.0, 25
-# A sensor delivers fewer frames than it advertises, and so does the virtual one; here all 25 are delivered.
-PACE = 1 / DELIVERED_SHARE
 # Levels of noise and JPEG quality that give about 1 MB, as USB 2.0 can carry at this rate.
 GRAIN, QUALITY = 3, 90
 SENSOR = "GelSight Mini R0B TEST-0001"
@@ -92,7 +89,7 @@ def cpu_s(pid: int) -> float:
 def share_of_the_sensor(recording: Path) -> float:
     """Of the virtual sensor and its reader alone."""
     clock = SystemClock()
-    options = UsbMockOptions(recording=recording, pace=PACE, loop=True)
+    options = UsbMockOptions(recording=recording, pace=1.0, loop=True)
     with Acquisition(lambda: plugin.open(options, clock), clock) as acquisition:
         acquisition.next(10)
         cpu_s, start = time.process_time(), time.perf_counter()
@@ -107,7 +104,7 @@ def test_idle_station(tmp_path: Path, name: str) -> None:
     sensor = profile(name)
     recording, payloads = stream(tmp_path / "idle", sensor.native)
     bundle = small_bundle(tmp_path / "bundle", nominal(tmp_path, sensor.native), sensor)
-    config = station_config(tmp_path / "station", recording, bundle, pace=PACE, loop=True)
+    config = station_config(tmp_path / "station", recording, bundle, pace=1.0, loop=True)
 
     station = share_of_a_core(config)
     times_s = []

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_recordings import FakeClock
 
 from calibration.fitting.nominal_presses import read_presses
+from edge import registry
 from edge.core.contact.mask import Touch
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
@@ -22,7 +24,6 @@ from edge.core.imaging.sensor_profile import SensorProfile
 from edge.gateway.inspector import Inspection
 from edge.gateway.press_pipeline import PressPipeline
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
-from plugins.devices.recorded import RecordedSensor
 
 SIZE = (160, 120)
 PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 1, 4.0)
@@ -78,10 +79,12 @@ def payload(what: float | str, number: int, before: bytes) -> bytes:
     return with_comment(picture(what), str(number))
 
 
-def recorded(folder: Path, stretches: list[Stretch], fps: float) -> Path:
+def recorded(folder: Path, stretches: list[Stretch], fps: float, nominal_fps: float = 25.0) -> Path:
     lead = [Stretch(0.0, 40, 0), Stretch(1.0, round(fps), 0), Stretch(0.0, 10, 0)]
     last, place = picture(0.0), 0
-    with RecordingWriter(folder, RecordingHeader("mock", "TEST", SIZE, 25.0)) as writer:
+    with RecordingWriter(
+        folder, RecordingHeader("GelSight Mini R0B TEST-0001", "TEST0001", SIZE, nominal_fps)
+    ) as writer:
         for stretch in [*lead, *stretches]:
             place += stretch.hole_frames
             for _ in range(stretch.frames):
@@ -102,10 +105,11 @@ class Listener:
         return Inspection(None, error="not judged")
 
 
-def scored_by_the_gateway(folder: Path) -> list[bytes]:
-    """The gateway's chain, from a recorded device that plays at the recorded times."""
+def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> list[bytes]:
+    """The gateway's chain, from a device that plays at the recorded times."""
     clock, listener = FakeClock(), Listener()
-    sensor = RecordedSensor(Recording.open(folder), clock, pace=1.0, loop=False)
+    plugin = registry.device(device)
+    sensor = plugin.open(plugin.Options.model_validate({"recording": folder, "pace": pace}), clock)
     pipeline = PressPipeline(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]
     while True:
         try:
@@ -142,3 +146,15 @@ def test_a_hole_is_an_interruption_for_both() -> None:
     with tempfile.TemporaryDirectory() as folder:
         recording = recorded(Path(folder) / "hole", stretches, 18.75)
         assert len(learnt_by_fit(recording)) == len(scored_by_the_gateway(recording)) == 2
+
+
+@pytest.mark.parametrize("pace", [0.0, 1.0])
+@pytest.mark.parametrize("nominal_fps", [18.75, 25.0, 60.0])
+def test_every_virtual_sensor_plays_the_same_film(tmp_path: Path, nominal_fps: float, pace: float) -> None:
+    """The times of the frames are the pace, whatever rate the camera advertises: presses of four frames do not rest for
+    0.2 s, presses of six do."""
+    stretches = [Stretch(depth, n, 0) for n in (4, 6, 4, 9) for depth in (1.0, 0.0, 0.0)]
+    film = recorded(tmp_path / "film", stretches, 18.75, nominal_fps)
+
+    assert scored_by_the_gateway(film, "usb_mock", pace) == scored_by_the_gateway(film, "recorded", pace)
+    assert scored_by_the_gateway(film, "recorded", pace) == learnt_by_fit(film)

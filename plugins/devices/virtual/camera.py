@@ -36,10 +36,8 @@ from plugins.devices.virtual.descriptors import (
 )
 from plugins.devices.virtual.faults import Fault, FaultKind, FaultScript
 
-__all__ = ["DELIVERED_SHARE", "VirtualCamera", "VirtualPacketStream", "usb_error"]
+__all__ = ["VirtualCamera", "VirtualPacketStream", "usb_error"]
 
-# Independent reports agree on 18.75 fps delivered where 25 are advertised (firmware_notes/gelsight_mini.md).
-DELIVERED_SHARE = 0.75
 # Up to three transactions of 1024 bytes per micro-frame.
 MAX_PAYLOAD_BYTES = 3072
 PACKETS_PER_READ = 32
@@ -65,7 +63,8 @@ def usb_error(number: int) -> usb.core.USBError:
 
 
 class VirtualCamera:
-    """A camera on the virtual bus. pace: 1 is real time, 2 twice as fast, 0 as fast as it is read."""
+    """A camera on the virtual bus. gaps_ns: from the frame before to each frame; without them frames come at the rate
+    of the video mode. pace: 1 is real time, 2 twice as fast, 0 as fast as it is read."""
 
     def __init__(
         self,
@@ -73,6 +72,7 @@ class VirtualCamera:
         frames: Sequence[bytes],
         clock: Clock,
         *,
+        gaps_ns: Sequence[int] = (),
         pace: float = 1.0,
         loop: bool = False,
         faults: Sequence[Fault] = (),
@@ -83,6 +83,7 @@ class VirtualCamera:
         self.address = 0
         self.frames_sent = 0
         self._frames, self._clock, self._pace, self._loop = frames, clock, pace, loop
+        self._gaps_ns = gaps_ns
         self._script = FaultScript(faults)
         self._guard = RLock()
         self._position = 0
@@ -211,13 +212,16 @@ class VirtualCamera:
         if self._pace == 0:
             return 0
         if self._due_ns is None:
-            self._due_ns = now + self._period_ns
+            self._due_ns = now + self._gap_ns()
         return max(self._due_ns - now, 0)
 
-    @property
-    def _period_ns(self) -> int:
-        fps = self.board.modes[self._committed.frame_index - 1][2] * DELIVERED_SHARE * (self._pace or 1.0)
-        return round(1e9 / fps)
+    def _gap_ns(self) -> int:
+        """The time from the frame sent last to the next one."""
+        if self._gaps_ns:
+            gap_ns: float = self._gaps_ns[self._position % len(self._gaps_ns)]
+        else:
+            gap_ns = 1e9 / self.board.modes[self._committed.frame_index - 1][2]
+        return round(gap_ns / (self._pace or 1.0))
 
     def played_ns(self) -> int:
         """When the frame sent last would have been sent in real time: at pace 0 frames come sooner than that."""
@@ -233,9 +237,9 @@ class VirtualCamera:
             if fault is not None and fault.kind in ("stall", "unplug"):
                 return self._go_away(fault)
             payload = self._frames[self._position]
+            self._played_ns += self._gap_ns()
             self._position += 1
             self._number += 1
-            self._played_ns += self._period_ns
             self._advance_due()
             return self._packets(payload, fault.kind if fault else None, packet_bytes)
 
@@ -259,7 +263,7 @@ class VirtualCamera:
         """Keep the frame rate; when the host is more than one period late, the period starts again."""
         if self._due_ns is not None and self._pace:
             now = self._clock.monotonic_ns()
-            self._due_ns += self._period_ns
+            self._due_ns += self._gap_ns()
             if self._due_ns < now:
                 self._due_ns = now
 
