@@ -4,6 +4,7 @@ The measurements are those of AIAG, Measurement Systems Analysis, 4th edition, c
 three appraisers, three trials. They stand for scores here, with a threshold of 1: a larger one fails.
 """
 
+from datetime import UTC
 from pathlib import Path
 from typing import Final
 
@@ -79,7 +80,7 @@ def _score(operator: str, piece: str, repeat: int) -> float:
 
 def example() -> str:
     """The report as `gelgate msa report` prints it."""
-    return plain_text("Measurement systems analysis", report(material(example_plan(), example_rows())))
+    return plain_text("Measurement systems analysis", report(material(example_plan(), example_rows()), UTC))
 
 
 def page() -> str:

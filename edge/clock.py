@@ -1,9 +1,10 @@
-"""The real clock. Tests pass their own."""
+"""The real clock, and how a person reads it. Tests pass their own."""
 
 import time
+from datetime import UTC, datetime, tzinfo
 from typing import Final
 
-__all__ = ["SystemClock"]
+__all__ = ["SystemClock", "local_time"]
 
 # 1 January 2262: the last year that nanoseconds in 64 bits reach, as the database keeps them, ends on 11 April.
 _LATEST_NS: Final = 9_214_646_400 * 10**9
@@ -23,3 +24,11 @@ class SystemClock:
 
     def sleep(self, seconds: float) -> None:
         time.sleep(seconds)
+
+
+def local_time(time_ns: int, zone: tzinfo | None = None) -> str:
+    """Write a wall-clock moment for a person: local time with its offset, such as `2026-01-31 09:07:19+09:00`.
+
+    zone: None for that of this machine. What programs read has UTC (`edge.messaging.payload_base.iso_time`).
+    """
+    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).astimezone(zone).isoformat(" ")

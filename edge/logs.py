@@ -5,6 +5,7 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from datetime import UTC, datetime
 from typing import Final, Literal
 
 __all__ = ["LogFormat", "about_press", "press_event", "start"]
@@ -38,10 +39,14 @@ def start(log_format: LogFormat, *, is_verbose: bool) -> None:
 
 
 class Text(logging.Formatter):
-    """`time LEVEL part sentence`, and `[press id]` at the end of a line about one press."""
+    """`time LEVEL part sentence`, and `[press id]` at the end of a line about one press. The time is local, with its
+    offset."""
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)s %(name)s %(message)s")
+
+    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:
+        return datetime.fromtimestamp(record.created, UTC).astimezone().isoformat(" ", "milliseconds")
 
     def formatMessage(self, record: logging.LogRecord) -> str:
         press_id = _press_id.get()
@@ -68,6 +73,4 @@ class Json(logging.Formatter):
 
 
 def _iso(seconds: float) -> str:
-    import datetime
-
-    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).isoformat(timespec="milliseconds")
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")

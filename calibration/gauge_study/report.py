@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import tzinfo
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from calibration.gauge_study.average_range import by_average_and_range
 from calibration.gauge_study.drift import Drift, drift
 from calibration.gauge_study.gauge import POOLED_ABOVE, Gauge, gauge_by_anova
 from calibration.gauge_study.material import Material
-from edge.messaging.payload_base import iso_time
+from edge.clock import local_time
 
 __all__ = ["Section", "Table", "report"]
 
@@ -32,12 +33,15 @@ class Section:
     table: Table | None = field(default=None)
 
 
-def report(study: Material) -> list[Section]:
-    """Every section, in order. A score without any variation has no gauge R&R, and its section says so."""
-    return [_about(study), *_gauge(study), *_attribute(study), _drift(study)]
+def report(study: Material, zone: tzinfo | None = None) -> list[Section]:
+    """Every section, in order. A score without any variation has no gauge R&R, and its section says so.
+
+    zone: of the times; None for that of this machine.
+    """
+    return [_about(study, zone), *_gauge(study), *_attribute(study), _drift(study)]
 
 
-def _about(study: Material) -> Section:
+def _about(study: Material, zone: tzinfo | None) -> Section:
     plan, first, last = study.plan, study.presses[0], study.presses[-1]
     facts = {
         "study": plan.study_id,
@@ -45,7 +49,7 @@ def _about(study: Material) -> Section:
         "sensor, gel": f"{first.serial}, {first.gel_id}",
         "bundle": first.bundle_id[:16],
         "threshold": _number(first.threshold),
-        "pressed": f"{iso_time(first.time_ns)[:16]} to {iso_time(last.time_ns)[:16]} UTC",
+        "pressed": f"{local_time(first.time_ns, zone)} to {local_time(last.time_ns, zone)}",
         "order": f"random, seed {plan.seed}",
         "planned": f"{len(plan.pieces)} pieces x {len(plan.operators)} operators x {plan.repeats} repeats",
         "analysed": f"{len(study.pieces)} x {len(study.operators)} x {study.repeats}",

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+from edge.clock import local_time
 from edge.core.printable import printable
 from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
 from edge.core.reference_press.measures import MEASURES
@@ -83,6 +84,6 @@ def _press_line(presses: Sequence[ReferencePress], learn: int) -> str:
         if newest.score is None or newest.threshold is None
         else f"  {newest.score:.4f} / {newest.threshold:.4f}"
     )
-    words = [f"{iso_time(newest.time_ns)[:19]}  {newest.verdict}{score}  gel {newest.gel_id}"]
+    words = [f"{local_time(newest.time_ns)}  {newest.verdict}{score}  gel {newest.gel_id}"]
     words += [found.outcome.value.replace("_", " "), *found.sentences]
     return "  ".join(words)

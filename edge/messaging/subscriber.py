@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from edge.clock import local_time
 from edge.core.errors import SinkUnavailable
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.mqtt_broker import Broker, Received
@@ -107,7 +108,9 @@ def received(
 def describe(result: Mapping[str, Any], station: str) -> str:
     """A result as one line: time, station, verdict, score, cause, gel, latency."""
     verdict, score, threshold = result.get("verdict"), result.get("score"), result.get("threshold")
-    words = [str(result.get("time", "?")), station, str(result.get("part", "?"))]
+    time_ns = result.get("time_ns")
+    moment = local_time(time_ns) if isinstance(time_ns, int) and 0 <= time_ns < 1 << 63 else "?"
+    words = [moment, station, str(result.get("part", "?"))]
     if result.get("position"):
         words.append(str(result["position"]))
     words.append(str(verdict or "error").upper())

@@ -49,6 +49,7 @@ def result(n: int, **changes: object) -> bytes:
     content: dict[str, object] = {
         "press_id": IDS[n],
         "time": "2026-01-31T12:00:00.000250Z",
+        "time_ns": 1_769_860_800_000_250_000,
         "part": "bolt",
         "verdict": "fail",
         "score": 2.5,
@@ -222,16 +223,18 @@ def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
     assert any("again" in sentence for sentence in messages)
 
 
+@pytest.mark.usefixtures("tokyo")
 def test_a_line_says_what_a_person_wants_to_know() -> None:
     """When, where, what, by how much, the gel, the time it took, and whether it is late."""
     line = describe(json.loads(result(0, is_replayed=True, position="top")), "gelgate/plant/line1/press2")
 
     assert line == (
-        "2026-01-31T12:00:00.000250Z  gelgate/plant/line1/press2  bolt  top  FAIL  score 2.5 > 1"
+        "2026-01-31 21:00:00+09:00  gelgate/plant/line1/press2  bolt  top  FAIL  score 2.5 > 1"
         "  gel 12/1000  31.3 ms  (late)"
     )
     unscored = json.loads(result(0, verdict=None, score=None, error="saturated", latency_ms={}))
     assert re.search(r"ERROR  saturated  gel 12/1000$", describe(unscored, "s"))
+    assert describe({"time_ns": 1 << 70}, "s") == "?  s  ?  ERROR  gel ?/?"
 
 
 def test_the_command_prints_json_and_counts(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 import sys
 from collections.abc import Callable
 
@@ -64,6 +65,11 @@ def test_a_line_about_a_press_has_its_id(
     with about_press("01ABC"):
         assert has(formatted(record()))
     assert not has(formatted(record()))
+
+
+def test_a_line_for_a_person_has_local_time_with_its_offset() -> None:
+    """In milliseconds."""
+    assert re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}[+-]\d\d:\d\d [A-Z]+ ", Text().format(record()))
 
 
 def test_a_press_is_an_event(caplog: pytest.LogCaptureFixture) -> None:
