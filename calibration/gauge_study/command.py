@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
     from edge.store.study_presses import StudyPress
 
 __all__ = ["msa"]
 
 msa = typer.Typer(help="Measurement systems analysis: a gauge study.", no_args_is_help=True)
-
-ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
 
 
 @msa.command()
@@ -68,7 +68,7 @@ def _letters(number: int) -> str:
 @msa.command()
 def run(
     plan: Annotated[Path, typer.Argument(help="The plan's file.")],
-    config: ConfigOption = Path("gelgate.toml"),
+    config: ConfigOption = CONFIG,
 ) -> None:
     """Press the plan on a station, step by step.
 
@@ -96,10 +96,8 @@ def report(
     study: Annotated[
         str | None, typer.Argument(help="The plan's file, or the study's id; by default the newest study.")
     ] = None,
-    config: ConfigOption = Path("gelgate.toml"),
-    database: Annotated[
-        Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
-    ] = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write this .txt, .md, .html or .csv file.")
     ] = None,
@@ -111,12 +109,11 @@ def report(
     from calibration.gauge_study.material import material
     from calibration.gauge_study.plan import read_plan
     from calibration.gauge_study.report import report as report_of
-    from edge.config import load_config
     from edge.core.errors import ConfigError
 
     if output is not None and output.suffix.lower() not in FORMATS:
         raise ConfigError(f"the ending of {output} names no format; known are {', '.join(FORMATS)}")
-    text, rows = _stored(database or load_config(config).store.path, study)
+    text, rows = _stored(database_path(config, database), study)
     sections = report_of(material(read_plan(text, "in the database"), rows))
     write = plain_text if output is None else FORMATS[output.suffix.lower()]
     made = write("Measurement systems analysis", sections)

@@ -1,9 +1,10 @@
 """`gelgate acts`: requests to the station and their outcomes, newest first."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
 
 if TYPE_CHECKING:
     from edge.store.acts import Act
@@ -12,12 +13,8 @@ __all__ = ["acts"]
 
 
 def acts(
-    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
-        "gelgate.toml"
-    ),
-    database: Annotated[
-        Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
-    ] = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     count: Annotated[int, typer.Option(help="The newest of this number.", min=1)] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
 ) -> None:
@@ -27,15 +24,11 @@ def acts(
     import json
     from dataclasses import asdict
 
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-    from edge.store.press_store import Store
+    from edge.store.acts import newest
+    from edge.store.database import opened_read_only
 
-    path = database or load_config(config).store.path
-    if not path.is_file():
-        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
-    with Store(path) as store:
-        found = store.acts(count)
+    with opened_read_only(database_path(config, database), "reading the acts") as connection:
+        found = newest(connection, count)
     for act in found:
         typer.echo(json.dumps(asdict(act)) if as_json else _line(act))
     if not found and not as_json:
@@ -43,11 +36,11 @@ def acts(
 
 
 def _line(act: "Act") -> str:
+    from edge.clock import local_time
     from edge.core.printable import printable
-    from edge.messaging.payload_base import iso_time
 
     words = [
-        iso_time(act.time_ns)[:19],
+        local_time(act.time_ns),
         act.verb,
         act.outcome or "interrupted",
         f"for {act.who}",

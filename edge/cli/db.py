@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
     from edge.store.ledger_chain import Head
 
@@ -12,14 +14,11 @@ __all__ = ["db"]
 
 db = typer.Typer(help="Check, back up or migrate the gateway's database.", no_args_is_help=True)
 
-Database = Annotated[Path | None, typer.Option(help="The gateway's database file.")]
-Config = Annotated[Path | None, typer.Option("--config", "-c", help="The configuration that names it.")]
-
 
 @db.command()
 def check(
-    database: Database = None,
-    config: Config = None,
+    database: DatabaseOption = None,
+    config: ConfigOption = CONFIG,
     head: Annotated[
         str | None,
         typer.Option(
@@ -35,7 +34,7 @@ def check(
     from edge.core.printable import printable
     from edge.store.integrity import check_database
 
-    path = _path(database, config)
+    path = database_path(config, database)
     findings = check_database(path, None if head is None else _head(head))
     for finding in findings:
         typer.echo(printable(f"{'FAULT' if finding.is_fault else 'note '}  {finding.part}: {finding.text}"))
@@ -51,8 +50,8 @@ def check(
 @db.command()
 def backup(
     target: Annotated[Path, typer.Argument(help="A new file, or a folder: then the time is in the name.")],
-    database: Database = None,
-    config: Config = None,
+    database: DatabaseOption = None,
+    config: ConfigOption = CONFIG,
     keep: Annotated[
         int | None, typer.Option(help="Then remove older backups in that folder, but for this number.", min=1)
     ] = None,
@@ -63,7 +62,7 @@ def backup(
     from edge.core.errors import ConfigError
     from edge.store.backup import back_up, backups_in
 
-    path = _path(database, config)
+    path = database_path(config, database)
     if keep is not None and not target.is_dir():
         raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
     made = back_up(path, target)
@@ -74,15 +73,15 @@ def backup(
 
 
 @db.command()
-def migrate(database: Database = None, config: Config = None) -> None:
+def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> None:
     """Bring an older database to this version, after a backup.
 
-    The backup is next to the file. A start of the gateway does the same without one."""
+    The backup is next to the file. A start of the gateway does the same."""
     from edge.messaging.publisher_lock import PublisherLock
     from edge.store.backup import migrate as migrate_file
     from edge.store.schema import CHAINED_SINCE, SCHEMA_VERSION
 
-    path = _path(database, config)
+    path = database_path(config, database)
     lock = PublisherLock(path)  # an older gateway must not write meanwhile
     try:
         before, copy = migrate_file(path)
@@ -105,18 +104,3 @@ def _head(text: str) -> "Head":
         return Head.parse(text)
     except ValueError as error:
         raise ConfigError(f"--head: {error}") from error
-
-
-def _path(database: Path | None, config: Path | None) -> Path:
-    """Errors: ConfigError."""
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-
-    if (database is None) == (config is None):
-        raise ConfigError(
-            "give either --database or --config; it selects the gateway whose database is meant"
-        )
-    path = load_config(config).store.path if config is not None else database
-    if path is None or not path.is_file():
-        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
-    return path

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption
+
 if TYPE_CHECKING:
     from edge.config import Config
     from edge.messaging.mqtt_broker import Broker
@@ -23,9 +25,7 @@ class Format(StrEnum):
 
 
 def describe(
-    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
-        "gelgate.toml"
-    ),
+    config: ConfigOption = CONFIG,
     form: Annotated[
         Format,
         typer.Option(

@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
+    from edge.config.tables import GelTable
     from edge.core.part_position import PartPosition
     from edge.store.gel_proofs import GelBundle
     from edge.store.press_store import GelRecord, Store
@@ -14,15 +17,13 @@ __all__ = ["gel", "user"]
 
 gel = typer.Typer(help="Show the wear of gels, or record a replacement.", no_args_is_help=True)
 
-Database = Annotated[Path | None, typer.Option(help="The gateway's database file.")]
-Config = Annotated[Path | None, typer.Option(help="The gateway's configuration, which names the database.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 @gel.command()
 def show(
-    database: Database = None,
-    config: Config = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     serial: Annotated[str | None, typer.Option(help="This sensor only.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -32,11 +33,12 @@ def show(
     import json
 
     from edge.core.printable import printable
-    from edge.store import gel_proofs
+    from edge.store import gel_ledger, gel_proofs
+    from edge.store.database import opened_read_only
 
-    with _open(database, config) as store:
-        gels = store.gels(serial)
-        used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
+    with opened_read_only(database_path(config, database), "reading the gel ledger") as connection:
+        gels = gel_ledger.history(connection, serial, _gel_table(config, database).warn_fraction)
+        used = gel_proofs.of_mounted(connection)
     if as_json:
         print(json.dumps([_plain(record) for record in gels], indent=2))
     elif not gels:
@@ -57,8 +59,8 @@ def replace(
         typer.Option(help="Presses allowed on it; the configured limit by default.", min=1, max=10_000_000),
     ] = None,
     note: Annotated[str, typer.Option(help="Why, or which batch.")] = "",
-    database: Database = None,
-    config: Config = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     as_json: AsJson = False,
 ) -> None:
     """Record that a new gel is mounted.
@@ -72,7 +74,7 @@ def replace(
 
     now_ns = time.time_ns()
     asked = {"serial": serial, "gel_id": gel_id, "limit_presses": limit, "note": note}
-    with _open(database, config) as store:
+    with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
             _only(known) if serial is None else _known(serial, known),
@@ -90,8 +92,8 @@ def replace(
 def prove(
     serial: Annotated[str | None, typer.Option(help="The sensor; needed if there are several.")] = None,
     part: Annotated[str | None, typer.Option(help="Bundles of this part only.")] = None,
-    database: Database = None,
-    config: Config = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
 ) -> None:
     """Record that all presses on the mounted gel were of sound parts.
 
@@ -100,7 +102,7 @@ def prove(
     from edge.core.errors import ConfigError
     from edge.store import gel_proofs
 
-    with _open(database, config) as store:
+    with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         on = _only(known) if serial is None else _known(serial, known)
         used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
@@ -168,38 +170,32 @@ def _known(serial: str, serials: list[str]) -> str:
     return serial
 
 
-def _open(database: Path | None, config: Path | None) -> "Store":
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
+def _open(config: Path, database: Path | None) -> "Store":
     from edge.store.press_store import Store
 
-    if (database is None) == (config is None):
-        raise ConfigError("give either --database or --config; it selects the gateway whose gels are meant")
-    if database is None and config is not None:
-        loaded = load_config(config)
-        database, limit, warn = loaded.store.path, loaded.gel.limit_presses, loaded.gel.warn_fraction
-        return Store(_existing(database), limit_presses=limit, warn_fraction=warn)
-    return Store(_existing(database))
+    path, table = database_path(config, database), _gel_table(config, database)
+    return Store(path, limit_presses=table.limit_presses, warn_fraction=table.warn_fraction)
 
 
-def _existing(database: Path | None) -> Path:
-    from edge.core.errors import ConfigError
+def _gel_table(config: Path, database: Path | None) -> "GelTable":
+    """The limits of gels; the usual ones where a database is named."""
+    from edge.config import load_config
+    from edge.config.tables import GelTable
 
-    if database is None or not database.is_file():
-        raise ConfigError(f"database {database} does not exist; the gateway makes it at its first run")
-    return database
+    return GelTable() if database is not None else load_config(config).gel
 
 
 def _line(record: "GelRecord") -> str:
-    mark = "*" if record.removed_ns is None else " "
-    wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
-    last = "never used" if record.last_use_ns is None else f"last used {_date(record.last_use_ns)}"
-    note = f"  ({record.note})" if record.note else ""
+    from edge.clock import local_time
     from edge.core.printable import printable
 
+    mark = "*" if record.removed_ns is None else " "
+    wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
+    last = "never used" if record.last_use_ns is None else f"last used {local_time(record.last_use_ns)}"
+    note = f"  ({record.note})" if record.note else ""
     return printable(
         f"{mark} {record.gel_id}  sensor {record.serial}  {record.presses}/{record.limit_presses} presses"
-        f"  {record.state}{wear}  mounted {_date(record.installed_ns)}, {last}{note}"
+        f"  {record.state}{wear}  mounted {local_time(record.installed_ns)}, {last}{note}"
     )
 
 
@@ -207,9 +203,3 @@ def _plain(record: "GelRecord") -> dict[str, object]:
     import dataclasses
 
     return {**dataclasses.asdict(record), "state": str(record.state)}
-
-
-def _date(time_ns: int) -> str:
-    from edge.messaging.payload_base import iso_time
-
-    return iso_time(time_ns)[:16].replace("T", " ")

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -15,16 +17,12 @@ __all__ = ["history", "moment_ns"]
 # Without --count and --output, this number of presses is printed.
 PRINTED: Final = 20
 
-_MOMENT: Final = "a date, a time as 2026-01-31T06:00 (UTC unless it names a zone), or an age as 8h, 7d"
+_MOMENT: Final = "a date, a time as 2026-01-31T06:00 (local unless it names a zone), or an age as 8h, 7d"
 
 
 def history(
-    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
-        "gelgate.toml"
-    ),
-    database: Annotated[
-        Path | None, typer.Option(help="A database file, such as a backup, instead of the station's.")
-    ] = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     since: Annotated[str | None, typer.Option(help=f"From this moment on: {_MOMENT}.")] = None,
     until: Annotated[str | None, typer.Option(help="Before this moment, given in the same way.")] = None,
     part: Annotated[str | None, typer.Option(help="This part only.")] = None,
@@ -51,7 +49,6 @@ def history(
     sensor, gel, part, position, verdict, score, threshold and cause: part or gel."""
     import time
 
-    from edge.config import load_config
     from edge.extras import needs
     from edge.store.history import HistoryQuery, read_history
     from edge.store.history_files import write_history
@@ -69,7 +66,7 @@ def history(
         _verdicts(verdict or []),
         count if output or count else PRINTED,
     )
-    rows = read_history(database or load_config(config).store.path, query)
+    rows = read_history(database_path(config, database), query)
     if output is not None:
         typer.echo(f"{write_history(output, rows)} presses in {output}")
     elif as_json:
@@ -88,11 +85,9 @@ def moment_ns(text: str, now_ns: int) -> int:
     if age := re.fullmatch(r"(\d{1,6})([smhd])", text):
         return now_ns - int(age[1]) * {"s": 1, "m": 60, "h": 3600, "d": 86400}[age[2]] * 10**9
     try:
-        moment = datetime.datetime.fromisoformat(text)
-    except ValueError:
+        return round(datetime.datetime.fromisoformat(text).timestamp() * 1e6) * 1000
+    except (ValueError, OverflowError):
         raise ConfigError(f"'{text}' is no moment; give {_MOMENT}") from None
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
-    return round(moment.timestamp() * 1e6) * 1000
 
 
 def _verdicts(given: list[str]) -> tuple[str, ...]:
@@ -127,12 +122,12 @@ def _print_lines(rows: "Iterable[HistoryRow]") -> None:
 
 
 def _line(row: "HistoryRow") -> str:
+    from edge.clock import local_time
     from edge.core.printable import printable
-    from edge.messaging.payload_base import iso_time
 
     score = "" if row.score is None or row.threshold is None else f"  {row.score:.4f} / {row.threshold:.4f}"
     cause = f" ({row.cause})" if row.cause else ""
     return printable(
-        f"{row.number}  {iso_time(row.time_ns)[:19]}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
+        f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
         f"  gel {row.gel_id}"
     )

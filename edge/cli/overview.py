@@ -5,6 +5,8 @@ from typing import Annotated, Final
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption
+
 __all__ = ["overview"]
 
 # An OAK starts in some seconds.
@@ -12,9 +14,7 @@ PATIENCE_S: Final = 20.0
 
 
 def overview(
-    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
-        "gelgate.toml"
-    ),
+    config: ConfigOption = CONFIG,
     save: Annotated[
         Path | None, typer.Option(help="Save the still, such as the `empty` of [overview].")
     ] = None,

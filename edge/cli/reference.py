@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
     from edge.config import Config
     from edge.core.ports import Clock
@@ -24,15 +26,10 @@ reference = typer.Typer(help="Press a master piece, or show its control charts."
 TAKEN_WITHIN_S: Final = 30.0
 LOOK_S: Final = 0.2
 
-ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
-DatabaseOption = Annotated[
-    Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
-]
-
 
 @reference.command()
 def press(
-    config: ConfigOption = Path("gelgate.toml"),
+    config: ConfigOption = CONFIG,
     database: DatabaseOption = None,
     piece: Annotated[str | None, typer.Option(help="The master piece, where there are several.")] = None,
     restart: Annotated[
@@ -56,7 +53,7 @@ def press(
     loaded = None if database is not None else load_config(config)
     if loaded is not None and not loaded.reference.pieces:
         raise ConfigError(f"{config} names no master piece; name one under [[reference.pieces]]")
-    path = _existing(database or load_config(config).store.path)
+    path = database_path(config, database)
     clock = SystemClock()
     now_ns = clock.time_ns()
     wish = ReferenceRequest(new_ulid(now_ns), f"{user()}, command line", piece, restart, now_ns)
@@ -69,7 +66,7 @@ def press(
 
 @reference.command()
 def chart(
-    config: ConfigOption = Path("gelgate.toml"),
+    config: ConfigOption = CONFIG,
     database: DatabaseOption = None,
     part: Annotated[str | None, typer.Option(help="This part only.")] = None,
     piece: Annotated[str | None, typer.Option(help="This master piece only.")] = None,
@@ -94,7 +91,7 @@ def chart(
     from edge.store.reference_presses import read_pieces
 
     loaded = None if database is not None else load_config(config)
-    known = read_pieces(_existing(database or load_config(config).store.path))
+    known = read_pieces(database_path(config, database))
     chosen = {
         key: presses
         for key, presses in known.items()
@@ -157,14 +154,6 @@ def _waited(clock: "Clock", timeout_s: float, found: Callable[[], T | None]) -> 
     while (one := found()) is None and clock.monotonic_ns() <= end_ns:
         clock.sleep(LOOK_S)
     return one
-
-
-def _existing(path: Path) -> Path:
-    from edge.core.errors import ConfigError
-
-    if not path.is_file():
-        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
-    return path
 
 
 def _learn(loaded: "Config | None", learn: int | None) -> int:

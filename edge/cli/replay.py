@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
@@ -25,12 +27,8 @@ def replay(
     press_id: Annotated[
         str | None, typer.Argument(metavar="[PRESS_ID]", help="A press_id, or its beginning.")
     ] = None,
-    config: Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")] = Path(
-        "gelgate.toml"
-    ),
-    database: Annotated[
-        Path | None, typer.Option(help="A database file, such as a backup, instead of the station's.")
-    ] = None,
+    config: ConfigOption = CONFIG,
+    database: DatabaseOption = None,
     archive: Annotated[
         Path | None, typer.Option(help="The folder of archived presses; next to the database by default.")
     ] = None,
@@ -181,16 +179,12 @@ class _Run:
 def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[Path, list[Path]]:
     """The database, and where bundles are; where both are named no configuration is needed. Errors: ConfigError."""
     from edge.config import load_config
-    from edge.core.errors import ConfigError
 
     if database is not None and bundles and not config.exists():
-        path, places = database, bundles
+        places = bundles
     else:
-        loaded = load_config(config)
-        path, places = database or loaded.store.path, [*bundles, *_configured(loaded)]
-    if not path.is_file():
-        raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
-    return path, places
+        places = [*bundles, *_configured(load_config(config))]
+    return database_path(config, database), places
 
 
 def _configured(config: "Config") -> "Iterator[Path]":
@@ -225,12 +219,12 @@ def _same_part(inspector: "Inspector") -> "_InspectorOf":
 
 
 def _line(found: "Replayed") -> str:
-    from edge.messaging.payload_base import iso_time
+    from edge.clock import local_time
 
     then = found.then
     score = "" if then.score is None else f"  {then.score:.6g} / {then.threshold or 0.0:.6g}"
     return (
-        f"{then.press_id}  {iso_time(then.time_ns)[:19]}  {then.part}/{then.position or '-'}  {then.verdict}{score}  "
+        f"{then.press_id}  {local_time(then.time_ns)}  {then.part}/{then.position or '-'}  {then.verdict}{score}  "
         + ("equal, bit for bit" if found.is_equal else "DIFFERS")
     )
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.station_options import CONFIG, ConfigOption
+
 if TYPE_CHECKING:
     from edge.gateway.recorder import PressReport
     from edge.gateway.summary import Summary
@@ -100,11 +102,10 @@ StateOption = Annotated[
     Path | None,
     typer.Option("--state-dir", help="The folder of a relative store.path; that of the file by default."),
 ]
-ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
 
 
 def run(
-    config: ConfigOption = Path("gelgate.toml"),
+    config: ConfigOption = CONFIG,
     presses: Annotated[int | None, typer.Option(min=1, help="Stop after this number of presses.")] = None,
     wait_for_device: Annotated[
         bool,
@@ -148,7 +149,7 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
-        on_press = log_press if log_json else lambda report: out.put(press_line(report))
+        on_press = log_press if log_json else lambda report: out.put(_timed_line(report))
         read_again = partial(load_config, config, state_dir)
         with Gateway.open(loaded, clock, on_press, checked, read_again) as gateway:
             if is_service:
@@ -187,13 +188,13 @@ class Lines:
 
 
 def check(
-    config: ConfigOption = Path("gelgate.toml"),
+    config: ConfigOption = CONFIG,
     state_dir: StateOption = None,
     example: Annotated[bool, typer.Option("--example", help="Print a configuration to start from.")] = False,
 ) -> None:
     """Check all that `run` needs; report every fault.
 
-    Configuration, bundle, sensor, database and sinks are tried as at a start."""
+    Configuration, bundle, sensor, database and sinks are tried as at a start. Nothing is written."""
     if example:
         typer.echo(EXAMPLE, nl=False)
         return
@@ -204,7 +205,7 @@ def check(
 
     loaded = load_config(config, state_dir)
     typer.echo(f"ok     configuration: {config}")
-    with preflight(loaded, SystemClock()) as checked:
+    with preflight(loaded, SystemClock(), is_start=False) as checked:
         findings = checked.findings
     for finding in findings:
         typer.echo(f"{'ok    ' if finding.error is None else 'FAULT '} {finding.part}: {finding.text}")
@@ -251,6 +252,12 @@ def log_summary(summary: "Summary") -> None:
     fields = {"event": "summary", "presses": summary.presses, "verdicts": dict(summary.verdicts)}
     log = logging.getLogger(__name__)
     log.info("%s", summary_text(summary).replace("\n", "; "), extra={"fields": fields})
+
+
+def _timed_line(report: "PressReport") -> str:
+    from edge.clock import local_time
+
+    return f"{local_time(report.result.time_ns)}  {press_line(report)}"
 
 
 def press_line(report: "PressReport") -> str:

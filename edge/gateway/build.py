@@ -3,6 +3,7 @@
 This is the only place that knows which parts exist.
 """
 
+import logging
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -46,12 +47,16 @@ from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message, state_message
+from edge.store.backup import migrate
 from edge.store.outbox import Bounds
 from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
+from edge.store.schema import SCHEMA_VERSION
 
 __all__ = ["build"]
+
+log = logging.getLogger(__name__)
 
 # An overview camera may give one picture a second.
 OVERVIEW_STALL_S: Final = 5.0
@@ -72,11 +77,14 @@ def build(
     asked for. Errors: ConfigError, BundleError, StoreError.
     """
     table, calls, retained_state = config.station, LoopCalls[StationLoop](), _retained_state(config)
+    # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
+    lock = PublisherLock(config.store.path)
+    closing.callback(lock.close)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
     part = first_part(config.inspection, bundles, store.selected())
     commands = _commands(config, calls, store, clock)
-    publisher = _publisher(config, clock, retained_state, commands, closing)
+    publisher = _publisher(config, clock, retained_state, commands, closing, lock)
     status = StationStatus(_announcer(config, publisher.announce, closing), clock)
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
@@ -123,12 +131,14 @@ def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock
 
 
 def _publisher(
-    config: Config, clock: Clock, retained_state: RetainedState, commands: Commands, closing: ExitStack
+    config: Config,
+    clock: Clock,
+    retained_state: RetainedState,
+    commands: Commands,
+    closing: ExitStack,
+    lock: PublisherLock,
 ) -> Publisher:
     """With its sinks, and not yet started. Errors: ConfigError."""
-    # The lock before the sinks: otherwise a second gateway would disconnect this one from the broker.
-    lock = PublisherLock(config.store.path)
-    closing.callback(lock.close)
     sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
     before = _names_before(config)
     return Publisher(
@@ -246,10 +256,14 @@ def _names_before(config: Config) -> dict[str, str]:
 
 
 def _open_store(config: Config, clock: Clock) -> Store:
+    path = config.store.path
+    before, copy = migrate(path) if path.is_file() else (0, None)
+    if copy is not None:
+        log.warning(
+            "database %s migrated from version %d to %d; as it was: %s", path, before, SCHEMA_VERSION, copy
+        )
     bounds = Bounds(round(config.store.outbox_mb * 1e6), config.store.outbox_days * 86400)
-    return Store(
-        config.store.path, bounds, config.gel.limit_presses, config.gel.warn_fraction, clock.monotonic_ns
-    )
+    return Store(path, bounds, config.gel.limit_presses, config.gel.warn_fraction, clock.monotonic_ns)
 
 
 def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:

@@ -53,14 +53,15 @@ class Opened:
 class BundleOpener:
     """Opens bundles: tried in a child process, verified, loaded, run once, golden frames scored.
 
-    tried: the list of bundles that were tried; None runs none in a child process. newest: revision of the newest bundle
-    in use for a position. One thread uses it at a time.
+    tried: the list of bundles that were tried; None runs none in a child process. keeps_trials: add to that list.
+    newest: revision of the newest bundle in use for a position. One thread uses it at a time.
     """
 
-    def __init__(self, tried: Path | None, threads: int, clock: Clock) -> None:
+    def __init__(self, tried: Path | None, threads: int, clock: Clock, *, keeps_trials: bool = True) -> None:
         self.trunks = TrunkSessions(threads)
         self.newest: NewestRevision = lambda part: None
         self._tried = tried
+        self._keeps_trials = keeps_trials
         self._clock = clock
 
     def open(self, table: InspectionTable, before: BundleSet | None = None) -> Opened:
@@ -94,7 +95,7 @@ class BundleOpener:
             )  # a graph that has changed under its manifest is refused, as at a start
             return OpenBundle(one.path, one.names, earlier.inspector, earlier.golden_difference)
         if self._tried is not None:
-            try_once(one.path, trust, table.threads, self._tried)
+            try_once(one.path, trust, table.threads, self._tried, keep=self._keeps_trials)
         bundle = Bundle.load(one.path, loaded=self.trunks, trust=trust)
         if table.older == "refused":
             check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
@@ -149,10 +150,10 @@ def _digest(path: Path, trust: Trust) -> str:
     return hashlib.sha256(raw).hexdigest()
 
 
-def try_once(path: Path, trust: Trust, threads: int, tried: Path) -> None:
+def try_once(path: Path, trust: Trust, threads: int, tried: Path, *, keep: bool = True) -> None:
     """Run the bundle in a child process with limits, unless it was: the file `tried` has the digests of those.
 
-    Errors: BundleError.
+    keep: add it there. Errors: BundleError.
     """
     digest = _digest(path, trust)  # the signature before anything of it is run
     mark = f"{digest} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
@@ -162,6 +163,8 @@ def try_once(path: Path, trust: Trust, threads: int, tried: Path) -> None:
     if mark in known:
         return
     try_bundle(path, threads=threads)
+    if not keep:
+        return
     with contextlib.suppress(OSError):  # then it is tried at the next start too
         tried.write_text("\n".join([*known, mark][-KEPT_TRIALS:]) + "\n", encoding="utf-8")
 

@@ -5,7 +5,9 @@ once.
 """
 
 import contextlib
+import os
 import socket
+import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +32,9 @@ from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
-from edge.store.press_store import Store
+from edge.store import bundles_in_use, gel_ledger
+from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.integrity import quick_check
 
 __all__ = ["Finding", "Preflight", "preflight"]
 
@@ -114,18 +118,19 @@ class Preflight:
         return f"{sensor.product}, serial {sensor.serial}, {sensor.mode[0]}x{sensor.mode[1]}"
 
 
-def preflight(config: Config, clock: Clock) -> Preflight:
+def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflight:
     """Try bundles, sensor, database and receivers, in the order in which a start uses them.
 
+    The database is read only. is_start: keep the list of bundles that were tried; otherwise no file is written.
     A receiver that is away is not a fault: results wait for it in the outbox, and its finding says so.
     """
     tried = config.store.path.with_name(config.store.path.name + ".tried")
-    opener = BundleOpener(tried, config.inspection.threads, clock)
-    opener.newest = lambda part: _stored(config, lambda store: store.newest_revision(part))
+    opener = BundleOpener(tried, config.inspection.threads, clock, keeps_trials=is_start)
+    opener.newest = lambda part: _stored(config, partial(bundles_in_use.revision, part=part))
     found = Preflight(opener)
     found.open_bundles(config)
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
-        selected = _stored(config, Store.selected)
+        selected = _stored(config, bundles_in_use.selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     if config.overview is not None:
@@ -154,11 +159,13 @@ def _described(one: OpenBundle) -> str:
     )
 
 
-def _stored(config: Config, ask: Callable[[Store], T]) -> T | None:
+def _stored(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
     """An answer of the database; None of a new one. One that cannot be read has its own finding."""
-    if config.store.path.is_file():
-        with contextlib.suppress(StoreError), Store(config.store.path) as store:
-            return ask(store)
+    with (
+        contextlib.suppress(StoreError),
+        opened_read_only(config.store.path, "reading it", any_version=True) as connection,
+    ):
+        return ask(connection)
     return None
 
 
@@ -191,12 +198,31 @@ def _overview(table: OverviewTable) -> str:
 
 
 def _database(config: Config) -> str:
-    if not config.store.path.parent.is_dir():
-        raise ConfigError(f"store.path: the folder {config.store.path.parent} does not exist; make it")
-    with Store(config.store.path) as store:
-        store.check()
-        gels = [gel for gel in store.gels() if gel.removed_ns is None]
-    return "; ".join(f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels) or "new"
+    path = config.store.path
+    if not path.parent.is_dir():
+        raise ConfigError(f"store.path: the folder {path.parent} does not exist; make it")
+    if path.is_dir():
+        raise ConfigError(f"store.path: {path} is a folder; name a file")
+    for needed in (path, path.parent) if path.exists() else (path.parent,):
+        if not os.access(needed, os.W_OK):
+            raise StoreError(
+                f"database {path}: {needed} cannot be written; give the gateway's user the right to write the file "
+                "and its folder"
+            )
+    if not path.exists():
+        return "new"
+    if damage := quick_check(path, lambda: False):
+        raise StoreError(f"{damage}; move it away to keep it for repair; a new one is made")
+    with opened_read_only(path, "reading the gel ledger", any_version=True) as connection:
+        version = schema_version(connection)
+        known = gel_ledger.history(connection, None, config.gel.warn_fraction) if version else []
+        gels = [gel_ledger.mounted(connection, serial, 1.0) for serial in sorted({g.serial for g in known})]
+    words = [f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels if g is not None]
+    if 0 < version < SCHEMA_VERSION:
+        words.append(
+            f"of version {version}: a start migrates it to version {SCHEMA_VERSION}, after a copy next to it"
+        )
+    return "; ".join(words) or "new"
 
 
 def _commands(config: Config) -> str:

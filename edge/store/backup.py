@@ -30,7 +30,7 @@ def back_up(database: Path, target: Path) -> Path:
     Errors: StoreError (not there, target exists, no room, damaged, rights).
     """
     if target.is_dir():
-        target = target / f"{database.stem}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.db"
+        target = target / f"{database.stem}-{_utc()}.db"
     _refuse_target(database, target)
     part = target.with_name(target.name + ".part")
     try:
@@ -60,13 +60,17 @@ def migrate(database: Path) -> tuple[int, Path | None]:
     Returns (version before, copy); the copy is None where nothing was to do. Errors: StoreError; the file is then as it
     was.
     """
-    with opened_read_only(database, "reading its version") as connection:
+    with opened_read_only(database, "reading its version", any_version=True) as connection:
         before = schema_version(connection)
-    if before == SCHEMA_VERSION:
+    if before in (0, SCHEMA_VERSION):  # 0: an empty file, which gets its tables at its first use
         return before, None
-    copy = back_up(database, database.with_name(f"{database.stem}.version{before}{database.suffix}"))
-    Database(database).close()
+    copy = back_up(database, database.with_name(f"{database.stem}.version{before}-{_utc()}{database.suffix}"))
+    Database(database, migrates=True).close()
     return before, copy
+
+
+def _utc() -> str:
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
 
 
 def _refuse_target(database: Path, target: Path) -> None:
@@ -90,7 +94,7 @@ def _copy(database: Path, part: Path) -> None:
     """Errors: StoreError for a damaged source or copy."""
     part.unlink(missing_ok=True)
     with (
-        opened_read_only(database, "reading it for a backup") as source,
+        opened_read_only(database, "reading it for a backup", any_version=True) as source,
         closing(sqlite3.connect(part)) as copy,
     ):
         source.execute("COMMIT")  # the backup takes its own read lock

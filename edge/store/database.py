@@ -44,10 +44,11 @@ class Database:
 
     path: made at first use, with its tables. is_durable: commits survive a power cut. Otherwise they survive a crash of
     the process only, at a tenth of the cost. That is enough for acknowledgements: after a loss a message is sent twice.
-    Errors: StoreError (of another program, newer than this program, damaged, no permission, no space).
+    migrates: bring older tables to this version; only `edge.store.backup.migrate` does, after a copy.
+    Errors: StoreError (of another program, of another version, damaged, no permission, no space).
     """
 
-    def __init__(self, path: Path, *, is_durable: bool = True) -> None:
+    def __init__(self, path: Path, *, is_durable: bool = True, migrates: bool = False) -> None:
         self.path = path
         self._lock = threading.RLock()  # a nested transaction is then an error, not a deadlock
         with self._faults("opening"):
@@ -58,7 +59,7 @@ class Database:
             # Text that a damaged page has made unreadable must not keep the rows around it from being read.
             self._connection.text_factory = lambda data: data.decode(errors="replace")
             with self._faults("opening"):
-                _prepare(self._connection, path, is_durable)
+                _prepare(self._connection, path, is_durable, migrates)
         except BaseException:
             self._connection.close()
             raise
@@ -95,20 +96,27 @@ class Database:
 
 
 @contextmanager
-def opened_read_only(path: Path, doing: str) -> Iterator[sqlite3.Connection]:
+def opened_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iterator[sqlite3.Connection]:
     """A connection that cannot write, also while a gateway runs: one state of the file from its first query on.
 
-    Errors: StoreError (not there, of another program, newer than this program, damaged).
+    any_version: older tables too. Errors: StoreError (not there, of another program or version, damaged).
     """
     if not path.is_file():
         raise StoreError(f"database {path} does not exist; the gateway makes it at its first run")
     with _faults(path, doing):
-        uri = f"{path.resolve().as_uri()}?mode=ro"
+        # SQLite needs a journal to read while another process writes. One that is there stays as it is. One that SQLite
+        # makes for us is removed at the end only where the file is opened for writing, which `query_only` then forbids.
+        real = path.resolve()
+        mode = "ro" if real.with_name(f"{real.name}-wal").exists() else "rw"
+        uri = f"{real.as_uri()}?mode={mode}"
         with closing(
             sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
         ) as connection:
             connection.text_factory = lambda data: data.decode(errors="replace")
+            connection.execute("PRAGMA query_only = 1")
             _refuse_foreign(connection, path)
+            if not any_version:
+                _refuse_older(connection, path)
             connection.execute("BEGIN")
             yield connection
 
@@ -128,8 +136,10 @@ def _faults(path: Path, doing: str) -> Iterator[None]:
         raise StoreError(f"database {path}: {doing} failed ({error}); {advice}") from error
 
 
-def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool) -> None:
+def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool, migrates: bool) -> None:
     _refuse_foreign(connection, path)
+    if not migrates and schema_version(connection) > 0:
+        _refuse_older(connection, path)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {'FULL' if is_durable else 'NORMAL'}")
     connection.execute(f"PRAGMA journal_size_limit = {JOURNAL_LIMIT_BYTES}")
@@ -159,6 +169,14 @@ def _refuse_foreign(connection: sqlite3.Connection, path: Path) -> None:
         raise StoreError(
             f"database {path} has schema version {version}, this program knows up to {SCHEMA_VERSION}; "
             "use the newer gelgate that wrote it, or name another file"
+        )
+
+
+def _refuse_older(connection: sqlite3.Connection, path: Path) -> None:
+    if (version := schema_version(connection)) != SCHEMA_VERSION:
+        raise StoreError(
+            f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
+            "`gelgate db migrate` brings it there after a copy, and so does a start of the gateway"
         )
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.core.errors import ArchiveError
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import opened_read_only
 from edge.store.ledger_chain import head
 
 __all__ = ["KnownPress", "find_press", "presses_since"]
@@ -52,11 +52,6 @@ def presses_since(database: Path, since_ns: int | None = None) -> Iterator[Known
 
 def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:
     with opened_read_only(database, "reading what is archived") as connection:
-        if (version := schema_version(connection)) != SCHEMA_VERSION:
-            raise ArchiveError(
-                f"database {database} has schema version {version}, this program reads {SCHEMA_VERSION}; "
-                "`gelgate db migrate` brings it there"
-            )
         rows = connection.execute(
             f"SELECT {_COLUMNS} FROM presses WHERE {condition} ORDER BY number LIMIT ?", (*values, limit)
         )

@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
-from edge.core.errors import StoreError
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import opened_read_only
 
 __all__ = ["COLUMNS", "HistoryQuery", "HistoryRow", "read_history"]
 
@@ -70,11 +69,6 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
     limit = -1 if query.newest is None else query.newest
     columns = ", ".join("running_ns / 1e9" if name == "running_s" else name for name in COLUMNS)
     with opened_read_only(path, "reading the history") as connection:
-        if (version := schema_version(connection)) != SCHEMA_VERSION:
-            raise StoreError(
-                f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
-                "`gelgate db migrate` brings it there"
-            )
         rows = connection.execute(
             f"SELECT {columns} FROM presses WHERE number IN (SELECT number FROM presses WHERE {condition} "
             "ORDER BY number DESC LIMIT ?) ORDER BY number",

@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-from edge.core.errors import StoreError
 from edge.store import ledger_check
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import opened_read_only
 from edge.store.finding import Finding
 from edge.store.ledger_chain import Head
 from edge.store.outbox import ROW_OVERHEAD_BYTES
@@ -36,11 +35,6 @@ def check_database(path: Path, held: Head | None = None) -> list[Finding]:
     """
     counts = PressCounts(path).read()  # before the database: a press that comes between makes it only newer
     with opened_read_only(path, "checking") as connection:
-        if (version := schema_version(connection)) != SCHEMA_VERSION:
-            raise StoreError(
-                f"database {path} has schema version {version}, this program checks {SCHEMA_VERSION}; "
-                "`gelgate db migrate` brings it there"
-            )
         damages = list(_file(connection))
         # Rows of a damaged file say nothing that can be relied on.
         return damages or [
@@ -57,7 +51,7 @@ def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
 
     Errors: StoreError for a file that cannot be read; TimeoutError when it was ended.
     """
-    with opened_read_only(path, "checking") as connection:
+    with opened_read_only(path, "checking", any_version=True) as connection:
         connection.set_progress_handler(is_over, ASKED_EVERY)
         try:
             (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()

@@ -268,20 +268,6 @@ class Store:
                 f"database {self.path} holds a press that cannot be ({error}); move it away to keep it for repair"
             ) from error
 
-    def check(self) -> None:
-        """Read the complete file and compare its indexes. Errors: StoreError naming what is damaged, or the mounted
-        gel whose count cannot be."""
-        with self._database.reading("checking") as connection:
-            found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if found != "ok":
-            damage = " ".join(str(found).split())  # SQLite reports it in several lines
-            raise StoreError(
-                f"database {self.path} is damaged ({damage}); move it away to keep it for repair; a new one is made"
-            )
-        with self._database.reading("checking") as connection:
-            for gel in ledger.history(connection, None, self._warn_fraction):
-                ledger.mounted(connection, gel.serial, self._warn_fraction)
-
     def close(self) -> None:
         """Close the file; harmless when repeated."""
         self._database.close()

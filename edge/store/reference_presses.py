@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from edge.core.errors import StoreError
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import opened_read_only
 from edge.store.press_store import PressRecord, Store
 
 __all__ = [
@@ -155,11 +154,6 @@ def withdraw(connection: sqlite3.Connection, request: str) -> bool:
 def read_pieces(path: Path) -> dict[PieceKey, list[ReferencePress]]:
     """Every master piece with its presses, oldest first; also while a gateway runs. Errors: StoreError."""
     with opened_read_only(path, "reading the reference presses") as connection:
-        if (version := schema_version(connection)) != SCHEMA_VERSION:
-            raise StoreError(
-                f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
-                "`gelgate db migrate` brings it there"
-            )
         keys = connection.execute(
             "SELECT DISTINCT serial, part, position, piece FROM reference_presses ORDER BY 1, 2, 3, 4"
         ).fetchall()

@@ -4,15 +4,12 @@ Functions that take a connection run inside the caller's transaction.
 """
 
 import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from edge.core.errors import StoreError
 from edge.store import ledger_chain
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import opened_read_only
 from edge.store.press_store import PressRecord
 
 __all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "plan_of", "read_study", "studies", "void"]
@@ -112,7 +109,7 @@ def void(connection: sqlite3.Connection, press_id: str) -> bool:
 
 def studies(path: Path) -> list[tuple[str, int, int]]:
     """Each study with when it began and the number of its presses that count, oldest first. Errors: StoreError."""
-    with _opened(path) as connection:
+    with opened_read_only(path, "reading the studies") as connection:
         rows = connection.execute(
             "SELECT study_id, started_ns, (SELECT count(*) FROM study_presses AS p WHERE p.study_id = s.study_id AND "
             "NOT is_void) FROM studies AS s ORDER BY started_ns"
@@ -122,17 +119,6 @@ def studies(path: Path) -> list[tuple[str, int, int]]:
 
 def read_study(path: Path, study_id: str) -> tuple[str, list[StudyPress]] | None:
     """The plan and the presses; None for a study that is not there. Errors: StoreError."""
-    with _opened(path) as connection:
+    with opened_read_only(path, "reading the studies") as connection:
         plan = plan_of(connection, study_id)
         return None if plan is None else (plan, of_study(connection, study_id))
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[sqlite3.Connection]:
-    with opened_read_only(path, "reading the studies") as connection:
-        if (version := schema_version(connection)) != SCHEMA_VERSION:
-            raise StoreError(
-                f"database {path} has schema version {version}, this program reads {SCHEMA_VERSION}; "
-                "`gelgate db migrate` brings it there"
-            )
-        yield connection

@@ -31,12 +31,16 @@ def database(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("tokyo")
 def test_show_prints_each_gel_on_a_line(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The mounted one is marked with *."""
+    """The mounted one is marked with *; times are local, with their offset."""
     show(database=database)
 
     out = capsys.readouterr().out
-    assert out.startswith("* 2BNN4ZE7-1  sensor 2BNN4ZE7  1/1000 presses  good  mounted 2026-")
+    assert out == (
+        "* 2BNN4ZE7-1  sensor 2BNN4ZE7  1/1000 presses  good  mounted 2026-05-29 05:26:40+09:00, "
+        "last used 2026-05-29 05:26:40+09:00  (first seen)\n"
+    )
 
 
 def test_replace_records_the_act_and_publishes_it(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,12 +76,6 @@ def test_a_database_that_is_not_there_is_not_made(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="does not exist"):
         show(database=tmp_path / "typo.db")
     assert not (tmp_path / "typo.db").exists()
-
-
-def test_which_database_is_meant_must_be_said() -> None:
-    """By one of the two ways."""
-    with pytest.raises(ConfigError, match="either --database or --config"):
-        show()
 
 
 def test_the_commands_are_registered() -> None:

@@ -30,14 +30,15 @@ def database(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("tokyo")
 def test_the_newest_presses_are_printed_with_their_totals(database: Path) -> None:
-    """Twenty, oldest first, and a last line that counts them."""
+    """Twenty, oldest first, at local times with their offset, and a last line that counts them."""
     done = gelgate("history", "--database", database)
     lines = done.out.splitlines()
 
     assert done.code == 0
     assert len(lines) == 21
-    assert lines[0] == "6  2026-05-29T01:26:40  bolt/-  pass  0.5000 / 1.0000  gel 2BNN4ZE7-1"
+    assert lines[0] == "6  2026-05-29 10:26:40+09:00  bolt/-  pass  0.5000 / 1.0000  gel 2BNN4ZE7-1"
     assert lines[-1] == "20 presses: 4 fail, 16 pass"
 
 
@@ -49,11 +50,12 @@ def test_a_file_has_all_that_fit(database: Path, tmp_path: Path) -> None:
     assert len((tmp_path / "all.csv").read_text().splitlines()) == 26
 
 
+@pytest.mark.usefixtures("tokyo")
 def test_conditions_are_combined(database: Path) -> None:
-    """Fails from one moment up to another, as JSON lines."""
+    """Fails from one moment up to another, as JSON lines; the moments are local."""
     done = gelgate(
         *("history", "--database", database, "--json", "--verdict", "fail", "--verdict", "unsure"),
-        *("--since", "2026-05-29T06:00", "--until", "2026-05-29T20:00"),
+        *("--since", "2026-05-29T15:00", "--until", "2026-05-30T05:00"),
     )
 
     assert [json.loads(line)["number"] for line in done.out.splitlines()] == [15, 20]
@@ -72,19 +74,22 @@ def test_a_mistyped_verdict_is_refused(database: Path) -> None:
     assert done.sentence() == "no press has the verdict 'failed'; did you mean 'fail'?"
 
 
+@pytest.mark.usefixtures("tokyo")
 def test_acts_are_read_from_the_same_file(database: Path) -> None:
     """A station's database is not next to its configuration where a service runs it."""
     with Store(database) as store:
         store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"), within_s=0)
 
-    assert "trigger  done  for shift leader" in gelgate("acts", "--database", database).out
+    line = "2026-05-29 05:26:40+09:00  trigger  done  for shift leader\n"
+    assert gelgate("acts", "--database", database).out == line
 
 
+@pytest.mark.usefixtures("tokyo")
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("2026-05-28", T0 - 73_600 * 10**9),
-        ("2026-05-28T20:26:40", T0),
+        ("2026-05-29", T0 - 19_600 * 10**9),
+        ("2026-05-29T05:26:40", T0),
         ("2026-05-28T22:26:40+02:00", T0),
         ("2026-05-28T20:26:40Z", T0),
         ("2h", T0 - 2 * HOUR_NS),
@@ -92,11 +97,11 @@ def test_acts_are_read_from_the_same_file(database: Path) -> None:
     ],
 )
 def test_a_moment_is_a_date_a_time_or_an_age(text: str, expected: int) -> None:
-    """UTC where no zone is named."""
+    """Local where no zone is named, as times are printed."""
     assert moment_ns(text, T0) == expected
 
 
-@pytest.mark.parametrize("text", ["yesterday", "2026-13-01", "-3h", ""])
+@pytest.mark.parametrize("text", ["yesterday", "2026-13-01", "0001-01-01", "-3h", ""])
 def test_what_is_no_moment_is_refused(text: str) -> None:
     """With the ways to write one."""
     with pytest.raises(ConfigError, match="is no moment; give a date"):

@@ -138,7 +138,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
         lambda bench: bench.config(database="absent/gelgate.db"), 3, ("store.path", "absent does not exist; make it"),
     ),
     "a folder in the database's place": (
-        lambda bench: bench.config(database="presses"), 1, ("presses", "unable to open database file"),
+        lambda bench: bench.config(database="presses"), 3, ("store.path", "presses is a folder; name a file"),
     ),
     "no database": (garbage, 1, ("garbage.db", "file is not a database", "name another file")),
     "a damaged database": (damaged, 1, ("damaged.db is damaged (", "move it away to keep it for repair")),

@@ -148,7 +148,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     "a new gel for a sensor never seen": (
         known_sensor, 3, ("no gel of a sensor 'TEST0010' is in the ledger", "did you mean 'TEST0001'?"),
     ),
-    "gels of an unknown gateway": (lambda _: ["gel", "show"], 3, ("--database or --config",)),
+    "gels of an unknown gateway": (lambda _: ["gel", "show"], 3, ("gelgate.toml does not exist", "gelgate check")),
     "watch without a broker": (
         lambda _: ["watch", "--host", "127.0.0.1", "--port", "1", "--timeout", "1"],
         4, ("no broker answers at 127.0.0.1:1", "correct host and port"),

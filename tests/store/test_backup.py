@@ -3,17 +3,19 @@
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from edge.core.errors import StoreError
-from edge.store import backup
+from edge.store import backup, database
 from edge.store.backup import back_up, backups_in, migrate
+from edge.store.database import opened_read_only, schema_version
 from edge.store.integrity import check_database
 from edge.store.press_store import MakeMessages, PressRecord, Store
-from edge.store.schema import SCHEMA_VERSION
+from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
@@ -107,7 +109,27 @@ def test_an_older_database_is_migrated_after_a_backup(tmp_path: Path) -> None:
     version, copy = migrate(path)
 
     assert version == 1
-    assert copy == tmp_path / "gelgate.version1.db"
+    assert copy is not None
+    assert fnmatch(copy.name, f"gelgate.version1-{'[0-9]' * 8}T{'[0-9]' * 6}Z.db")
     assert presses(copy) == presses(path) == before > 0
     assert migrate(path) == (SCHEMA_VERSION, None)
     assert [finding for finding in check_database(path) if finding.is_fault] == []
+
+
+def test_a_migration_that_fails_leaves_the_file_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every byte of it, next to the copy."""
+    path = tmp_path / "gelgate.db"
+    path.write_bytes(KEPT.read_bytes())
+    monkeypatch.setattr(database, "MIGRATIONS", (*MIGRATIONS[:-1], "CREATE TABLE presses (x);"))
+    with pytest.raises(StoreError, match="table presses already exists"):
+        migrate(path)
+
+    assert path.read_bytes() == KEPT.read_bytes()
+    assert [schema_version_of(one) for one in sorted(tmp_path.iterdir())] == [1, 1]
+
+
+def schema_version_of(path: Path) -> int:
+    with opened_read_only(path, "", any_version=True) as connection:
+        return schema_version(connection)

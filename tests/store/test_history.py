@@ -11,6 +11,7 @@ from pyarrow import parquet
 from recorded_presses import SERIAL, T0
 
 from edge.core.errors import StoreError
+from edge.store.backup import migrate
 from edge.store.database import APPLICATION_ID, opened_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history
 from edge.store.history_files import write_history
@@ -169,7 +170,7 @@ def test_a_press_keeps_whether_gel_or_part_is_its_cause(
 
 
 def test_presses_of_earlier_versions_have_no_cause(path: Path, make_press: MakePress) -> None:
-    """A database of version 4 opens, keeps its presses, and takes causes from then on."""
+    """A database of version 4 is migrated, keeps its presses, and takes causes from then on."""
     connection = sqlite3.connect(path)
     for script in MIGRATIONS[:4]:
         connection.executescript(script)
@@ -179,6 +180,7 @@ def test_presses_of_earlier_versions_have_no_cause(path: Path, make_press: MakeP
         "VALUES ('01ARZ3NDEKTSV4RRFFQ69G5FAV', 1, 'S', 'S-1', 'bolt', 'fail', 0)"
     )
     connection.close()
+    migrate(path)
     with Store(path) as store:
         store.record_press(replace(make_press(2, "fail"), cause="part"), lambda recorded: [])
 

@@ -18,6 +18,7 @@ from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
 from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
 from edge.store.acts import Act
+from edge.store.backup import migrate
 from edge.store.finding import Finding
 from edge.store.integrity import check_database
 from edge.store.ledger_chain import Head
@@ -223,6 +224,7 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
                                                                   messages_of: MessagesOf) -> None:  # fmt: skip
     """Its old presses stay, outside the chain; its gels and all that follows are in it."""
     path = Path(shutil.copy(OLD, tmp_path / "gelgate.db"))
+    migrate(path)
     with Store(path) as store:
         before = len(store.presses())
         store.record_press(make_press(1, serial="NEW"), messages_of(make_press(1, serial="NEW")))

@@ -255,10 +255,10 @@ def test_a_file_that_is_no_database_is_refused(path: Path, content: bytes, advic
     assert path.read_bytes() == content
 
 
-def test_a_damaged_page_is_found_by_check_and_named(
+def test_a_damaged_page_is_found_and_named(
     path: Path, make_press: MakePress, messages_of: MessagesOf
 ) -> None:
-    """Garbage inside the file: `check` says damaged, and recording is an error, not a guess."""
+    """Garbage inside the file is an error, not a guess."""
     with Store(path) as store:
         for n in range(40):
             store.record_press(make_press(n), messages_of(make_press(n), 5000))
@@ -267,7 +267,7 @@ def test_a_damaged_page_is_found_by_check_and_named(
     path.write_bytes(damaged)
 
     with pytest.raises(StoreError, match=r"damaged|malformed"), Store(path) as store:
-        store.check()
+        store.presses(40)
 
 
 def test_a_database_of_another_program_is_refused(path: Path) -> None:
