@@ -8,6 +8,7 @@ import json
 import os
 import re
 import sqlite3
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -321,9 +322,15 @@ def _cell(value: Any) -> Any:
 @pytest.mark.parametrize(
     "verb", ["history", "acts", "gel show", "reference chart", "db check", "replay --all"]
 )
-def test_what_a_verb_prints_of_the_station(played: Played, verb: str) -> None:
-    """As text."""
-    done = gelgate(*verb.split(), "--config", played.folder / "gelgate.toml")
+def test_what_a_verb_prints_of_the_station(
+    played: Played, verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As text, with the local times of one zone."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "JST-9")
+        time.tzset()
+        done = gelgate(*verb.split(), "--config", played.folder / "gelgate.toml")
+    time.tzset()
 
     check(
         f"printed/{verb.replace(' ', '_')}.txt",
