@@ -179,7 +179,7 @@ class InspectionSession:
                 self._again.drop("the gel was replaced")
             if self._scars is not None:
                 self._scars.mount(gel.gel_id)
-                self._status.gel_scars(None)
+                self._status.gel_scars(None, None)
             self.relearn()
 
     def _add(self, inspections: list[Inspection]) -> None:
@@ -193,7 +193,7 @@ class InspectionSession:
             else:
                 self._uncounted += 1
         if inspections and self._scars is not None:
-            self._status.gel_scars(self._scars.blind)
+            self._status.gel_scars(self._scars.blind, self._scars.mark)
             self._scars.save()
 
     def _see(self, event: Event) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
+from edge.core.contact.reach import expected_reach
 from edge.core.contact.reference import View
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.gel_scars.causes import Blame
@@ -27,6 +28,7 @@ from edge.core.press_label import PressLabel
 from edge.core.reference_press.measures import Imprint
 from edge.core.registration.registrar import Registered
 from edge.core.verdict import Kind, Verdict
+from edge.model.limit_facts import USUAL_CONTACT
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
 
@@ -114,7 +116,8 @@ class Inspection:
 class Inspector:
     """Judges settled frames with one bundle.
 
-    fault: why its scores cannot be trusted now; then a press gives this error and no verdict.
+    fault: why its scores cannot be trusted now; then a press gives this error and no verdict. expected: where nominal
+    presses reach, bool (h, w) of the region in the bank's pose; None where the bundle does not show it.
     """
 
     fault: str | None = None
@@ -127,6 +130,13 @@ class Inspector:
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
         self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
+        self.expected = expected_reach(
+            [one.rgb for one in self.bundle.golden if one.score <= self.bundle.manifest.threshold.value],
+            self.bundle.free_view,
+            self.bundle.bank.get(USUAL_CONTACT),
+            self.bundle.region,
+            self.bundle.profile.size,
+        )
 
     def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
         """Judge one frame; `touch` is the touched part of the gel. Never raises because of a frame's content."""

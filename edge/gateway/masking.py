@@ -1,4 +1,4 @@
-"""A press without the places that are not judged because of scars: as it is inspected, and as it is made again."""
+"""A press without the places that are not judged: as it is inspected, and as it is made again."""
 
 from dataclasses import replace
 

@@ -96,7 +96,7 @@ def _without_scars(
     """The places that were not judged then are not judged now."""
     if press.masked is None or now.score_map is None or press.map_shape != now.score_map.shape:
         return now
-    data = archive.read(press.masked, f"the places under scars of press {press.press_id}")
+    data = archive.read(press.masked, f"the places of press {press.press_id} that were not judged")
     places = read_mask(data, now.score_map.shape)
     return masked(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
 

@@ -1,16 +1,21 @@
 """The scars of the mounted gel: each press is judged with them, and they are kept across restarts."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.reach import reach
 from edge.core.contact.reference import View
 from edge.core.contact.tracker import ContactTracker
 from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.gel_scars.free_views import FreeViews
-from edge.core.gel_scars.gel_scars import GelScars, Judged
+from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.without_marks import without_marks
+from edge.core.registration.pose import warped
 from edge.gateway.inspector import Inspection, Inspector, ScarFindings
 from edge.gateway.masking import masked
 from edge.store.scar_files import ScarFolder
@@ -36,8 +41,8 @@ class ScarSettings:
 
 
 class ScarWatch:
-    """Used by the loop alone. blind: what to do about the gel, a sentence, while too much of it is scarred; None until
-    a press shows that."""
+    """Used by the loop alone. Sentences about the gel, None until a press shows it. blind: too much of it is scarred.
+    mark: one place exceeds in press after press."""
 
     def __init__(self, folder: ScarFolder, settings: ScarSettings, serial: str) -> None:
         self._folder, self._settings, self._serial = folder, settings, serial
@@ -45,10 +50,11 @@ class ScarWatch:
         self._left: View | None = None
         self._scars, self._gel_id, self._unsaved = GelScars(), "", 0
         self.blind: str | None = None
+        self.mark: str | None = None
 
     def mount(self, gel_id: str) -> None:
         """This gel is pressed from now on: its record is read, an unknown gel has none."""
-        self._gel_id, self.blind = gel_id, None
+        self._gel_id, self.blind, self.mark = gel_id, None, None
         self._scars = GelScars(self._folder.load(self._serial, gel_id))
         self.forget_free()
 
@@ -76,8 +82,11 @@ class ScarWatch:
         press = _scored(inspection, inspector, tracker)
         if press is None:
             return inspection
-        is_masking = self._settings.is_masking and _is_highest(inspection)
+        if not (can_mask := _is_highest(inspection)):
+            press = replace(press, reach=None)
+        is_masking = self._settings.is_masking and can_mask
         judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
+        self.mark = None if judged.repeated is None else _repeated(judged.repeated)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return masked(inspection, self._findings(inspection, judged), inspector.bundle)
 
@@ -126,6 +135,20 @@ def _too_blind(gel_id: str, judged: Judged, settings: ScarSettings) -> str:
     )
 
 
+def _repeated(place: Repeated) -> str:
+    at = f"at ({place.x_mm:.1f}, {place.y_mm:.1f}) mm"
+    if place.is_outside:
+        return (
+            f"the gel shows the same mark {at} in five presses in a row, where the part does not reach, so nothing "
+            "fails by it; wipe the gel there, or change it"
+        )
+    return (
+        f"five presses in a row exceed the limit at the same place of the gel, {at}: a mark of the gel, or the same "
+        "damage of each part; wipe the gel there and press a part that is known to be good; if it fails there too, "
+        "change the gel"
+    )
+
+
 def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracker) -> ScoredPress | None:
     """None for a press without a score."""
     verdict, found, rgb = inspection.verdict, inspection.registered, inspection.rgb
@@ -134,7 +157,7 @@ def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracke
     bundle = inspector.bundle
     size, region = bundle.profile.size, bundle.region
     x_mm, y_mm = bundle.profile.mm_per_pixel
-    return ScoredPress(
+    press = ScoredPress(
         inspection.score_map,
         verdict.threshold - (verdict.tolerance or 0.0),
         region,
@@ -145,3 +168,16 @@ def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracke
         None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
         lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )
+    return replace(press, reach=_reach(press, inspection, inspector, tracker))
+
+
+def _reach(
+    press: ScoredPress, inspection: Inspection, inspector: Inspector, tracker: ContactTracker
+) -> NDArray[np.bool_] | None:
+    """Where the part is or should be, of the view; None where one of both is not known."""
+    touched, relief, expected = tracker.chosen_mask, tracker.chosen_relief, inspector.expected
+    if touched is None or relief is None or expected is None:
+        return None
+    found, usual = inspection.registered, expected.astype(np.float32)
+    here = usual if found is None else warped(usual, found.pose.inverse())
+    return reach(touched, relief) | (press.in_view(here) > 0)

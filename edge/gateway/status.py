@@ -151,12 +151,14 @@ class StationStatus:
         text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
         self.alarm("gel", text, "warning" if gel.state is GelState.DUE else "error")
 
-    def gel_scars(self, sentence: str | None) -> None:
-        """An alarm while scars of the gel hide too much of what is pressed."""
-        if sentence is not None:
-            self.alarm("gel_scar", sentence)
-        elif "gel_scar" in self._raised:
-            self.clear("gel_scar")
+    def gel_scars(self, blind: str | None, mark: str | None) -> None:
+        """Alarms while scars of the gel hide too much of what is pressed, and while one place of it exceeds again and
+        again."""
+        for alarm, sentence in (("gel_scar", blind), ("gel_mark", mark)):
+            if sentence is not None:
+                self.alarm(alarm, sentence, "error" if alarm == "gel_scar" else "warning")
+            elif alarm in self._raised:
+                self.clear(alarm)
 
     def gel_proof(self, sentence: str | None, unproven: Literal["off", "warn", "refuse"]) -> None:
         """Why the bundle in use is not yet proven on the mounted gel, None where it is: in the state, and an alarm, or

@@ -36,6 +36,8 @@ ADVICE: Final[Mapping[str, str]] = {
     "reference": "`gelgate reference press`, then press the master piece; where it is out of limits, the text names "
     "what to check first",
     "gel_scar": "wipe the gel; if the alarm comes back at the next press, change it: see Gel change",
+    "gel_mark": "wipe the gel at that place and press a part that is known to be good; if the alarm stays, change the "
+    "gel",
     "trigger_device": "check its cable; `gelgate check` tries each; it is opened again when it is back",
     "actuator": "check its cable and its supply; stop the line where a reject gate depends on it",
     "pulse": "find the part, then acknowledge it, with the button, on the page or with the request",

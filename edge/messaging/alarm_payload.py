@@ -29,6 +29,7 @@ ALARMS: Final[Mapping[str, str]] = {
     "gel_proof": "the bundle in use is not yet proven on the mounted gel; with `refuse` parts are rejected meanwhile",
     "reference": "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
     "gel_scar": "scars of the gel hide more of what is pressed than is accepted; presses do not pass",
+    "gel_mark": "one place of the gel exceeds the limit in five presses in a row; the text says where",
     "trigger_device": "a pedal or button cannot be used",
     "actuator": "a light or relay cannot be used, or its watchdog has put it into its safe state",
     "pulse": "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",

@@ -92,7 +92,8 @@ class ResultPayload(Payload):
         default=None, ge=0, le=1, description="the same as a share of the contact"
     )
     unmasked_score: float | None = Field(
-        default=None, description="the score with the places under scars; null where none was left out"
+        default=None,
+        description="the score with the places under scars and beyond the part; null where none was left out",
     )
     method: str | None = None
     bundle_id: str | None = None

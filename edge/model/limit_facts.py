@@ -12,6 +12,7 @@ __all__ = [
     "LIMIT",
     "METHOD_CHOICE",
     "MISSING",
+    "USUAL_CONTACT",
     "augmentation_sentence",
     "backbone_sentence",
     "copies_of_each",
@@ -72,6 +73,9 @@ def limit_sentence(facts: Mapping[str, Any]) -> str:
 
 MISSING = "missing_relief"
 """The entry's name: `is_checked`, `why`, `found`, the share of smoother presses, and `tap`, whose features are read."""
+
+USUAL_CONTACT = "relief_expected"
+"""The array of the bank with the mean contact of nominal presses, where missing relief is checked."""
 
 
 def missing_sentence(facts: Mapping[str, Any]) -> str:

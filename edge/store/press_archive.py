@@ -37,8 +37,8 @@ class ArchivedPress(BaseModel):
     reference: the free gel, .npy float32 (h, w, 3). score_map: raw bytes, float32 little-endian of map_shape, row by
     row. machine: JSON, see `edge.model.machine`. reason, error: as published.
     asked_up_to: the bound, for a press that a second one was asked for. first_score: of the first press, for a second.
-    masked: places under scars that were not judged, one bit each, row by row; is_too_blind: they were more than was
-    accepted, and a pass was unsure.
+    masked: places that were not judged, under scars or beyond the part, one bit each, row by row; is_too_blind: those
+    under scars were more than was accepted, and a pass was unsure.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)

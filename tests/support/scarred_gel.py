@@ -1,6 +1,6 @@
 """Recordings of a gel that is scarred between two presses: the mark is in every picture from then on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,11 @@ def scarred_recording(
     marks: Mapping[int, Sequence[tuple[int, int, int]]],
     dented: Sequence[int] = (),
     motion: Motion | None = None,
+    levels: float = _LEVELS,
+    on_part: Callable[[NDArray[np.uint8], int], NDArray[np.uint8]] = lambda frame, press: frame,
 ) -> Path:
-    """Presses as of `press_recording`. marks: left, top and side of the marks that appear before press n."""
+    """Presses as of `press_recording`. marks: left, top and side of the marks that appear before press n, and how
+    strong. on_part: changes the frames of press n while it is pressed."""
     motion = motion or Motion(idle=20)
     rng = np.random.default_rng(5)
     header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
@@ -38,14 +41,17 @@ def scarred_recording(
             for step, depth in enumerate([*depths, *[0.0] * after]):
                 if step == len(depths):
                     shown += marks.get(press + 1, ())
-                frame = _marked(gel(rng, depth, press in dented), shown)
+                frame = gel(rng, depth, press in dented)
+                frame = _marked(on_part(frame, press) if depth else frame, shown, levels)
                 writer.add(jpeg(frame), round(number * 1e9 / FPS), {"press": press if depth else None})
                 number += 1
     return folder
 
 
-def _marked(frame: NDArray[np.uint8], marks: Sequence[tuple[int, int, int]]) -> NDArray[np.uint8]:
+def _marked(
+    frame: NDArray[np.uint8], marks: Sequence[tuple[int, int, int]], levels: float
+) -> NDArray[np.uint8]:
     light = frame.astype(np.float32)
     for left, top, side in marks:
-        light[top : top + side, left : left + side] -= _LEVELS
+        light[top : top + side, left : left + side] -= levels
     return np.clip(light, 0, 255).astype(np.uint8)

@@ -75,11 +75,13 @@ def press_recording(
     return folder
 
 
-def small_bundle(folder: Path, nominal: Path, sensor: SensorProfile | None = None) -> Path:
+def small_bundle(
+    folder: Path, nominal: Path, sensor: SensorProfile | None = None, threshold: float = 0.1
+) -> Path:
     """A bundle fitted on a recording with the smallest detector: what is tested is everything around it."""
     sensor = sensor or profile("cropped_lr")
     region = Region.centre(sensor.size)
-    config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=0.1)
+    config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=threshold)
     return fit_bundle(folder, read_presses([nominal], sensor, region), config, created="2026-01-01")
 
 

@@ -26,15 +26,28 @@ _HALO_PX: Final = 8
 _SHARES: Final = (1.0, 0.7, 0.4)
 # The mask is 0.25 mm wider than what exceeded: the next press shows the scar slightly larger.
 _WIDER: Final = np.ones((5, 5), np.uint8)
+# This many presses in a row that exceed within 1 mm of one place of the gel are said.
+_REPEATED: Final = 5
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """A place of the gel that exceeded the limit in press after press. x_mm, y_mm: from the region's top left corner.
+    is_outside: no part reaches it."""
+
+    x_mm: float
+    y_mm: float
+    is_outside: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
     """One press, with the scars known before it.
 
-    masked: bool (h, w) of the map, places that were not judged because of scars. highest: of the map elsewhere.
-    blind_mm2: their area, where the press touches; blind_share: of the contact. blame: why the rest exceeded the limit,
-    None where it did not. is_new: whether a scar became known.
+    masked: bool (h, w) of the map, places that were not judged: under scars, or beyond the part's reach. highest: of
+    the map elsewhere. blind_mm2: area under scars where the press touches; blind_share: of the contact. blame: why the
+    rest exceeded the limit, None where it did not. is_new: whether a scar became known. repeated: None where no place
+    exceeded in five presses in a row; known scars are left out.
     """
 
     masked: Mask
@@ -43,6 +56,7 @@ class Judged:
     blind_share: float
     blame: Blame | None
     is_new: bool
+    repeated: Repeated | None = None
 
 
 @final
@@ -55,6 +69,7 @@ class GelScars:
     def __init__(self, record: ScarRecord | None = None, first: View | None = None) -> None:
         self.record = record or ScarRecord.empty((VIEW_SIZE[1], VIEW_SIZE[0]))
         self.first = first
+        self._in_a_row = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.int64)
 
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
@@ -64,16 +79,18 @@ class GelScars:
         is_masking: False judges known scars too.
         """
         before = self.record.masked
-        masked = press.in_map(before) & is_masking
-        rest = np.where(masked, -np.inf, press.score_map)
         excess = press.excess()
+        scarred = press.in_map(before) & is_masking
+        outside, left_out = _outside(press, excess)
+        masked = scarred | press.in_map(left_out)
+        rest = np.where(masked, -np.inf, press.score_map)
         open_places = press.in_view(np.where(rest > press.limit, np.float32(1), np.float32(0))) > 0
         blames, scars = list[Blame](), np.zeros_like(before)
         if open_places.any():
             blames, scars = self._blamed(press, excess, open_places, self._marks(free, left))
         self.record = self.record.after(excess > 0, press.shown(), scars, press.place_mm)
         contact = press.in_map(np.ones_like(before) if press.contact is None else press.contact)
-        blind = masked & contact
+        blind = scarred & contact
         return Judged(
             masked,
             float(rest.max()),
@@ -81,6 +98,24 @@ class GelScars:
             float(blind.sum()) / max(1, int(contact.sum())),
             together(blames),
             bool((self.record.masked & ~before).any()),
+            self._repeated(press, np.where(before, np.float32(0), excess), outside),
+        )
+
+    def _repeated(self, press: ScoredPress, excess: F32, outside: Mask) -> Repeated | None:
+        """The place that exceeded in the most presses in a row."""
+        near = _within(excess > 0, _HALO_PX)
+        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(press.shown(), 0, self._in_a_row))
+        most = int(self._in_a_row.max())
+        here = near & (self._in_a_row == most)
+        if most < _REPEATED or not here.any():
+            return None
+        inside = cv2.distanceTransform(here.astype(np.uint8), cv2.DIST_L2, 5)
+        row, column = np.unravel_index(int(inside.argmax()), here.shape)
+        x_px, y_px = (column + 0.5) * press.size[0] / VIEW_SIZE[0], (row + 0.5) * press.size[1] / VIEW_SIZE[1]
+        return Repeated(
+            float(x_px - press.region.x) * press.mm_per_pixel[0],
+            float(y_px - press.region.y) * press.mm_per_pixel[1],
+            not bool(_within((excess > 0) & ~outside, _HALO_PX / 2)[row, column]),
         )
 
     def _marks(self, free: View | None, left: View | None) -> Marks | None:
@@ -111,6 +146,19 @@ class GelScars:
             near = near | _within(known.places, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
+
+
+def _outside(press: ScoredPress, excess: F32) -> tuple[Mask, Mask]:
+    """The places above the limit that lie beyond the part's reach, and with what they raise around them there.
+
+    A place that meets the reach anywhere is judged, all of it.
+    """
+    if press.reach is None:
+        return (nowhere := np.zeros(excess.shape, bool)), nowhere
+    _, labels = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
+    met = np.isin(labels, np.unique(labels[press.reach])) & (excess > 0)
+    outside = (excess > 0) & ~met
+    return outside, _within(outside, _HALO_PX) & ~met & ~press.reach
 
 
 def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[float | None]:

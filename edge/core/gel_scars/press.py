@@ -26,7 +26,8 @@ class ScoredPress:
     (width, height), of `mm_per_pixel` (x, y). contact: bool (120, 160) of the view, None where it is not known. unseen:
     bool (h, w), places that were not judged. place_mm: where the part lay, None where it is not known. without: the
     score map of the same picture without a change of the gel, float32 (120, 160, 3) of the view in levels; None where
-    that cannot be scored.
+    that cannot be scored. reach: where the part is or should be, bool (120, 160); None where that is not known, and
+    every place may be the part's.
     """
 
     score_map: F32
@@ -38,6 +39,7 @@ class ScoredPress:
     unseen: Mask | None = None
     place_mm: tuple[float, float] | None = None
     without: Callable[[View], F32 | None] = lambda change: None
+    reach: Mask | None = None
 
     def excess(self) -> F32:
         """How far each pixel of the view is above the limit, float32 (120, 160); 0 outside the region."""

@@ -181,6 +181,72 @@ def test_known_scars_are_judged_where_nothing_is_masked() -> None:
         assert (judged.blame.cause, judged.blind_mm2) == (Cause.GEL, 0)
 
 
+def beside(*places: tuple[slice, slice]) -> ScoredPress:
+    """A press whose map is 5 at these places of the view; the part reaches the place of `press` and 2 mm around."""
+    picture = FREE.copy()
+    for place in places:
+        picture[place] += np.float32(20)
+    reach = np.zeros((120, 160), bool)
+    reach[38:78, 60:100] = True
+    return replace(scored(picture), reach=reach)
+
+
+def speck(row: int, column: int = 110) -> tuple[slice, slice]:
+    return slice(row, row + 4), slice(column, column + 4)
+
+
+def test_what_lies_beyond_the_part_is_not_judged_and_hides_nothing_of_the_contact() -> None:
+    """The speck raises nothing by itself; with damage in the part, the damage alone is blamed."""
+    gel = GelScars(first=FREE)
+    alone, both = gel.judge(beside(speck(20)), None), gel.judge(beside(speck(20), IN_VIEW), None)
+
+    assert (alone.blame, alone.blind_mm2, alone.highest) == (None, 0, pytest.approx(0.2))
+    assert both.blame is not None
+    assert both.highest == pytest.approx(5.2)
+    assert not gel.record.masked.any()
+
+
+def test_a_place_that_reaches_the_part_is_judged_to_its_end() -> None:
+    """Damage at the edge of the part whose excess runs 2 mm beyond it."""
+    judged = GelScars(first=FREE).judge(beside((slice(50, 54), slice(96, 116))), FREE)
+
+    assert judged.blame is not None
+    assert not judged.masked.any()
+
+
+def test_a_place_that_exceeds_in_five_presses_in_a_row_is_repeated() -> None:
+    """Within 1 mm, whatever else exceeds; a press without it ends that. The place: of the speck's first 4 pixels, its
+    middle."""
+    gel = GelScars(first=FREE)
+    found = [gel.judge(beside(speck(20 + n % 2), speck(90, 30 + 20 * (n % 3))), None) for n in range(6)]
+    found.append(gel.judge(beside(), None))
+    places = [one.repeated for one in found]
+
+    assert [one is not None for one in places] == [False] * 4 + [True, True, False]
+    assert places[4] is not None
+    assert places[4].is_outside
+    assert (places[4].x_mm, places[4].y_mm) == pytest.approx((176 * 0.0634, 37 * 0.0634), abs=0.13)
+
+
+def test_damage_that_moves_with_the_part_is_not_repeated_and_of_a_fixture_it_is_said_to_be_reached() -> None:
+    """Five bad parts: the gel or the parts, which cannot be told, so the place is not called the gel's."""
+    moving, held = GelScars(first=FREE), GelScars(first=FREE)
+    moved = [moving.judge(beside(speck(40 + 18 * (n % 2), 62 + 9 * (n % 3))), None) for n in range(8)]
+    fixed = [held.judge(beside(IN_VIEW), None) for _ in range(5)]
+
+    assert [one.repeated for one in moved] == [None] * 8
+    assert fixed[4].repeated is not None
+    assert not fixed[4].repeated.is_outside
+    assert all(one.blame is not None for one in fixed)
+
+
+def test_a_known_scar_is_not_said_to_be_repeated() -> None:
+    """It is masked, and how much is masked has an alarm of its own."""
+    gel = GelScars(first=FREE)
+
+    assert [gel.judge(press(free=marked(20)), marked(20)).repeated for _ in range(8)] == [None] * 8
+
+
 @pytest.mark.parametrize("size", [(48, 40), (160, 120), (320, 240), (1280, 720)])
 def test_a_place_is_the_same_in_pictures_of_any_size(size: tuple[int, int]) -> None:
     """What exceeds in the map exceeds in the view, and nothing far from it does."""
