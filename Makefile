@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff test test-train golden test-fuzz test-plain lint docs heads measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff test test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -85,10 +85,6 @@ lint: $(VENV)/.test
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
 	$(BIN)/python docs/msa_example.py
-
-# The detectors' graphs that ship, after a change to a detector or to its settings; the tests compare them.
-heads: $(VENV)/.test
-	$(BIN)/python -m export.prebuilt_heads
 
 # The shape of the source: rooms, circles, lengths. tests/project/test_shape.py holds the limits.
 measure: $(VENV)/.test

@@ -7,12 +7,11 @@ from edge.core.errors import ConfigError
 __all__ = ["is_installed", "needs"]
 
 # The package to import, by the extra of `pip install` that brings it.
-_STUDIES = ("onnx", "joblib", "pandas", "matplotlib", "jinja2")
+_STUDIES = ("joblib", "pandas", "matplotlib", "jinja2")
 _PACKAGES = {
-    "export": ("onnx",),
-    "openvino": ("openvino", "onnx"),
-    "benchmark": ("onnx", "jinja2"),
-    "train": ("torch", "onnx", "jinja2"),
+    "openvino": ("openvino",),
+    "benchmark": ("jinja2",),
+    "train": ("torch", "jinja2"),
     "studies": _STUDIES,
     "peers": (*_STUDIES, "torch", "anomalib"),
     "cluster": (*_STUDIES, "distributed"),

@@ -70,10 +70,8 @@ def backbone(
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile as known_profile
     from edge.core.imaging.region import Region
-    from edge.extras import needs
     from export.backbone import BackboneOptions
 
-    needs("export", "export backbone")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     sensor = known_profile(profile)

@@ -43,10 +43,8 @@ def tiles(
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.imaging.tiles import tiling
-    from edge.extras import needs
     from plugins.backbones.tiled import tile_trunk
 
-    needs("export", "export tiles")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     try:
@@ -80,11 +78,9 @@ def merge(
 
     It contains the bank. It is checked first: its scores must be those of the bundle."""
     from edge.core.errors import ConfigError
-    from edge.extras import needs
     from edge.model.bundle import Bundle
     from export.merge import merge_bundle
 
-    needs("export", "export merge")
     if output.exists() and not overwrite:
         raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)

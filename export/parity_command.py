@@ -29,11 +29,9 @@ def parity(
     STAGES holds `frames` (n, h, w, 3) and any of `input`, the taps, values of the head, `map` and `score`, as the
     research model computed them. The first stage that differs is named. Exit code 5 when one does."""
     from edge.core.errors import BundleError
-    from edge.extras import needs
     from edge.model.bundle import Bundle
     from export.bundle_stages import compared_with
 
-    needs("export", "export parity")
     found = compared_with(Bundle.load(bundle, trunks), stages)
     for result in found.results:
         typer.echo(f"{'equal  ' if result.is_equal else 'DIFFERS'} {result.sentence()}")

@@ -42,11 +42,9 @@ def precision(
     from calibration.fitting.command import refuse_existing
     from calibration.progress import Stages
     from edge.core.errors import ConfigError
-    from edge.extras import needs
     from edge.model.bundle import Bundle, write_bundle
     from export.precision import Precision, chosen, in_precision, measured
 
-    needs("export", "export precision")
     if wanted != "auto" and wanted not in get_args(Precision):
         raise ConfigError(f"--precision is auto, {', '.join(get_args(Precision))}; found '{wanted}'")
     if not 0 < limit < 1:

@@ -117,7 +117,7 @@ def _adapted(
     graph: Path, content: bytes, frames: "NDArray[np.uint8]", given: "GraphInput", report: Path | None
 ) -> tuple[bytes, dict[str, str]]:
     """The graph as the gateway runs it, and what was found of it. Errors: as `adapted`; BundleCorrupt."""
-    from edge.extras import is_installed, needs
+    from edge.extras import is_installed
     from export.single_graph import GraphInput, adapted
 
     if not is_installed("onnx") and given == GraphInput() and report is None:
@@ -125,7 +125,6 @@ def _adapted(
             content,
             {},
         )  # a graph that meets the contract needs no change; others are refused when they are opened
-    needs("export", "wrap")
     ready = adapted(content, frames, given, graph.name)
     if ready.parity is not None:
         if report is not None:

@@ -19,7 +19,6 @@ from calibration.fitting.damaged_presses import damaged_presses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.folds import held_out_folds
-from calibration.fitting.heads import check_head
 from calibration.fitting.held_out import Learner, ScoredPresses, held_out
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.pose_decision import PoseChoice, Take, chosen_pose
@@ -173,11 +172,10 @@ class TrunkBench:
         self.trunk_ms = 0.0
 
     def learner(self, detector: Detector) -> Learner:
-        """Errors: FitError where the method has no head for this trunk."""
+        """Errors: FitError for settings that the method refuses."""
         config = self._config
         parameters = detector.parameters(config.mode, **config.overrides)
         grid = replace(self._grid, taps={tap: self._grid.taps[tap] for tap in detector.taps(parameters)})
-        check_head(detector, grid, parameters)
         return Learner(detector, grid, parameters, config.seed, config.threads)
 
     def take(self, frames: U8) -> Features:

@@ -35,7 +35,6 @@ from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.folds import held_out_folds
-from calibration.fitting.heads import check_head
 from calibration.fitting.held_out import Learner
 from calibration.fitting.limit_choice import Choice
 from calibration.fitting.limit_step import LimitStep
@@ -229,7 +228,6 @@ class _Fit:
             (region.height, region.width),
             self.config.profile.pixels_per_mm,
         )
-        check_head(self.detector, self.grid, self.parameters)
         self.learner = Learner(
             self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
         )

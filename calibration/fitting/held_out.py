@@ -10,7 +10,6 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.fitting.augmentation import Copies
-from calibration.fitting.heads import head_of
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
 from edge.model.packing import pack, unpack
@@ -48,7 +47,7 @@ class Learner:
 
     def head(self, bank: Bank) -> bytes:
         """Errors: FitError."""
-        return head_of(self.detector, self.grid, bank, self.parameters)
+        return self.detector.head(self.grid, bank, self.parameters)
 
     def scores(self, bank: Bank, features: Features, rows: Sequence[int]) -> NDArray[np.float64]:
         """Anomaly scores (len(rows),) of those presses, with the bank as stored. Errors: FitError."""

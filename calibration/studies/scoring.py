@@ -13,7 +13,6 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.fitting.heads import head_of
 from calibration.metrics import auroc
 from calibration.metrics.pooled import pooled_measures
 from calibration.threads import one_blas_thread
@@ -90,7 +89,7 @@ def fit_and_score(
         bank = detector.fit(nominal, grid, parameters, np.random.default_rng(seed), lambda fraction: None)
     with stages.timed("score_s"):
         packed = _packed(bank)
-        head = head_of(detector, grid, bank, parameters)
+        head = detector.head(grid, bank, parameters)
         result = scored(head, _unpacked(bank, packed), test, detector.name)
     with stages.timed("measure_s"):
         found = {**measures(result, test), **also(result)}

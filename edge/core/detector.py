@@ -24,7 +24,6 @@ __all__ = [
     "Detector",
     "Features",
     "Grid",
-    "HasPrebuiltHeads",
     "HasReference",
     "Mode",
     "Nominal",
@@ -119,7 +118,7 @@ class ScoreMaps:
 
 @runtime_checkable
 class Detector(Protocol):
-    """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `HasPrebuiltHeads`.
+    """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`.
 
     Parameters are one frozen value, a dataclass or a pydantic model, with `vars` that JSON can hold. The same ones go
     to `fit` and `head`, and into the manifest.
@@ -165,14 +164,4 @@ class HasReference(Protocol):
 
     def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
         """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`."""
-        ...
-
-
-@runtime_checkable
-class HasPrebuiltHeads(Protocol):
-    """A detector of this product whose heads are stored with it, so that a fit needs no onnx package."""
-
-    @property
-    def prebuilt_frames(self) -> tuple[tuple[int, int], ...]:
-        """The (h, w) of the frames for which `make heads` stores heads with the default parameters."""
         ...

@@ -116,10 +116,8 @@ def import_(
     from calibration.fitting.command import chosen_profile, found_sources, nominal_presses, refuse_existing
     from calibration.progress import Stages
     from edge.cli.named_values import named_values
-    from edge.extras import needs
     from export.importers.api import ImportOptions, import_detector
 
-    needs("export", "export import")
     refuse_existing(output, overwrite)
     sensor = chosen_profile(profile, sources)
     found = found_sources(sources, part, position, sensor)

@@ -15,7 +15,6 @@ import pytest
 from onnx import numpy_helper
 from presses import fitted
 
-from calibration.fitting.heads import head_of
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
@@ -214,7 +213,7 @@ def test_the_shipped_backbone_in_each_precision() -> None:
         taps = detector.taps(parameters)
         grid = Grid((224, 224), {tap: features[tap].shape[1:] for tap in taps}, 15.77)
         bank = fitted(detector, parameters, Nominal({tap: features[tap] for tap in taps}), grid)
-        head = session(head_of(detector, grid, bank, parameters))
+        head = session(detector.head(grid, bank, parameters))
         feeds = {
             i.name: features[i.name][:1] if i.name in features else bank.arrays[i.name]
             for i in head.get_inputs()

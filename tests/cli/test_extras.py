@@ -5,24 +5,20 @@ from pathlib import Path
 
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording
 
 from edge.core.errors import ConfigError
 from edge.extras import needs
 
 VERBS = {
-    "export tiles": ("export", "onnx"),
-    "export merge nothing": ("export", "onnx"),
-    "export backbone nothing.pth": ("train", "torch and onnx and jinja2"),
-    "train-backbone run": ("train", "torch and onnx and jinja2"),
-    "evaluate-backbone out": ("benchmark", "onnx and jinja2"),
+    "train-backbone run": ("train", "torch and jinja2"),
+    "evaluate-backbone out": ("benchmark", "jinja2"),
 }
 
 
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A folder to work in, where no package of an extra can be imported."""
-    for name in ("onnx", "torch", "jinja2", "scipy", "sklearn", "amqtt"):
+    for name in ("torch", "jinja2", "scipy", "sklearn", "amqtt"):
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -32,29 +28,16 @@ def plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def test_a_verb_names_its_extra_before_it_begins(plain: Path, line: str) -> None:
     """Which packages, which extra; even a file that is not there is not looked for."""
     extra, packages = VERBS[line]
-    given = line.split() + (["trunk.onnx"] if line == "export tiles" else [])
-    done = gelgate(*given)
+    done = gelgate(*line.split())
 
     assert done.code == 3
     assert f"needs {packages}, not installed here; pip install 'gelgate[{extra}]'" in done.sentence()
     assert list(plain.iterdir()) == []
 
 
-def test_fit_names_it_before_the_features(plain: Path) -> None:
-    """Settings for which no head ships: refused when the pictures are read, not when the bank is done."""
-    press_recording(plain / "nominal", 12, motion=Motion(hold=12))
-    done = gelgate("fit", "nominal", "-o", "made", "--part", "bolt", "--set", "ridge=0.3")
-
-    assert done.code == 3
-    assert "no head ships for padim" in done.sentence()
-    assert "gelgate[export]" in done.sentence()
-    assert "features" not in done.err
-    assert not (plain / "made").exists()
-
-
 def test_what_is_installed_is_not_refused() -> None:
     """The check can pass."""
-    needs("export", "this test")
+    needs("benchmark", "this test")
     with pytest.raises(KeyError):
         needs("exprot", "a misspelt extra")
 

@@ -135,18 +135,20 @@ def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
 
 
 def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
-    """A method that refuses the presses, and a pair without a head; with nothing left the refusal is the fit's."""
+    """A method that refuses the presses, a trunk without its tap; with nothing left the refusal is the fit's."""
     refused = FitError("half of the contacts lie more than 4.0 mm from their middle")
     said: dict[tuple[str, str], Seen | FitError] = {
         ("padim", TACTILE): refused,
         ("padim", LITE): refused,
-        ("patchcore", TACTILE): FitError("no head ships"),
+        ("patchcore", TACTILE): FitError("the trunk has no such tap"),
         ("patchcore", LITE): seen(0.2),
     }
     chosen = compared(config, said)
     assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
     assert method_sentence(chosen.choice_facts).endswith(f"; padim was not tried: {refused}")
-    assert backbone_sentence(chosen.choice_facts).endswith(f"; {TACTILE} was not tried: no head ships")
+    assert backbone_sentence(chosen.choice_facts).endswith(
+        f"; {TACTILE} was not tried: the trunk has no such tap"
+    )
     with pytest.raises(FitError, match=r"more than 4\.0 mm from their middle"):
         compared(config, dict.fromkeys(said, refused))
 

@@ -11,7 +11,6 @@ import pytest
 from calibration.benchmark.evaluation import compared_detectors
 from edge import registry
 from edge.core.detector import HasReference
-from export.prebuilt_heads import prebuilt
 from plugins.conformance import (
     DETECTOR_CHECKS,
     DEVICE_CHECKS,
@@ -38,16 +37,12 @@ def test_a_built_in_detector_conforms(method: str, check: Callable[[DetectorCase
 
 
 def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
-    """Heads ship for those that name frames; the model card compares those that are no baseline; all have oracles."""
+    """The model card compares those that are no baseline; all have oracles."""
     detectors = {name: registry.detector(name) for name in registry.names("detectors")}
-    heads = {
-        file.name.partition("_")[0] for file in (ROOT / "plugins/detectors/prebuilt_heads").glob("*.onnx")
-    }
     compared = json.loads((ROOT / "plugins/backbones/tactile_resnet18_evaluation.json").read_text())[
         "settings"
     ]
 
-    assert set(prebuilt()) == heads
     assert set(compared_detectors()) == set(compared)
     assert all(isinstance(one, HasReference) for one in detectors.values())
 

@@ -28,7 +28,6 @@ from plugins.detectors.common.smoothing import (
     emit_scores,
 )
 from plugins.detectors.common.validation import require_fittable, require_scorable
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["PatchcoreParameters", "patchcore"]
@@ -139,7 +138,6 @@ class Patchcore:
     name = "patchcore"
     compares_places = False
     is_baseline = True
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PatchcoreParameters:
         """The mode's parameters with overrides. Errors: FitError."""

@@ -28,7 +28,6 @@ from plugins.detectors.common.lowrank import RELATIVE_CUT
 from plugins.detectors.common.parameters import Parameters, Unit, choose
 from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
 from plugins.detectors.common.validation import require_fittable, require_scorable
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
@@ -106,7 +105,6 @@ class Subspace:
     name = "subspace"
     compares_places = False
     is_baseline = True
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SubspaceParameters:
         """See SubspaceParameters. Errors: FitError."""

@@ -37,7 +37,6 @@ from plugins.detectors.fapm.prototypes import (
 )
 from plugins.detectors.fapm.steps import COARSE_SIDE, FINE_SIDE
 from plugins.detectors.fapm.weighting import softmax_weight
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 
 __all__ = ["FapmParameters", "fapm"]
 
@@ -58,7 +57,6 @@ class Fapm:
     name = "fapm"
     compares_places = True
     is_baseline = False
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> FapmParameters:
         """The mode's parameters with overrides. Errors: FitError."""

@@ -27,7 +27,6 @@ from plugins.detectors.inreach.channels import Channels, associate, prune
 from plugins.detectors.inreach.head import inreach_head
 from plugins.detectors.inreach.paper import PAPER, REPAIRS, steps_of
 from plugins.detectors.inreach.parameters import InreachParameters
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 
 __all__ = ["InreachParameters", "inreach"]
 
@@ -38,7 +37,6 @@ class Inreach:
     name = "inreach"
     compares_places = False
     is_baseline = False
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> InreachParameters:
         """The mode's parameters with overrides. Errors: FitError."""

@@ -35,7 +35,6 @@ from plugins.detectors.common.validation import bank_bytes, require_fittable, re
 from plugins.detectors.padim.head import padim_head
 from plugins.detectors.padim.paper import PAPER, REPAIRS
 from plugins.detectors.padim.parameters import PadimParameters
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 
 __all__ = ["PadimParameters", "padim"]
 
@@ -46,7 +45,6 @@ class Padim:
     name = "padim"
     compares_places = True
     is_baseline = False
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PadimParameters:
         """See PadimParameters. Errors: FitError."""

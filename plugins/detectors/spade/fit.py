@@ -30,7 +30,6 @@ from plugins.detectors.common.parameters import choose, repaired
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.tile_layout import join, layout, split, stacked
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
-from plugins.detectors.prebuilt_heads import PREBUILT_FRAMES
 from plugins.detectors.spade.head import spade_head
 from plugins.detectors.spade.paper import PAPER, REPAIRS, steps_of
 from plugins.detectors.spade.parameters import SpadeParameters
@@ -52,7 +51,6 @@ class Spade:
     name = "spade"
     compares_places = True
     is_baseline = False
-    prebuilt_frames = PREBUILT_FRAMES
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SpadeParameters:
         """The mode's parameters with overrides. Errors: FitError."""
