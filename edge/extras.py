@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 from edge.core.errors import ConfigError
 
-__all__ = ["is_installed", "needs"]
+__all__ = ["is_installed", "needs", "where_to_get"]
 
 # The package to import, by the extra of `pip install` that brings it.
 _STUDIES = ("joblib", "pandas", "matplotlib", "jinja2")
@@ -30,6 +30,12 @@ def is_installed(package: str) -> bool:
         return find_spec(package) is not None
     except ImportError:
         return False
+
+
+def where_to_get(package: str) -> str:
+    """How a package that an import did not find is installed."""
+    extra = next((name for name, packages in _PACKAGES.items() if package in packages), None)
+    return f"pip install 'gelgate[{extra}]'" if extra else f"pip install {package}, or install gelgate again"
 
 
 def needs(extra: str, what: str) -> None:

@@ -35,6 +35,12 @@ def compared_with(bundle: Bundle, file: Path) -> ParityReport:
         )
     if not given:
         raise ConfigError(f"{file} holds frames and no stage; add at least map and score")
+    maps = (len(frames), *bundle.manifest.frame)
+    if "map" in given and given["map"].shape != maps:
+        raise ConfigError(
+            f"{file}: 'map' is {given['map'].shape}, expected {maps}, a value for each pixel of 'frames'; resize the "
+            "maps (cv2.resize), or leave 'map' out"
+        )
     found = bundle_stages(bundle, frames, tuple(given))
     stages = [
         Stage(name, given[name], array, next((kind for kind in KINDS if kind == name), "tap"))

@@ -63,9 +63,7 @@ class ParityReport:
         if first is not None:
             before = [result.name for result in self.results[: self.results.index(first)]]
             agreed = f"equal before it: {', '.join(before)}" if before else "it is the first stage"
-            raise BundleCorrupt(
-                f"the bundle differs from the research model: {first.sentence()} ({agreed}); nothing is exported"
-            )
+            raise BundleCorrupt(f"the bundle differs from the research model: {first.sentence()} ({agreed})")
 
     def write(self, folder: Path) -> Path:
         """Write `parity.html`, one file without links, and return its path. Errors: OSError."""

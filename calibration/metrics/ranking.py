@@ -13,7 +13,7 @@ def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) ->
 
     The share of pairs, one defective and one sound, in which the defective one scores higher. Errors: ValueError.
     """
-    _check(scores)
+    _check(scores, is_defective)
     sound, defective = np.sort(scores[~is_defective]), scores[is_defective]
     if not (sound.size and defective.size):
         return None
@@ -27,7 +27,7 @@ def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[n
     None when nothing is defective or nothing is sound. Its base rate is the defective share, so values from different
     fields of view cannot be compared. Errors: ValueError.
     """
-    _check(scores)
+    _check(scores, is_defective)
     if is_defective.all() or not is_defective.any():
         return None
     order = np.argsort(scores)[::-1]
@@ -37,6 +37,10 @@ def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[n
     return float(np.sum(np.diff(found, prepend=0) * found / (last_of_tie + 1)) / found[-1])
 
 
-def _check(scores: NDArray[np.floating[Any]]) -> None:
+def _check(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> None:
+    if scores.shape != is_defective.shape:
+        raise ValueError(
+            f"each score has one label: found {scores.shape} scores and {is_defective.shape} labels"
+        )
     if not np.isfinite(scores).all():
         raise ValueError("a score is NaN or infinite and has no rank; leave that image out")

@@ -17,8 +17,10 @@ from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
-from edge import registry
+from edge import extras, registry
 from edge.core import errors
+
+_OURS = ("edge", "plugins", "calibration", "export")
 
 __all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main", "versions"]
 
@@ -176,7 +178,10 @@ def main() -> NoReturn:
             error
         )  # the loader's words where an address space is full
         if hidden is None and not is_memory_short:
-            raise
+            package = (error.name or "").partition(".")[0]
+            if not isinstance(error, ModuleNotFoundError) or package in _OURS:
+                raise
+            hidden = f"this needs the package {package}, not installed here; {extras.where_to_get(package)}"
         print(f"gelgate: {hidden or f'{error}; allow more memory (`ulimit -v`, LimitAS=)'}", file=sys.stderr)
         sys.exit(exit_code(errors.ConfigError) if hidden else 1)
     except OSError as error:

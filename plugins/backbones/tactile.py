@@ -50,6 +50,7 @@ class TactileBackbone:
             ),
             "mean": list(IMAGENET_MEAN),
             "std": list(IMAGENET_STD),
+            "licence": "Apache-2.0",
         }
 
     def trunk(self, taps: Sequence[str] = TAPS) -> bytes:

@@ -33,6 +33,7 @@ def test_it_is_the_default_and_the_file_of_the_facts() -> None:
     assert hashlib.sha256(trunk.graph).hexdigest() == recorded["sha256"]
     assert len(trunk.graph) == recorded["bytes"] <= MOST_BYTES
     assert f"{FACTS['trained_steps']} steps" in str(trunk.facts["weights"])
+    assert trunk.facts["licence"] == "Apache-2.0"
 
 
 @pytest.mark.parametrize("backbone", [tactile_resnet18, tactile_resnet18_int8])

@@ -5,13 +5,13 @@ import sys
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 import typer
 from command_line import gelgate
 
-from edge import registry
+from edge import cli, registry
 from edge.cli import EXIT_MEANINGS, build
 
 # 270 are usual. What a page of help costs is what it imports, on a gateway's slow processor too.
@@ -115,6 +115,25 @@ def test_a_folder_that_hides_a_package_of_ours_is_named(
     )
     assert registry.hidden_package("edge.cli") is None
     assert registry.hidden_package("no_such_package") is None
+
+
+@pytest.mark.parametrize(
+    ("package", "advice"), [("jinja2", "pip install 'gelgate[benchmark]'"), ("tqdm", "pip install tqdm, or")]
+)
+def test_a_missing_package_is_one_sentence(
+    package: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the extra that brings it, where one does."""
+
+    def build() -> NoReturn:
+        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
+
+    monkeypatch.setattr(cli, "build", build)
+    with pytest.raises(SystemExit, match="3"):
+        cli.main()
+    assert (
+        f"gelgate: this needs the package {package}, not installed here; {advice}" in capsys.readouterr().err
+    )
 
 
 def test_a_folder_that_hides_the_command_line_itself_is_named(tmp_path: Path) -> None:

@@ -165,6 +165,10 @@ def test_the_first_stage_that_differs_is_named(
             {"frames": np.zeros((2, 8, 8, 3), np.uint8)},
             r"'frames' is uint8 \(2, 8, 8, 3\), expected uint8 \(n, 32",
         ),
+        (
+            {"map": np.zeros((4, 256, 256))},
+            r"'map' is \(4, 256, 256\), expected \(4, 32, 32\).*resize the maps",
+        ),
         ({"layer9": np.zeros(3)}, r"has no stage 'layer9'; known are input, map, score, its taps"),
         ({"layer1": np.array([{}], dtype=object)}, "not an .npz of plain arrays"),
     ],

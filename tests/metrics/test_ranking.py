@@ -1,5 +1,6 @@
 """The weighted table equals scikit-learn on repeated images, and AUPIMO equals a search over thresholds."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,13 @@ def test_a_weight_is_a_repetition(levels: int) -> None:
         )
         expected = aupro([maps[i] for i in chosen], [masks[i] for i in chosen], 0.05)
         assert table.aupro[row] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("measure", [auroc, average_precision])
+def test_each_score_has_one_label(measure: Callable[[Array, Array], float | None]) -> None:
+    """Unequal lengths are refused in a sentence."""
+    with pytest.raises(ValueError, match=r"each score has one label: found \(3,\) scores and \(2,\) labels"):
+        measure(np.arange(3.0), np.array([True, False]))
 
 
 def test_blocks_do_not_change_the_value(monkeypatch: pytest.MonkeyPatch) -> None:
