@@ -95,7 +95,7 @@ def _remove(root: Path, config: Path, *, is_printed: bool) -> None:
     if subprocess.run(["sh", "-ec", "\n".join(commands)], check=False).returncode != 0:
         raise GelgateError("the service is not completely removed, see above; run it again as root")
     typer.echo(
-        f"left as they are: /var/lib/gelgate (the database and the files beside it), {config.parent} (configuration, "
+        f"left as they are: /var/lib/gelgate (the database and the files next to it), {config.parent} (configuration, "
         f"bundles), the program in {sys.prefix}, the user gelgate"
     )
 
