@@ -241,6 +241,8 @@ def _read_header(folder: Path) -> RecordingHeader:
             f"{folder} is a file, not the folder of a recording; a film becomes one with "
             f"`gelgate record FOLDER --from-video {folder.name}`"
         )
+    if path.is_fifo() or (folder / _INDEX).is_fifo():
+        raise RecordingError(f"recording {folder} has a named pipe in place of {_HEADER} or {_INDEX}")
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:

@@ -119,7 +119,7 @@ class ArchiveFolder:
     def press_ids(self) -> list[str]:
         """Those whose record is there, oldest first."""
         try:
-            names = os.listdir(self.folder / PRESSES)
+            names = [entry.name for entry in os.scandir(self.folder / PRESSES) if entry.is_file()]
         except OSError:
             return []
         return sorted(name[:-5] for name in names if name.endswith(".json") and is_ulid(name[:-5]))
@@ -218,6 +218,8 @@ def _records(folder: Path) -> Iterator[tuple[str, tuple[Digest, ...]]]:
 
 
 def _read(path: Path, what: str) -> bytes:
+    if path.is_fifo():
+        raise ArchiveError(f"{what} cannot be read: {path} is a named pipe; take the file from a backup")
     try:
         return path.read_bytes()
     except FileNotFoundError:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -174,6 +175,20 @@ def test_a_damaged_file_of_the_archive_is_named(made: Played, tmp_path: Path) ->
     assert done.code == 1
     assert f"the judged frame of press {made.ids[1]} is damaged" in done.err
     assert "has another SHA-256 than its name" in done.err
+
+
+@pytest.mark.parametrize("folder", ["objects", "presses"])
+def test_a_named_pipe_in_the_archive_is_not_waited_for(made: Played, tmp_path: Path, folder: str) -> None:
+    """It is named, by `replay`; a gateway that opens the archive does not hang either."""
+    copy = made.copied(tmp_path / "copy")
+    name = made.record(1).frame if folder == "objects" else f"{made.ids[1]}.json"
+    (copy.archive / folder / name).unlink()
+    os.mkfifo(copy.archive / folder / name)
+    done = run("replay", made.ids[1], "-c", str(copy.config))
+
+    assert done.code == 1
+    assert f"{name} is a named pipe; take the file from a backup" in done.err
+    assert (made.ids[1] in ArchiveFolder(copy.archive).press_ids()) == (folder == "objects")
 
 
 def test_a_record_that_was_exchanged_is_not_what_the_ledger_says(made: Played, tmp_path: Path) -> None:

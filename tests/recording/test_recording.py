@@ -1,6 +1,7 @@
 """Recordings: written frame by frame, read back byte by byte, refused with clear errors."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -133,6 +134,16 @@ def test_another_folder_is_no_recording(tmp_path: Path) -> None:
     """The sentence says how to make one."""
     with pytest.raises(RecordingError, match="gelgate record"):
         Recording.open(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["recording.toml", "index.jsonl"])
+def test_a_named_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    """It has no end as long as a program may write to it."""
+    write_recording(tmp_path / "r", 2)
+    (tmp_path / "r" / name).unlink()
+    os.mkfifo(tmp_path / "r" / name)
+    with pytest.raises(RecordingError, match="a named pipe in place of"):
+        Recording.open(tmp_path / "r")
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:
