@@ -123,9 +123,11 @@ def _print_lines(rows: "Iterable[HistoryRow]") -> None:
 
 def _line(row: "HistoryRow") -> str:
     from edge.clock import local_time
-    from edge.core.printable import printable
+    from edge.core.printable import printable, score_texts
 
-    score = "" if row.score is None or row.threshold is None else f"  {row.score:.4f} / {row.threshold:.4f}"
+    score = ""
+    if row.score is not None and row.threshold is not None:
+        score = "  " + " / ".join(score_texts(row.score, row.threshold))
     cause = f" ({row.cause})" if row.cause else ""
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from edge.clock import local_time
-from edge.core.printable import printable
+from edge.core.printable import printable, score_texts
 from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
 from edge.core.reference_press.measures import MEASURES
 from edge.messaging.payload_base import iso_time
@@ -82,7 +82,7 @@ def _press_line(presses: Sequence[ReferencePress], learn: int) -> str:
     score = (
         ""
         if newest.score is None or newest.threshold is None
-        else f"  {newest.score:.4f} / {newest.threshold:.4f}"
+        else "  " + " / ".join(score_texts(newest.score, newest.threshold))
     )
     words = [f"{local_time(newest.time_ns)}  {newest.verdict}{score}  gel {newest.gel_id}"]
     words += [found.outcome.value.replace("_", " "), *found.sentences]

@@ -262,11 +262,14 @@ def _timed_line(report: "PressReport") -> str:
 
 def press_line(report: "PressReport") -> str:
     """One press in one line: part, verdict, score against threshold, latency per stage, gel count."""
+    from edge.core.printable import score_texts
+
     result = report.result
     if result.score is None:
         found = result.error or result.reason or ""
     else:
-        found = f"score {result.score:8.4f} / {result.threshold:.4f}"
+        score, threshold = score_texts(result.score, result.threshold or 0.0)
+        found = f"score {score:>8} / {threshold}"
     if result.press_again is not None and result.press_again.is_asked:
         found += "  PRESS AGAIN"
     stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")

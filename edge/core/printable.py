@@ -1,8 +1,17 @@
 """Text from elsewhere, for a terminal."""
 
-__all__ = ["printable"]
+__all__ = ["printable", "score_texts"]
 
 
 def printable(text: object) -> str:
     """The text with every control character as its escape, so that a terminal shows it and does not obey it."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def score_texts(score: float, threshold: float, digits: int = 4, form: str = "f") -> tuple[str, str]:
+    """Write both with as many digits as they need to differ, so that a fail never reads as its threshold."""
+    for more in range(digits, 18):
+        texts = f"{score:.{more}{form}}", f"{threshold:.{more}{form}}"
+        if score == threshold or texts[0] != texts[1]:
+            break
+    return texts

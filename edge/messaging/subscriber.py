@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from edge.clock import local_time
 from edge.core.errors import SinkUnavailable
+from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
@@ -115,7 +116,8 @@ def describe(result: Mapping[str, Any], station: str) -> str:
         words.append(str(result["position"]))
     words.append(str(verdict or "error").upper())
     if score is not None and threshold is not None:
-        words.append(f"score {score:.4g} {'>' if score > threshold else '<='} {threshold:.4g}")
+        is_above, texts = score > threshold, score_texts(score, threshold, form="g")
+        words.append(f"score {texts[0]} {'>' if is_above else '<='} {texts[1]}")
     words += [str(result[key]) for key in ("reason", "error") if result.get(key)]
     if result.get("cause"):
         words.append(f"cause {result['cause']}: {result.get('cause_text') or '?'}")

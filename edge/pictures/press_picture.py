@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.printable import score_texts
 from edge.pictures import png
 from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores, score_at
 
@@ -141,9 +142,10 @@ def _draw_header(sheet: U8, caption: PressCaption) -> None:
     width = cv2.getTextSize(word, cv2.FONT_HERSHEY_DUPLEX, 0.75, 1)[0][0] + 20
     cv2.rectangle(sheet, (0, 0), (width, _HEADER - 5), colour, cv2.FILLED)
     cv2.putText(sheet, word, (10, 25), cv2.FONT_HERSHEY_DUPLEX, 0.75, (255, 255, 255), 1, cv2.LINE_AA)
-    text = f"score {caption.score:.4g}, threshold {caption.threshold:.4g}"
+    score, threshold = score_texts(caption.score, caption.threshold, form="g")
+    text = f"score {score}, threshold {threshold}"
     if caption.threshold > 0:
-        text = f"{caption.score / caption.threshold:.2f} x threshold   ({text})"
+        text = f"{score_texts(caption.score / caption.threshold, 1.0, 2)[0]} x threshold   ({text})"
     _write(sheet, text, width + 12, 24, 0.55)
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from edge.core.errors import NotScorable
 from edge.core.imaging.quality import Reason, Rejection
+from edge.core.printable import score_texts
 from edge.core.verdict import Kind, Verdict, decide
 
 finite = st.floats(-1e6, 1e6)
@@ -62,3 +63,21 @@ def test_a_higher_score_is_never_better(
     order = [Kind.PASS, Kind.UNSURE, Kind.FAIL]
     lower, higher = decide(score, threshold, tolerance), decide(score + more, threshold, tolerance)
     assert order.index(lower.kind) <= order.index(higher.kind)
+
+
+@pytest.mark.parametrize(
+    ("score", "threshold", "digits", "form", "texts"),
+    [
+        (0.46953, 0.1, 4, "f", ("0.4695", "0.1000")),
+        (1.00002, 1.0, 4, "f", ("1.00002", "1.00000")),
+        (1.00002, 1.0, 4, "g", ("1.00002", "1")),
+        (1.0021, 1.0, 2, "f", ("1.002", "1.000")),
+        (1.0, 1.0, 2, "f", ("1.00", "1.00")),
+        (math.nan, math.nan, 4, "f", ("nan", "nan")),
+    ],
+)
+def test_a_score_is_written_with_the_digits_that_it_needs(
+    score: float, threshold: float, digits: int, form: str, texts: tuple[str, str]
+) -> None:
+    """A fail never reads as its threshold; what cannot differ ends too."""
+    assert score_texts(score, threshold, digits, form) == texts

@@ -76,7 +76,7 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert tab.inner_text("#selected") == "bolt/pos1"
     assert "GelSight Mini R0B, serial 2BNN4ZE7, 24.9 frames a second" in tab.inner_text("#sensor")
     assert "801 of 1000 presses, 199 left: due" in tab.inner_text("#gel")
-    assert tab.inner_text("#state") == "ready"
+    assert (tab.inner_text("#state"), tab.get_attribute("#state", "class")) == ("ready, 1 alarm", "alarmed")
     assert "mqtt: no broker answers" in tab.inner_text("#receivers")
     assert tab.locator("#presses tr").count() == 2
     wait_until(tab, "document.getElementById('picture').naturalWidth > 0")
@@ -112,12 +112,28 @@ def test_the_cause_of_a_fail_is_shown(tab: Any, sink: PageSink) -> None:
         sink.send(message)
 
     tab.wait_for_selector("#verdict.fail")
-    assert tab.inner_text("#why") == "cause: gel; the free gel shows a mark there"
+    assert tab.inner_text("#why") == "cause: gel"
+    assert tab.inner_text("#cause") == "the free gel shows a mark there"
+
+
+@pytest.mark.parametrize(
+    ("score_ratio", "shown"), [(1.0021, "1.002"), (0.99999, "0.99999"), (1.0, "1.00"), (1.19, "1.19")]
+)
+def test_a_fail_never_reads_as_its_threshold(
+    tab: Any, sink: PageSink, score_ratio: float, shown: str
+) -> None:
+    """In the line below the verdict and in the list."""
+    for message in press(1, verdict=Kind.FAIL, score=score_ratio, score_ratio=score_ratio):
+        sink.send(message)
+
+    tab.wait_for_selector("#verdict.fail")
+    assert f"{shown} × threshold" in tab.inner_text("#facts")
+    assert tab.inner_text("#presses td:nth-child(2)") == shown
 
 
 @pytest.mark.parametrize("width", [320, 390, 768, 1000])
 def test_nothing_is_wider_than_the_screen(tab: Any, sink: PageSink, width: int) -> None:
-    """From a small phone on; the picture is scrolled in its own frame."""
+    """From a small phone on; the picture is whole, and a link to its own size."""
     tab.set_viewport_size({"width": width, "height": 844})
     outcome = {"verdict": Kind.REJECTED, "score": None, "score_ratio": None}
     for message in (
@@ -128,6 +144,8 @@ def test_nothing_is_wider_than_the_screen(tab: Any, sink: PageSink, width: int) 
 
     tab.wait_for_selector("#verdict.rejected")
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    assert tab.evaluate("document.getElementById('picture').getBoundingClientRect().right") <= width
+    assert (tab.get_attribute("#frame", "href") or "").startswith("pictures/")
 
 
 @pytest.mark.parametrize("size", [(1280, 900), (1920, 1080)])

@@ -25,7 +25,10 @@ _KEEP_PICTURE: Final = 'flow.set("picture", msg.payload.length ? msg.payload : u
 
 _READ: Final = """\
 const press = flow.get("last/press") || {}, gel = flow.get("gel") || {}, state = flow.get("state") || {};
-const ratio = press.score_ratio === null || press.score_ratio === undefined ? "" : press.score_ratio.toFixed(2);
+const score = press.score_ratio;
+let digits = 2;
+while (typeof score === "number" && score !== 1 && Number(score.toFixed(digits)) === 1 && digits < 17) { digits += 1; }
+const ratio = typeof score === "number" ? score.toFixed(digits) : "";
 msg.payload = {
     verdict: press.press_id ? press.verdict || "error" : "no press yet",
     part: press.part, position: press.position, ratio: ratio, time: press.time, why: press.reason || press.error,

@@ -27,7 +27,16 @@ function draw(id, facts, make) {
 }
 
 const clock = (press) => new Date(press.time_ms).toLocaleTimeString("en-GB");
-const ratio = (press) => typeof press.score_ratio === "number" ? press.score_ratio.toFixed(2) : "";
+
+// With as many digits as it needs to differ from the threshold.
+function ratio(press) {
+  const score = press.score_ratio;
+  if (typeof score !== "number") { return ""; }
+  let digits = 2;
+  while (score !== 1 && Number(score.toFixed(digits)) === 1 && digits < 17) { digits += 1; }
+  return score.toFixed(digits);
+}
+
 const named = (one) => [one.part, one.position].filter(Boolean).join("/");
 const may = (verb) => key !== null && shown !== null && shown.changes.verbs.includes(verb);
 
@@ -80,11 +89,12 @@ function showStation(station) {
   const state = station.state || { state: "starting" }, info = station.info || {}, stats = station.stats || {};
   document.title = [station.place, "gelgate"].filter(Boolean).join(" · ");
   put("place", station.place);
-  put("state", (station.away ? "last known: " : "") + state.state + (state.reason ? `: ${state.reason}` : ""));
-  at("state").className = station.away ? "away" : state.state;
+  const alarms = Object.values(station.alarms), raised = `${alarms.length} alarm${alarms.length > 1 ? "s" : ""}`;
+  put("state", (station.away ? "last known: " : "") + state.state + (state.reason ? `: ${state.reason}` : "")
+    + (alarms.length ? `, ${raised}` : ""));
+  at("state").className = station.away ? "away" : state.state === "ready" && alarms.length ? "alarmed" : state.state;
   put("away", station.away || "");
   at("away").hidden = !station.away;
-  const alarms = Object.values(station.alarms);
   draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
   showPart(info);
   showGel(station.gel);
@@ -121,7 +131,8 @@ function showPresses(presses) {
   put("verdict", word(last));
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
   const why = last.reason || last.error || (last.press_again || {}).reason;
-  put("why", [why, last.cause && `cause: ${last.cause}; ${last.cause_text}`].filter(Boolean).join(" · "));
+  put("why", [why, last.cause && `cause: ${last.cause}`].filter(Boolean).join(" · "));
+  put("cause", last.cause_text || "");
   if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
     at("verdict").classList.add("fresh");
     setTimeout(() => at("verdict").classList.remove("fresh"), FRESH_MS);
@@ -129,6 +140,7 @@ function showPresses(presses) {
   shownPress = last.press_id;
   const picture = last.has_picture ? `pictures/${last.press_id}.png` : "";
   at("frame").hidden = !picture;
+  at("frame").href = picture;
   at("picture").alt = `the press, and its scores: ${word(last)}, ${at("facts").textContent}`;
   if (at("picture").getAttribute("src") !== picture) {
     if (picture) { at("picture").setAttribute("src", picture); } else { at("picture").removeAttribute("src"); }
