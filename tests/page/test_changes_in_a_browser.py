@@ -134,7 +134,7 @@ def test_a_broker_that_is_away_is_seen_and_the_page_goes_on(browser: Any) -> Non
     with LocalBroker("mosquitto") as broker:
         station = BrokerStation(Broker(broker.host, broker.port, "page"), f"{root}/#")
         changes = Changes(None, TokenGate(None, clock), clock, "this page only shows")
-        server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0)
+        server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0, clock)
         station.start()
 
         def says(*messages: Message) -> None:
