@@ -184,7 +184,7 @@ def served(broker: LocalBroker, tmp_path: Path) -> Iterator[Callable[..., tuple[
             until(lambda: station.shown.station()["away"] is None)
             here = SystemClock()
             changes = Changes(page_requests(station, secret, here), TokenGate(TOKEN.encode(), here), here)
-            server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0, clock)
+            server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0, here)
             opened.callback(server.close)
             return server.port, store
 
