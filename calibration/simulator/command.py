@@ -44,7 +44,12 @@ def simulate(
         str,
         typer.Argument(help="A scene's name or .toml file, or 'paper': the published dataset's counts."),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output folder: new, or one to continue.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Output folder: new, or one to continue; default: simulated/SCENE."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal bytes.")] = 0,
     presses: Annotated[
         int | None,
@@ -80,6 +85,7 @@ def simulate(
     from calibration.simulator.simulate import paper_scenes
 
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
+    output = output or Path("simulated", Path(scene).stem)
     if sensor:
         chosen = known_sensor(sensor)
         scenes = [one.seen_by(chosen) for one in scenes]

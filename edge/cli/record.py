@@ -51,7 +51,12 @@ Noise = Annotated[float | None, typer.Option(help="Add noise to copies: standard
 Seed = Annotated[int, typer.Option(help="Seed of that noise.")]
 Product = Annotated[str, typer.Option(help="Product string of the recording from images.")]
 Serial = Annotated[str, typer.Option(help="Serial of the recording from images.")]
-Profile = Annotated[str, typer.Option(help="Sensor profile of the frames, kept as a hint.")]
+Profile = Annotated[
+    str,
+    typer.Option(
+        help="Sensor profile of the frames, kept as a hint; without it presses are counted by their size."
+    ),
+]
 
 
 def record(
@@ -78,7 +83,7 @@ def record(
 ) -> None:
     """Record frames from a device, video or press images.
 
-    With --profile the number of presses that the gateway finds in the recording is printed at the end.
+    The number of presses that the gateway finds in the recording is printed at the end.
 
     Ctrl-C ends a recording from a device. From images, a sequence of presses and lifts is made. A hung camera sends
     identical frames, which the gateway and fit leave out, so each copy of an image gets a number. No noise is added
@@ -160,14 +165,23 @@ def _from_video(out: Path, path: Path, profile: str, resize: bool, product: str,
 
 
 def _say_presses(out: Path, name: str) -> None:
-    """What the gateway would find, where the profile is known."""
+    """What the gateway would find, with this profile or one for frames of this size."""
     from edge.core.imaging.known_profiles import PROFILES
     from edge.recording.format import Recording
     from edge.recording.presses_in import presses_in
 
-    if name not in PROFILES:
+    recording = Recording.open(out)
+    mode = recording.header.mode
+    profile = PROFILES.get(name) or next((one for one in PROFILES.values() if one.native == mode), None)
+    if profile is None:
+        typer.echo(f"presses in it are not counted: no sensor profile has frames of {mode[0]}x{mode[1]}")
         return
-    found = presses_in(Recording.open(out), PROFILES[name])
+    typer.echo("counting its presses; Ctrl-C leaves that out", err=True)
+    try:
+        found = presses_in(recording, profile)
+    except KeyboardInterrupt:
+        typer.echo("presses in it are not counted")
+        return
     typer.echo(f"seen in it: {found}")
     for doubt in found.doubts:
         typer.echo(f"warning: {doubt}", err=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from small_recordings import SERIAL, jpeg, write_recording
+from station import press_recording
 from typer.testing import CliRunner
 
 from edge.cli import build
@@ -72,6 +73,16 @@ def test_record_from_a_device(tmp_path: Path) -> None:
     assert [frame.frame.payload for frame in copy] == [jpeg(seed) for seed in (0, 1, 3, 4)]
     assert copy.header.serial == SERIAL
     assert "4 frames, 1 corrupt" in said
+    assert "presses in it are not counted: no sensor profile has frames of 64x48\n" in said
+
+
+def test_record_says_how_many_presses_it_holds(tmp_path: Path) -> None:
+    """Without a named profile, by that for frames of this size."""
+    film = press_recording(tmp_path / "film", 3)
+    source = ["--device", "recorded", "--option", f"recording={film}", "--option", "pace=0"]
+    said = run("record", tmp_path / "copy", *source)
+
+    assert said.endswith("seen in it: 3 presses, 3 of them at rest\n")
 
 
 def test_record_until_a_recording_ends(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from edge.recording.format import Recording
 
 @pytest.fixture(scope="module")
 def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two presses of two frames each, too short for contact, which sees one of them."""
+    """Two presses of two frames each, too short for contact, which sees none of them."""
     folder = tmp_path_factory.mktemp("crowded") / "presses"
     return press_recording(folder, 2, motion=Motion(hold=0), seed=4)
 
@@ -71,7 +71,7 @@ def test_a_run_that_missed_a_press_fails(tmp_path: Path, crowded: Path, bundle: 
     done = gelgate("run", "--config", station_config(tmp_path, crowded, bundle))
 
     assert done.code == 6
-    assert "it holds 2 presses and the run saw 1" in done.sentence()
+    assert "it holds 2 presses and the run saw 0" in done.sentence()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_the_demo_fails_when_it_missed_a_press(tmp_path: Path, crowded: Path, bu
     with LocalBroker() as broker:
         tally = _inspected(tmp_path, bundle, crowded, heatmaps, broker)
 
-    with pytest.raises(PressesMissed, match="it holds 2 presses and the run saw 1"):
+    with pytest.raises(PressesMissed, match="it holds 2 presses and the run saw 0"):
         tally.check(crowded)
 
 

@@ -263,3 +263,18 @@ def test_the_command_makes_recordings_a_folder_each(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "one"), "--run", "line"])
     assert done.exit_code == 0, done.output
     assert len(Recording.open(tmp_path / "one")) > 10
+
+
+def test_without_a_folder_the_output_is_named_after_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second scene of that name does not write into the folder of the first."""
+    scene_of(tmp_path, RUNS)
+    monkeypatch.chdir(tmp_path)
+    simulate("tiny.toml", workers=1)
+    before = digests(tmp_path / "simulated")
+    with pytest.raises(RecordingError, match=r"simulated/tiny/line is not empty and holds no recording of"):
+        simulate("tiny.toml", seed=1, workers=1)
+
+    assert len(Recording.open(Path("simulated/tiny/line"))) > 0
+    assert digests(tmp_path / "simulated") == before
