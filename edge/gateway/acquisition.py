@@ -17,6 +17,7 @@ from typing import Self
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import Freshness
 from edge.core.ports import Clock, CountsStale, Device, DeviceIdentity, OnDemand
 
 __all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
@@ -34,6 +35,8 @@ _LONGEST_BACKLOG_NS = 800_000_000
 
 
 class AcquisitionState(Enum):
+    """A sensor streams once it gives a frame; one that is opened again and repeats its last frame is still a fault."""
+
     CONNECTING = "connecting"
     STREAMING = "streaming"
     FAULT = "fault"
@@ -96,6 +99,7 @@ class Acquisition:
         self._status = AcquisitionStatus()
         self._ending: BaseException | None = None
         self._sequence = -1
+        self._freshness = Freshness()  # of all openings: a camera that hangs still has its last frame
         self._stale_before = 0
         self._counting: CountsStale | None = None
         self._is_waiting = False  # for the consumer, instead of dropping
@@ -220,9 +224,17 @@ class Acquisition:
                 raise
             return
         self._corrupt_in_a_row = 0
+        if not self._freshness.is_new(frame.payload):
+            if self._clock.monotonic_ns() >= stalled_ns:
+                raise DeviceStalled(
+                    f"{device.identity.product} repeats one frame; unplug it and plug it in again"
+                )
+            return
         self._deliver(frame)
         self._backoff.succeeded()
         self._last_ns = self._clock.monotonic_ns()
+        if self._status.state is not AcquisitionState.STREAMING:
+            self._set(state=AcquisitionState.STREAMING, fault=None)
 
     def _give_back(self) -> None:
         device, self._device = self._device, None
@@ -255,12 +267,7 @@ class Acquisition:
         self._is_waiting = isinstance(device, OnDemand) and device.on_demand
         self._times_ns.clear()
         self._sequence += 1  # frames missed while it was away leave a gap
-        self._set(
-            state=AcquisitionState.STREAMING,
-            identity=device.identity,
-            fault=None,
-            reconnects=self._openings - 1,
-        )
+        self._set(identity=device.identity, reconnects=self._openings - 1)
 
     def _deliver(self, frame: CameraFrame) -> None:
         self._times_ns.append(frame.timestamp_ns)

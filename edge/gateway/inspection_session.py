@@ -10,6 +10,7 @@ from typing import Final
 
 from edge.core.contact.events import (
     Event,
+    PressBegan,
     ReferenceCorrected,
     ReferenceDoubted,
     ReferenceReady,
@@ -32,6 +33,7 @@ from edge.gateway.press_labels import Mounted, PressLabels
 from edge.gateway.press_pipeline import PressPipeline
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
 from edge.gateway.scar_watch import ScarWatch
+from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.gel_facts import made_on
@@ -57,7 +59,8 @@ class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
     gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. on_judged: called
-    before that, for outputs that cannot wait. refusal: why a part may not be judged now, next to that of `labels`.
+    before that, for outputs that cannot wait. on_began: called when a press begins. refusal: why a part may not be
+    judged now, next to that of `labels`.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class InspectionSession:
         status: StationStatus,
         clock: Clock,
         on_judged: Callable[[Inspection], None] = lambda inspection: None,
+        on_began: Callable[[], None] = lambda: None,
         admission: Admission | None = None,
         labels: PressLabels | None = None,
         press_again: PressAgain | None = None,
@@ -80,10 +84,11 @@ class InspectionSession:
         self._again = press_again
         if press_again is not None:
             press_again.use(inspector.bundle)
-        self._on_judged = on_judged
+        self._on_judged, self._on_began = on_judged, on_began
         self._references = references
         self._recorder = recorder
         self._status = status
+        self.sensing = SensingWatch(status, clock)
         self._unrecorded: deque[JudgedPress] = deque()
         self._uncounted = 0  # presses for which there was no room to wait
         stored = references.load(gel.serial, gel.gel_id, "last")
@@ -125,6 +130,7 @@ class InspectionSession:
     def feed(self, frame: CameraFrame) -> None:
         """One camera frame; a press that it decides waits to be recorded."""
         self._add(self._pipeline.feed(frame))
+        self.sensing.look(self._pipeline.detector.sight, frame.timestamp_ns)
 
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
@@ -198,7 +204,10 @@ class InspectionSession:
 
     def _see(self, event: Event) -> None:
         log.debug("%s", event)
+        self.sensing.see(event)
         match event:
+            case PressBegan():
+                self._on_began()
             case StartedTouched():
                 log.warning("something presses the gel at the start; nothing is inspected until it is free")
                 self._status.set_waiting_for(f"{FREE_GEL}; something presses it")

@@ -42,6 +42,7 @@ class Overview:
         self.camera, self.rules, self._clock = camera, rules, clock
         self._max_age_s, self._max_side_px = max_age_s, max_side_px
         self._frame: CameraFrame | None = None
+        self._grey: NDArray[np.uint8] | None = None
         self._view: OverviewView | None = None
 
     def start(self) -> None:
@@ -63,12 +64,18 @@ class Overview:
         return view
 
     def _look(self) -> OverviewView:
+        before, seen = self._frame, self._grey
         try:
             self._frame = self._newest()
             if self._frame is None:
                 fault = self.camera.status.fault
                 return OverviewView(None, fault=fault or "the overview camera has given no new picture")
-            return self.rules.look(*still_of(self._frame, self._max_side_px))
+            still, self._grey = still_of(self._frame, self._max_side_px)
+            # The noise of a camera changes every picture: an equal one in a later frame is a camera that hangs.
+            if self._frame is not before and seen is not None and np.array_equal(seen, self._grey):
+                self._frame = None
+                return OverviewView(None, fault="the overview camera gives one picture again and again")
+            return self.rules.look(still, self._grey)
         except DeviceError as error:  # a broken picture, or a recording that is over
             self._frame = None
             return OverviewView(None, fault=str(error))

@@ -127,7 +127,7 @@ class StationLoop:
                 self._parts.labels.step(mounted)
                 self._parts.proof.step(mounted)
                 self._record()
-                self._note_snapshot()
+                self._note_act()
                 self.is_halted = False
         except StoreError as error:
             self.is_halted = True
@@ -237,10 +237,12 @@ class StationLoop:
         parts.status.receivers([f"{name}: {fault}" for name, c in counters.items() for fault in c.faults])
         parts.status.counts(parts.store.findings)
 
-    def _note_snapshot(self) -> None:
-        """Into the table of acts, when one was written. Errors: StoreError."""
+    def _note_act(self) -> None:
+        """Record a snapshot that was written, or a time without sight, in the table of acts. Errors: StoreError."""
         identity = self._parts.acquisition.status.identity
         self._unrecorded_act = self._unrecorded_act or self._parts.snapshots.take(identity)
+        if self._unrecorded_act is None and self._session is not None:
+            self._unrecorded_act = self._session.sensing.take_act()
         if self._unrecorded_act is not None:
             self._parts.store.begin_act(self._unrecorded_act, within_s=0)
             self._unrecorded_act = None
@@ -251,15 +253,10 @@ class StationLoop:
         if seconds is None:
             return
         log.warning("the clock of this machine was set by %+.0f s", seconds)
-        act = Act(
-            self._parts.clock.time_ns(),
-            "the gateway",
-            "clock_step",
-            None,
-            {"seconds": seconds},
-            outcome="done",
+        now_ns, step = self._parts.clock.time_ns(), {"seconds": seconds}
+        self._parts.store.begin_act(
+            Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done"), within_s=0
         )
-        self._parts.store.begin_act(act, within_s=0)
 
     def _select(self, part: PartPosition, why: Act | None = None, *, is_beginning: bool = False) -> None:
         """What cannot be recorded is not done later either. Errors: StoreError."""
@@ -331,6 +328,7 @@ class StationLoop:
             parts.status,
             parts.clock,
             self._judged,
+            parts.io.began,
             self._admission(),
             parts.labels,
             parts.press_again,

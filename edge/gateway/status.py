@@ -43,6 +43,8 @@ class StationStatus:
         self._started_ns = clock.monotonic_ns()
         self._lock = threading.Lock()  # the reader thread reports the sensor, the loop everything else
         self._faults: dict[str, str] = {}
+        self._blind: str | None = None
+        self._sensor_fault: str | None = None
         self._raised: set[str] = set()
         self._waiting_for: str | None = None
         self._is_stopped = False
@@ -78,11 +80,35 @@ class StationStatus:
         """Called from the reader thread, once per change."""
         if sensor.state is AcquisitionState.STREAMING:
             log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
-            self.clear_fault("device")
+            self._sensor_fault = None
         elif sensor.state is AcquisitionState.FAULT:
-            reason = sensor.fault or "the sensor stopped without a reason"
-            log.warning("%s", reason)
-            self.set_fault("device", reason)
+            self._sensor_fault = sensor.fault or "the sensor stopped without a reason"
+            log.warning("%s", self._sensor_fault)
+        self._say_device()
+
+    def set_blind(self, reason: str | None) -> None:
+        """Why the sensor's frames show nothing, None while they do. Frames alone do not end this fault."""
+        self._blind = reason
+        self._say_device()
+
+    def _say_device(self) -> None:
+        faults = [fault for fault in (self._sensor_fault, self._blind) if fault is not None]
+        if faults:
+            self.set_fault("device", "; ".join(faults))
+        else:
+            self.clear_fault("device")
+
+    def contact(self, sentence: str | None, is_fault: bool) -> None:
+        """An alarm while a contact lasts longer than the usual ones, and in the end a fault."""
+        if sentence is None:
+            if "contact" in self._raised:
+                self.clear_fault("contact")
+                self.clear("contact")
+        elif is_fault:
+            if self.set_fault("contact", sentence):
+                log.error("%s", sentence)
+        elif "contact" not in self._raised:
+            self.alarm("contact", sentence, "warning")
 
     def overview_changed(self, camera: AcquisitionStatus, *, is_needed: bool) -> None:
         """Called from the thread of the overview camera, once per change. is_needed: without it presses are refused."""

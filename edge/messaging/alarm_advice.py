@@ -10,7 +10,8 @@ STAYING: Final = frozenset({"pulse", "outbox_full", "counts"})
 
 ADVICE: Final[Mapping[str, str]] = {
     "device": "check cable and hub; `gelgate devices` lists what is plugged in; another program may hold the sensor; "
-    "move it to a port of its own",
+    "move it to a port of its own; a blind one: check its light and gel. Count the parts made since the time it names",
+    "contact": "lift the part; wipe off what stays on the gel; press the parts made meanwhile again",
     "store": "free space on its disk; check the rights of its folder; `gelgate db check`; then it goes on by itself",
     "disk": "free space: old logs, backups, recordings. Until the disk is full nothing is lost",
     "archive": "free space, or lower `archive.mb`; check the rights of the folder; `archive.presses = 0` turns it off",

@@ -11,7 +11,8 @@ from edge.messaging.payload_base import Payload
 __all__ = ["ALARMS", "AlarmPayload", "alarm_cleared", "alarm_message"]
 
 ALARMS: Final[Mapping[str, str]] = {
-    "device": "the sensor is missing, stalled or sends broken frames",
+    "device": "the sensor is missing, stalled or blind: its frames are broken, black, of one colour or frozen",
+    "contact": "something has pressed the gel much longer than usual; nothing over it is seen, and inspection halts",
     "store": "the database or its disk refuses writes; inspection halts",
     "disk": "the disk of the database has little room left; when it is full, inspection halts",
     "archive": "presses are judged, and what their verdicts are made from is not kept: no room, or a fault of the disk",

@@ -361,7 +361,9 @@ def test_the_reader_steps_without_a_thread_and_without_time() -> None:
 
     assert [pause > 0 for pause in pauses] == [False, False, False, True, False, False]
     assert states[3] is AcquisitionState.FAULT
-    assert states[2] is states[4] is AcquisitionState.STREAMING
+    assert states[0] is AcquisitionState.CONNECTING
+    assert states[4] is AcquisitionState.FAULT, "it is open, and has not given a frame"
+    assert states[2] is states[5] is AcquisitionState.STREAMING
     assert [frame.payload if frame else None for frame in taken] == [jpeg(0), jpeg(1), None]
     assert (acquisition.status.corrupt, acquisition.status.reconnects) == (1, 1)
     assert [device.closed for device in devices] == [1, 1]
@@ -393,8 +395,26 @@ def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
     acquisition = Acquisition(lambda: ScriptedDevice([DeviceStalled("nothing yet")] * 2, clock), clock)
     assert acquisition.step() == 0.0
     assert acquisition.step() == 0.0
-    assert acquisition.status.state is AcquisitionState.STREAMING
+    assert acquisition.status.state is AcquisitionState.CONNECTING
     clock.sleep(2.0)
     assert acquisition.step() > 0
     assert acquisition.status.state is AcquisitionState.FAULT
     acquisition.close()
+
+
+def test_a_sensor_that_is_opened_again_and_repeats_its_last_frame_stays_a_fault() -> None:
+    """A camera that hangs still has its last frame: opening it again makes it no new one. Then it works again."""
+    clock = FakeClock()
+    silent: list[bytes | Exception] = [DeviceStalled("no new frame")]
+    hung = [ScriptedDevice([jpeg(0), *silent * 2], clock) for _ in range(4)]
+    waiting = [*hung, ScriptedDevice([jpeg(0), jpeg(1), RecordingEnded("over")], clock)]
+    said: list[AcquisitionState] = []
+    acquisition = Acquisition(lambda: waiting.pop(0), clock, lambda status: said.append(status.state))
+    frames: list[CameraFrame] = []
+    while acquisition.status.frames < 2:
+        acquisition.step()
+        frames += [frame] if (frame := acquisition.next(0)) else []
+        clock.sleep(1.5)
+    S, F = AcquisitionState.STREAMING, AcquisitionState.FAULT
+    assert said == [S, F, S], "a fault from the first silence to the first new frame"
+    assert [frame.payload for frame in frames] == [jpeg(0), jpeg(1)]

@@ -11,7 +11,7 @@ from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
-from edge.core.imaging.image_bytes import picture_size
+from edge.core.imaging.image_bytes import picture_size, with_comment
 from edge.core.overview.rules import OverviewRules
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
@@ -269,3 +269,17 @@ def test_a_broken_still_is_a_fault_and_no_error(payload: bytes, word: str) -> No
     """The press has no still, and says why."""
     with pytest.raises(FrameCorrupt, match=word):
         still_of(CameraFrame(payload, 0, 7), 1280)
+
+
+def test_a_camera_that_hangs_is_refused_though_its_bytes_differ() -> None:
+    """The same picture with other bytes at the next press: nothing is known of the part; then it works again."""
+    clock, still = FakeClock(), encoded(blank())
+    pictures = [still, with_comment(still, "2"), with_comment(still, "3"), encoded(blank() + 1)]
+    overview = overview_of(clock, pictures)
+    faults = []
+    overview.camera.step()
+    for _ in pictures:
+        overview.camera.step()
+        faults.append(overview.begin().fault)
+    hung = "the overview camera gives one picture again and again"
+    assert faults == [None, hung, hung, None]

@@ -59,6 +59,7 @@ def test_a_start_after_the_check_opens_everything_once(
         assert [finding.error for finding in checked.findings] == [None] * 5
         acquisition = build(config, clock, closing, checked).acquisition
         acquisition.step()
+        acquisition.step()
         assert acquisition.status.state is AcquisitionState.STREAMING
 
     assert counted.calls == {"Bundle.load": 1, "Scorer.check_golden": 1, "UsbMock.open": 1}

@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fake_io import FakeRelay
+from small_recordings import FakeClock
 from station import JSONL, station_config
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.core.digital_io import StationView
+from edge.core.digital_io import OutputRule, StationView
 from edge.core.errors import ConfigError, DeviceNotFound
+from edge.gateway.digital_io.actuator_driver import ActuatorDriver
 from edge.gateway.digital_io.station_io import IoAlarms, StationIo
 from edge.gateway.gateway import Gateway
 from edge.gateway.io_opening import found_actuator
@@ -124,6 +127,52 @@ def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(
         assert (1, True) not in switched(tmp_path)
         assert (2, True) in switched(tmp_path)
         assert (3, True) in switched(tmp_path)
+
+
+def test_no_light_shows_the_verdict_of_an_earlier_press(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The pass light goes out when the next press begins, and comes on with its own verdict."""
+    lit: list[tuple[bool, bool]] = []
+    with IoStation(configured(tmp_path, recording, bundle, ANDON.format(deadline_ms=60_000))) as station:
+        while not station.has_ended:
+            station.play(1)
+            if station.loop.has_session and len(station.reports) == 1:
+                lit.append((station.loop.session.has_contact, switched(tmp_path)[-1:] == [(1, True)]))
+    held = [is_lit for has_contact, is_lit in lit[-30:] if has_contact]
+    assert lit[3] == (True, True), "the first press, judged and still held"
+    assert (False, True) in lit, "the gel is free, and the light stays on"
+    assert False in held, "the next press is held, and not judged yet"
+
+
+def test_a_verdict_does_not_outlive_the_state_ready() -> None:
+    """Halted and ready again: nothing was judged since, so nothing is shown."""
+    relay = FakeRelay(clock := FakeClock())
+    rules = [OutputRule(1, frozenset({"pass"})), OutputRule(2, frozenset({"fail"}))]
+    driver = ActuatorDriver(relay.open, rules, clock, print, print, watchdog_ns=10**12)
+    io = StationIo(drivers=[driver])
+    for verdict, channel in (("pass", 1), ("fail", 2)):
+        io.judged(verdict, 1)
+        io.recorded(verdict, 1)
+        for state, on in (("ready", {channel}), ("halted", set()), ("ready", set())):
+            io.turn(StationView(state))
+            driver.step()
+            assert relay.on == on, (verdict, state)
+
+
+def test_a_pass_that_is_recorded_after_the_next_press_began_is_not_shown() -> None:
+    """The database was slow: the light would be the other part's."""
+    relay = FakeRelay(clock := FakeClock())
+    driver = ActuatorDriver(
+        relay.open, [OutputRule(1, frozenset({"pass"}))], clock, print, print, watchdog_ns=10**12
+    )
+    io = StationIo(drivers=[driver])
+    io.judged("pass", 1)
+    io.began()
+    io.recorded("pass", 1)
+    io.turn(StationView("ready"))
+    driver.step()
+    assert relay.on == set()
 
 
 def test_a_pedal_asks_for_the_verdict(tmp_path: Path, recording: Path, bundle: Path) -> None:

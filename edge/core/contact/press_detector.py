@@ -10,6 +10,7 @@ from typing import Final, final
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.reference import Reference
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.sight import Sight
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.decode import decode_view
@@ -28,6 +29,7 @@ class PressDetector:
     """Finds the presses in one sensor's frames. Feed every frame, in order; it has no clock but the frames' times.
 
     corrupt: frames that could not be read. first_fault: why, for the first of them. looked_at: frames that were read.
+    sight: whether the frames show the gel.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class PressDetector:
         witness: Reference | None = None,
     ) -> None:
         self.tracker = ContactTracker(settings, stored, witness)
+        self.sight = Sight()
         self.corrupt = 0
         self.looked_at = 0
         self.first_fault: str | None = None
@@ -53,17 +56,23 @@ class PressDetector:
         return self._newest
 
     def feed(self, frame: CameraFrame) -> list[Event]:
-        """The events of this frame. A frame that cannot be read is counted in `corrupt` and changes nothing."""
+        """The events of this frame. A frame that cannot be read is counted in `corrupt`; it changes nothing, nor does
+        one that does not show the gel."""
         if not self._is_sound(frame) or not self._is_new(frame):
             return []
+        was_blind = self.sight.lost is not None
         events = self._interrupted_before(frame)
         if not self.tracker.is_due(frame.timestamp_ns):
             return events
         try:
             view = decode_view(frame, self._profile)
         except FrameCorrupt as error:
-            self._count_corrupt(str(error))
+            self._count_corrupt(str(error), frame)
             return events
+        if not self.sight.see(view, frame.timestamp_ns):
+            return events
+        if was_blind:
+            events += self.tracker.gap()
         self.looked_at += 1
         self._newest = self._kept[frame.sequence] = frame
         return [*events, *self.tracker.feed(view, frame.timestamp_ns, frame.sequence)]
@@ -74,13 +83,16 @@ class PressDetector:
 
     def _is_sound(self, frame: CameraFrame) -> bool:
         if frame.damage is not None:
-            self._count_corrupt(f"frame {frame.sequence} is {frame.damage}")
+            self._count_corrupt(f"frame {frame.sequence} is {frame.damage}", frame)
         return frame.damage is None
 
     def _is_new(self, frame: CameraFrame) -> bool:
         """False for the last frame delivered again, and for one whose time does not rise."""
         is_later = self._last_ns is None or frame.timestamp_ns > self._last_ns
-        return self._freshness.is_new(frame.payload) and is_later
+        is_new = self._freshness.is_new(frame.payload)
+        if not is_new:
+            self.sight.miss("it repeats one frame", frame.timestamp_ns)
+        return is_new and is_later
 
     def _interrupted_before(self, frame: CameraFrame) -> list[Event]:
         kept = self.tracker.candidates
@@ -88,8 +100,10 @@ class PressDetector:
         last_ns, self._last_ns = self._last_ns, frame.timestamp_ns
         if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
             return []
+        self.sight.resume(frame.timestamp_ns)
         return self.tracker.gap()
 
-    def _count_corrupt(self, fault: str) -> None:
+    def _count_corrupt(self, fault: str, frame: CameraFrame) -> None:
         self.corrupt += 1
         self.first_fault = self.first_fault or fault
+        self.sight.miss(fault, frame.timestamp_ns)

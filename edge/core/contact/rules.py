@@ -26,7 +26,7 @@ from edge.core.contact.events import (
 from edge.core.contact.mask import Touch
 from edge.core.contact.rest import Observation, Window, changed_too_much
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.signals import ADDS_STRUCTURE, level_of, signal_of
+from edge.core.contact.signals import ADDS_STRUCTURE, RESIDUE_SHARE, level_of, signal_of
 from edge.core.contact.table import TABLE, Signal, State
 from edge.core.contact.track import IDLE, LEARNING, PRESSED, UNJUDGED, WATCHED, Track
 
@@ -111,11 +111,20 @@ def _watched(track: Track, seen: Observation, settings: ContactSettings) -> Trac
 def _measured(track: Track, seen: Observation) -> Track:
     """The press's largest area and relief, and the last one's residue, which only shrinks."""
     if track.state in PRESSED:
+        strength_peak = max(track.strength_peak, seen.strength)
+        sunk_ns = seen.timestamp_ns if track.sunk_ns is None else track.sunk_ns
         return replace(
-            track, peak=max(track.peak, seen.area), relief_peak=max(track.relief_peak, seen.relief)
+            track,
+            peak=max(track.peak, seen.area),
+            relief_peak=max(track.relief_peak, seen.relief),
+            strength_peak=strength_peak,
+            sunk_ns=sunk_ns if seen.strength < RESIDUE_SHARE * strength_peak else None,
         )
     return replace(
-        track, residue=min(track.residue, seen.area), relief_residue=min(track.relief_residue, seen.relief)
+        track,
+        residue=min(track.residue, seen.area),
+        relief_residue=min(track.relief_residue, seen.relief),
+        strength_residue=min(track.strength_residue, seen.strength),
     )
 
 
@@ -150,7 +159,14 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
         case State.SETTLING, State.CONTACT:
             return replace(track, adds_structure=seen.imprint >= ADDS_STRUCTURE)
         case State.DOUBT, State.RECOVERY:
-            return replace(track, residue=0.0, relief_residue=0.0, is_confirmed=False, is_cycled=False)
+            return replace(
+                track,
+                residue=0.0,
+                relief_residue=0.0,
+                strength_residue=0.0,
+                is_confirmed=False,
+                is_cycled=False,
+            )
         case _, State.RECOVERY:
             return _over(track, before, seen)
         case State.APPROACH, State.NO_CONTACT | State.DOUBT:
@@ -165,6 +181,8 @@ def _start_press(track: Track, seen: Observation) -> Track:
         grown_ns=seen.timestamp_ns,
         peak=seen.area,
         relief_peak=seen.relief,
+        strength_peak=seen.strength,
+        sunk_ns=None,
         adds_structure=False,
     )
 
@@ -176,6 +194,7 @@ def _over(track: Track, before: Track, seen: Observation) -> Track:
         track,
         residue=seen.area,
         relief_residue=seen.relief,
+        strength_residue=seen.strength,
         is_wanted=False,
         is_counted=True,
         is_cycled=track.is_cycled or (is_whole and before.is_counted),

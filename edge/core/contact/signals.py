@@ -7,7 +7,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.contact.table import Signal, State
 from edge.core.contact.track import Track
 
-__all__ = ["ADDS_STRUCTURE", "level_of", "seconds", "signal_of"]
+__all__ = ["ADDS_STRUCTURE", "RESIDUE_SHARE", "level_of", "seconds", "signal_of"]
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
 # more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.
@@ -15,6 +15,13 @@ _CLEARLY_INVERSE: Final = -0.7
 ADDS_STRUCTURE: Final = 0.35
 # Relief that a press left behind varies by this much.
 _RESIDUE_TIMES: Final = 1.2
+# An imprint that stays below this share of its largest strength for this time is no longer held: a chip, grease, or
+# gel that recovers, of which 5 to 25 % stay for half a second. A fingertip that rolls on a real gel falls below it for
+# a shorter time.
+RESIDUE_SHARE: Final = 0.4
+_RESIDUE_S: Final = 0.2
+# Over a residue, an imprint of so many times its strength is a new press.
+_NEW_PRESS_TIMES: Final = 2.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
 _LIGHT_RELEASE_SHARE: Final = 0.25
 
@@ -24,14 +31,20 @@ def seconds(later_ns: int, earlier_ns: int) -> float:
 
 
 def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Signal:
-    """Clear, faint or touch: hysteresis above the residue of the last press, by area and by relief."""
+    """Clear, faint or touch: hysteresis above the residue of the last press, by area, relief and strength."""
     if _is_clear(track, seen, settings):
         return Signal.CLEAR
     is_touch = (
         seen.area >= settings.on_area + track.residue
         or seen.relief >= settings.on_area + _RESIDUE_TIMES * track.relief_residue
+        or _stands_out(track, seen, settings)
     )
     return Signal.TOUCH if is_touch else Signal.FAINT
+
+
+def _stands_out(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """Whether something presses over a residue, which may be as wide as the press."""
+    return seen.area >= settings.on_area and seen.strength >= _NEW_PRESS_TIMES * track.strength_residue > 0
 
 
 def _is_clear(track: Track, seen: Observation, settings: ContactSettings) -> bool:
@@ -41,9 +54,12 @@ def _is_clear(track: Track, seen: Observation, settings: ContactSettings) -> boo
         settings.off_area + _RESIDUE_TIMES * track.relief_residue,
     )
     if not track.has_contact:
-        return seen.area <= off and seen.relief <= relief_off
+        is_small = seen.area <= off and seen.relief <= relief_off
+        return is_small and not _stands_out(track, seen, settings)
     if track.peak >= settings.on_area:
-        return seen.area <= max(off, settings.release_share * track.peak)
+        is_residue = track.sunk_ns is not None and seconds(seen.timestamp_ns, track.sunk_ns) >= _RESIDUE_S
+        is_small = seen.area <= off and not _stands_out(track, seen, settings)
+        return is_residue or is_small or seen.area <= settings.release_share * track.peak
     return seen.area <= off and seen.relief <= max(relief_off, _LIGHT_RELEASE_SHARE * track.relief_peak)
 
 

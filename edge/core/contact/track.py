@@ -20,8 +20,9 @@ class Track:
 
     since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for
     the view at rest while learning. window: the frames of this press that may be chosen. wanted_ns: since when a
-    verdict is wanted. grown_ns: when the imprint last grew. peak, relief_peak: the largest area and relief of this
-    press. residue, relief_residue: the rest of the last press. is_counted: false for a part that was there at the
+    verdict is wanted. grown_ns: when the imprint last grew. peak, relief_peak, strength_peak: the largest area, relief
+    and strength of this press. sunk_ns: since when its strength is that of a residue, None while it is held. residue,
+    relief_residue, strength_residue: the rest of the last press. is_counted: false for a part that was there at the
     start. is_confirmed: another picture of the free gel, or a press, has shown that the reference is one; is_cycled: a
     press has come and gone.
     """
@@ -39,8 +40,11 @@ class Track:
     grown_ns: int = 0
     peak: float = 0.0
     relief_peak: float = 0.0
+    strength_peak: float = 0.0
+    sunk_ns: int | None = None
     residue: float = 0.0
     relief_residue: float = 0.0
+    strength_residue: float = 0.0
     is_counted: bool = True
     is_confirmed: bool = False
     is_cycled: bool = False

@@ -59,7 +59,7 @@ class StationIo:
     ) -> None:
         self.readers, self.drivers, self._alarms = tuple(readers), tuple(drivers), alarms
         self._verdict: str | None = None
-        self._judged_ns = 0
+        self._awaited_ns: int | None = None
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""
@@ -69,23 +69,38 @@ class StationIo:
             reader.start()
 
     def turn(self, view: StationView) -> None:
-        """What the station is now, without the verdict; also the sign that its loop is alive."""
+        """What the station is now, without the verdict; also the sign that its loop is alive.
+
+        A station that does not inspect forgets the verdict: when it inspects again, it has judged nothing yet.
+        """
+        if view.state != "ready":
+            self._verdict = None
         for driver in self.drivers:
             driver.show(replace(view, verdict=self._verdict))
 
+    def began(self) -> None:
+        """A press begins: from here on no verdict of an earlier one is shown."""
+        self._forget()
+
     def judged(self, verdict: str, judged_ns: int) -> None:
         """A press was judged, and is not recorded yet. A pass has to wait for `recorded`."""
-        if verdict != "pass":
-            self._show(verdict, judged_ns)
+        if verdict == "pass":
+            self._awaited_ns = judged_ns
+        else:
+            self._verdict = verdict
+            self._pulse(verdict, judged_ns)
 
     def recorded(self, verdict: str, judged_ns: int) -> None:
-        """A press is in the database: a pass is one now."""
-        if verdict == "pass":
-            self._show(verdict, judged_ns)
+        """A press is in the database: a pass is one now. It is shown unless another press has begun since."""
+        if verdict != "pass":
+            return
+        if judged_ns == self._awaited_ns:
+            self._verdict = verdict
+        self._pulse(verdict, judged_ns)
 
     def acknowledge(self) -> None:
         """A person has seen the last verdict, and the pulses that were not given."""
-        self._verdict = None
+        self._forget()
         self.acknowledge_pulses()
 
     def acknowledge_pulses(self) -> None:
@@ -100,8 +115,9 @@ class StationIo:
         for driver in self.drivers:
             driver.close()
 
-    def _show(self, verdict: str, judged_ns: int) -> None:
-        if judged_ns >= self._judged_ns:  # a pass may be recorded after a later press was judged
-            self._verdict, self._judged_ns = verdict, judged_ns
+    def _forget(self) -> None:
+        self._verdict, self._awaited_ns = None, None
+
+    def _pulse(self, verdict: str, judged_ns: int) -> None:
         for driver in self.drivers:
             driver.pulse(verdict, judged_ns)

@@ -225,6 +225,34 @@ def test_residue_neither_holds_a_press_open_nor_begins_one() -> None:
     assert events[3].timestamp_ns >= (40 + 120 * 40) * MS
 
 
+def deep(start_ms: int, strengths: list[float]) -> list[Observation]:
+    """Frames that all touch the same area, with these strengths."""
+    return [replace(seen(start_ms + 40 * k, PRESSED), strength=value) for k, value in enumerate(strengths)]
+
+
+def test_an_imprint_that_stays_as_wide_as_the_part_is_left_when_it_sinks() -> None:
+    """A third of the strength for a quarter of a second is a residue; twice the residue over it is a press."""
+    frames = deep(40, [10.0] * 10 + [3.3] * 12 + [4.0] * 10 + [10.0] * 10 + [1.0] * 12)
+    _, events = run(free(), frames)
+    assert names(events) == ["PressBegan", "PressSettled", "PressEnded"] * 2
+    assert isinstance(events[3], PressBegan)
+    assert events[3].timestamp_ns >= (40 + 32 * 40) * MS
+
+
+def test_a_press_that_sinks_for_a_moment_is_one_press() -> None:
+    """A fingertip that rolls is nearly free for 0.2 s; a lighter hold, at half of the strength, is still a hold."""
+    rolling = deep(40, [10.0] * 10 + [2.0] * 5 + [10.0] * 10 + [5.0] * 50)
+    _, events = run(free(), rolling)
+    assert names(events) == ["PressBegan", "PressSettled"]
+
+
+def test_a_press_that_sinks_before_it_rests_is_not_judged_on_its_residue() -> None:
+    """What stays after a press that never rested is no frame to score."""
+    moving = [replace(frame, change=0.5) for frame in deep(40, [10.0] * 8)]
+    _, events = run(free(), [*moving, *deep(360, [3.0] * 40)])
+    assert names(events) == ["PressBegan", "PressNotSettled", "PressEnded"]
+
+
 def test_no_press_is_lost_during_recovery() -> None:
     """The recovery time holds back the reference, not the next press."""
     _, events = run(free(), at(40, [PRESSED] * 10 + [FREE] * 4 + [PRESSED] * 10 + [FREE] * 4))

@@ -1,0 +1,73 @@
+"""Says when the station does not sense: the sensor shows nothing, or something holds its contact open."""
+
+import logging
+from datetime import datetime
+from typing import final
+
+from edge.core.contact.events import Event, PressBegan, PressEnded
+from edge.core.contact.long_contact import LongContact
+from edge.core.contact.sight import BLIND_AFTER_S, Sight
+from edge.core.ports import Clock
+from edge.gateway.status import StationStatus
+from edge.store.acts import Act
+
+__all__ = ["SensingWatch"]
+
+log = logging.getLogger(__name__)
+
+
+@final
+class SensingWatch:
+    """Follows the frames and the contact events of one sensor, and raises the alarms `device` and `contact`.
+
+    A time in which nothing was seen, without frames or blind, is over with the next frame that shows the gel. It is
+    then an act of the gateway, for presses may have been made in it.
+    """
+
+    def __init__(self, status: StationStatus, clock: Clock) -> None:
+        self._status, self._clock = status, clock
+        self._contact = LongContact()
+        self._blind: str | None = None
+        self._seen_ns: int | None = None
+        self._unseen: Act | None = None
+
+    def see(self, event: Event) -> None:
+        """Take one contact event."""
+        if isinstance(event, PressBegan):
+            self._contact.begin(event.timestamp_ns)
+        elif isinstance(event, PressEnded):
+            self._contact.end(event.timestamp_ns)
+
+    def look(self, sight: Sight, timestamp_ns: int) -> None:
+        """Take what is seen at a frame of that time."""
+        if sight.since_ns == timestamp_ns and sight.lost is None:
+            self._note_unseen(timestamp_ns)
+            self._seen_ns = timestamp_ns
+        if sight.lost is None:
+            self._status.contact(*self._contact.look(timestamp_ns))
+        if (self._blind is None) != (sight.lost is None):
+            self._blind = None if sight.lost is None else self._sentence(sight, timestamp_ns)
+            log.warning("%s", self._blind or "the sensor shows its gel again")
+            self._status.set_blind(self._blind)
+
+    def take_act(self) -> Act | None:
+        """The newest time in which nothing was seen, once."""
+        act, self._unseen = self._unseen, None
+        return act
+
+    def _note_unseen(self, timestamp_ns: int) -> None:
+        seconds = 0.0 if self._seen_ns is None else (timestamp_ns - self._seen_ns) / 1e9
+        if seconds > BLIND_AFTER_S:
+            why = self._blind or "no frames came"
+            arguments = {"seconds": round(seconds, 1), "why": why}
+            self._unseen = Act(
+                self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done"
+            )
+
+    def _sentence(self, sight: Sight, timestamp_ns: int) -> str:
+        ago_ns = timestamp_ns - (sight.since_ns if sight.since_ns is not None else timestamp_ns)
+        since = datetime.fromtimestamp((self._clock.time_ns() - ago_ns) / 1e9).astimezone()
+        return (
+            f"the sensor is blind: nothing was seen since {since:%H:%M:%S}, and presses since then are neither judged "
+            f"nor counted; for {BLIND_AFTER_S:.0f} s {sight.lost}. Check its light and gel, then plug it in again"
+        )
