@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff test test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff test test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -106,6 +106,10 @@ soak: $(VENV)/.test
 # The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour. ACQUISITIONS_CACHE keeps finished rows.
 acquisitions: $(VENV)/.test
 	$(BIN)/pytest tests/bench/test_acquisitions.py -m bench -s
+
+# Faults of the sensing side: what the station says, and how many presses it judges. `make test` checks the same.
+test-faults: $(VENV)/.test
+	$(BIN)/pytest tests/gateway/test_sensing_faults.py -q -s
 
 # Needs a GelSight Mini on this machine; without one every test is skipped and says so.
 test-hardware: $(VENV)/.test

@@ -206,6 +206,12 @@ def test_a_fault_of_the_sensing_side_is_said_or_does_no_harm(
     """The state, the alarm and the number of judged presses are those wanted; a halted station lights no pass."""
     fault = FAULTS[name]
     row = played(tmp_path, bundle, fault)
+    if name == next(iter(FAULTS)):
+        with capsys.disabled():
+            print(
+                "\n| fault | presses | judged | state | alarm | halted after |\n|---|---|---|---|---|---|",
+                end="",
+            )
     with capsys.disabled():
         halted = "" if row.halted_s is None else f"{row.halted_s:.1f} s"
         print(

@@ -38,7 +38,7 @@ class Sight:
         A view without a gel is never used, a frozen one until the sensor is taken for blind: a film that was made of
         pictures repeats each of them for a moment.
         """
-        fault, digest = _blindness(view), zlib.crc32(view)
+        fault, digest = _blindness(view), zlib.crc32(view.tobytes())
         is_frozen = digest in self._recent
         self._recent.append(digest)
         if fault is None and not is_frozen:
