@@ -7,7 +7,7 @@ from typing import Final, final
 __all__ = ["LongContact"]
 
 _CONTACTS_KEPT: Final = 9
-# So many times the usual length is an alarm, and twice as long a fault. A station that holds every part for a minute is
+# This many times the usual length is an alarm, and twice as long a fault. A station that holds every part for a minute is
 # used to it; one that knows no usual length yet has half a minute.
 _TIMES: Final = 4.0
 _LEAST_S: Final = 3.0

@@ -20,7 +20,7 @@ _RESIDUE_TIMES: Final = 1.2
 # a shorter time.
 RESIDUE_SHARE: Final = 0.4
 _RESIDUE_S: Final = 0.2
-# Over a residue, an imprint of so many times its strength is a new press.
+# Over a residue, an imprint of this many times its strength is a new press.
 _NEW_PRESS_TIMES: Final = 2.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
 _LIGHT_RELEASE_SHARE: Final = 0.25
