@@ -13,7 +13,6 @@ _PACKAGES = {
     "benchmark": ("jinja2",),
     "train": ("torch", "jinja2"),
     "studies": _STUDIES,
-    "peers": (*_STUDIES, "torch", "anomalib"),
     "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),
     "metrics": ("prometheus_client",),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.benchmark.trial import PROFILE, Trial
+from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner
 from calibration.fitting.limit_choice import Choice
@@ -27,7 +28,7 @@ PEAK_PX = 6
 """How far from the damage a map's peak may lie: one and a half cells of the finest tap."""
 
 # As `gelgate fit` does without options.
-_FOLDS, _SEED = 5, 0
+_FOLDS, _SEED = FitConfig.folds, FitConfig.seed
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]

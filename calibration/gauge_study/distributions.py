@@ -13,7 +13,6 @@ __all__ = [
     "f_above",
     "t_quantile",
     "t_two_sided",
-    "wilson",
 ]
 
 _STEPS: Final = 10_000
@@ -49,14 +48,6 @@ def clopper_pearson(found: int, trials: int, confidence: float = 0.95) -> tuple[
     low = 0.0 if found == 0 else beta_quantile(tail, found, trials - found + 1)
     high = 1.0 if found == trials else beta_quantile(1 - tail, found + 1, trials - found)
     return low, high
-
-
-def wilson(found: int, trials: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """The score interval of a share; z: of the confidence, 1.96 for 95 %. Ref: Wilson, JASA 22 (1927)."""
-    share, square = found / trials, z * z / trials
-    middle = share + square / 2
-    half = z * math.sqrt(share * (1 - share) / trials + square / (4 * trials))
-    return max(0.0, (middle - half) / (1 + square)), min(1.0, (middle + half) / (1 + square))
 
 
 def beta_quantile(probability: float, a: float, b: float) -> float:

@@ -20,7 +20,7 @@ from edge.model.archive import MANIFEST
 from edge.model.bundle import manifest_bytes
 from edge.model.scorer import Scorer
 
-__all__ = ["bundle_of", "point_of", "point_of_row"]
+__all__ = ["bundle_of", "point_of"]
 
 
 def point_of(key: str, points: "tuple[OperatingPoint, ...]") -> OperatingPoint:
@@ -29,21 +29,6 @@ def point_of(key: str, points: "tuple[OperatingPoint, ...]") -> OperatingPoint:
     if key not in named:
         raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
     return named[key]
-
-
-def point_of_row(row: Row) -> OperatingPoint:
-    """The point of a row."""
-    settings = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in row["settings"].items()
-    }
-    return OperatingPoint(
-        row["method"],
-        row["backbone"],
-        row["view"],
-        row["presses"],
-        row["mode"],
-        tuple(sorted(settings.items())),
-    )
 
 
 def bundle_of(

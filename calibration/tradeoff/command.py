@@ -73,7 +73,7 @@ def tradeoff(
     from calibration.tradeoff.run import RunSettings, presses_of
     from edge.extras import needs
 
-    needs("peers" if peers else "studies", "tradeoff --peers" if peers else "tradeoff")
+    needs("studies", "tradeoff")
     if peers:
         _require_models()
     limits = Limits(time_ms(within) if within else None, size(under) if under else None, presses)

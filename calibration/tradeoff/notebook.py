@@ -9,7 +9,6 @@ from calibration.tradeoff.figure import figure
 from calibration.tradeoff.measured import ROWS_FILE, measured_rows, points_of, write_page
 from calibration.tradeoff.rows import read_rows
 from calibration.tradeoff.run import RunSettings, Show, presses_of
-from edge.extras import needs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +39,6 @@ def tradeoff(
     if peers:
         from calibration.tradeoff.peers import require_models
 
-        needs("peers", "tradeoff(peers=True)")
         require_models()
     settings = RunSettings(Path(dataset), **asked)
     chosen = presses_of(settings)

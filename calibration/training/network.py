@@ -3,14 +3,12 @@
 Ref: He et al., "Deep Residual Learning for Image Recognition", CVPR 2016, table 1, 18 layers.
 """
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from calibration.training.train_config import STAGES
 
-__all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "TrunkNetwork", "heads", "state_arrays"]
+__all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "TrunkNetwork", "heads"]
 
 # As the ONNX trunk normalises, so the same graph works with ImageNet weights.
 MEAN = (0.485, 0.456, 0.406)
@@ -88,12 +86,3 @@ def heads(stages: int = len(STAGES)) -> nn.ModuleDict:
     return nn.ModuleDict(
         {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES[:stages], _CHANNELS, strict=False)}
     )
-
-
-def state_arrays(trunk: TrunkNetwork) -> dict[str, NDArray[np.float32]]:
-    """The weights under torchvision's names, float32 arrays, without batch counters."""
-    return {
-        name: value.detach().float().cpu().numpy().copy()
-        for name, value in trunk.state_dict().items()
-        if not name.endswith("num_batches_tracked")
-    }

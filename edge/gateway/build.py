@@ -1,6 +1,6 @@
 """The composition root: from a configuration to the parts of a station, built in order and not yet started.
 
-This is the only place that knows which parts exist.
+What belongs to one session of a sensor is made by the loop, when the first frame comes.
 """
 
 import logging

@@ -13,7 +13,7 @@ from edge.model.onnx_validation import GraphRefused
 from edge.model.session import open_session
 from export.importers.contract import Settings
 
-__all__ = ["Given", "check_channels", "given_trunk"]
+__all__ = ["Given", "given_trunk"]
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,3 @@ def given_trunk(settings: Settings, path: Path, taps: Sequence[str], why: str) -
     except FitError as error:
         raise ConfigError(f"{path}: {error}") from error
     return Given(cut, grid)
-
-
-def check_channels(path: Path, name: str, found: int, grid: Grid, taps: Sequence[str]) -> None:
-    """Errors: ConfigError where an array has another number of channels than the taps have together."""
-    total = sum(grid.taps[tap][0] for tap in taps)
-    if found != total:
-        raise ConfigError(
-            f"{path}: '{name}' has {found} channels, the taps {', '.join(taps)} of the trunk have {total}; name "
-            f"the trunk of "
-            "the training"
-        )

@@ -40,13 +40,11 @@ def test_the_quantile_of_t(probability: float, df: float) -> None:
 @settings(deadline=None)
 @given(st.integers(0, 200), st.integers(1, 200))
 def test_exact_limits_of_a_share(found: int, more: int) -> None:
-    """Clopper and Pearson, and Wilson."""
+    """Clopper and Pearson."""
     n = found + more
     exact = stats.binomtest(found, n).proportion_ci(0.95, "exact")
-    wilson = stats.binomtest(found, n).proportion_ci(0.95, "wilson")
 
     assert d.clopper_pearson(found, n) == pytest.approx((exact.low, exact.high), abs=1e-9)
-    assert d.wilson(found, n) == pytest.approx((wilson.low, wilson.high), abs=1e-9)
 
 
 def test_nothing_found_and_everything_found() -> None:

@@ -1,6 +1,7 @@
 """Who may import whom: the table of docs/architecture.md, held for every import statement of our own packages."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +35,16 @@ MAY_IMPORT = {
         "calibration.threads",
     ),
 }
+
+
+def test_the_page_has_this_table() -> None:
+    """docs/architecture.md names what each package may import, no more and no less."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([\w.]+)` \| (.*) \|$", page.partition("## Who may import whom")[2], re.M))
+
+    assert {package: set(re.findall(r"`([\w.]+)`", rows.get(package, ""))) for package in MAY_IMPORT} == {
+        package: set(allowed) for package, allowed in MAY_IMPORT.items()
+    }
 
 
 def imports(file: Path) -> Iterator[str]:

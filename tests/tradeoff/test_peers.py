@@ -32,7 +32,10 @@ def test_a_torchvision_of_another_build_is_a_sentence(
     with pytest.raises(ConfigError, match="--peers cannot import anomalib") as refusal:
         require_models()
     assert said in str(refusal.value)
-    assert "install torch and torchvision of the same build" in str(refusal.value)
+    assert (
+        "an environment of its own (docs/tradeoff.md), with torch and torchvision of the same build"
+        in str(refusal.value)
+    )
 
 
 class Recorded:

@@ -10,7 +10,7 @@ from tradeoff_dataset import make_dataset
 
 from calibration.progress import progress
 from calibration.tradeoff import run
-from calibration.tradeoff.chosen_bundle import bundle_of, point_of, point_of_row
+from calibration.tradeoff.chosen_bundle import bundle_of, point_of
 from calibration.tradeoff.plan import chosen_points, usual_points
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import choose_presses, on_common_grid
@@ -107,9 +107,7 @@ def test_the_bundle_of_a_point_is_what_was_measured(
 ) -> None:
     """The same trunk, head and bank, the accuracy card measured with the bundle itself, and the row's cost card."""
     row = measured[1][0]
-    point = point_of_row(row)
-    assert point == POINTS[0]
-    fitted = bundle_of(point, presses_of(settings(dataset)), settings(dataset), row=row)
+    fitted = bundle_of(POINTS[0], presses_of(settings(dataset)), settings(dataset), row=row)
     manifest = fitted.bundle().manifest
     assert manifest.facts["tradeoff"]["content_sha256"] == row["content_sha256"]
     assert manifest.facts["tradeoff"]["ms"] == row["ms"]

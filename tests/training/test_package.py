@@ -8,11 +8,12 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 import torch
+from trunk_state import state_arrays
 
 from calibration.benchmark.model_card import TRIALS_FORMAT, card, page
 from calibration.benchmark.trial import FORMAT
 from calibration.training import package as packaging
-from calibration.training.network import TrunkNetwork, state_arrays
+from calibration.training.network import TrunkNetwork
 from calibration.training.train_config import STAGES, TrainConfig
 from edge import cli
 from edge.core.errors import ConfigError

@@ -9,10 +9,11 @@ import pytest
 import torch
 from emulated_processor import needs_emulator, run_on_haswell
 from numpy.typing import NDArray
+from trunk_state import state_arrays
 
 from calibration.training import package as packaging
 from calibration.training.checkpoint import load, weights_sha256
-from calibration.training.network import TrunkNetwork, state_arrays
+from calibration.training.network import TrunkNetwork
 from calibration.training.quantisation import rounded_activation, rounded_maps, rounded_weight
 from calibration.training.train import TrainingRun, train
 from calibration.training.train_config import STAGES, TrainConfig

@@ -87,7 +87,7 @@ class PadimParameters(Parameters):
 
     @property
     def total_ridge(self) -> float:
-        """The dtype in which a score is computed."""
+        """The number that is added to the covariance's diagonal before a score is computed."""
         return self.ridge
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
