@@ -207,7 +207,7 @@ def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> N
 
     assert (planned.code, planned.out.startswith("8 presses in ")) == (0, True)
     assert (again.code, "name another file" in again.err) == (3, True)
-    assert (early.code, "does not exist" in early.err) == (1, True)
+    assert (early.code, "does not exist" in early.err) == (3, True)
     assert (first.code, "3 presses are left" in first.out) == (0, True)
     assert (too_few.code, "`gelgate msa run` goes on" in too_few.err) == (3, True)
     assert (second.code, "the study is complete" in second.out) == (0, True)
