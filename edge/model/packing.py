@@ -19,6 +19,8 @@ __all__ = ["Packed", "pack", "unpack"]
 HALF_TOP_EXPONENT = 15
 INT8_TOP = 127
 MAX_FLOAT32_EXPONENT = 126
+LARGEST = 2.0**127
+"""Rounding may raise a larger float32 to infinity."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,8 @@ def pack(array: NDArray[Any], packing: Packing) -> Packed:
     """The stored form of a float32 array; `none` keeps any dtype.
 
     Error of one entry x: float16 at most 2**-11 |x| + 2**-40 max|array|; int8 at most 0.501 of its row's scale,
-    which is max|row| / 127. Errors: ValueError for a non-finite entry or a packing that the dtype cannot take.
+    which is max|row| / 127, rounded up to a float32. Errors: ValueError for an entry that is not finite, or above
+    LARGEST where it is rounded, and for a packing that the dtype cannot take.
     """
     array = np.ascontiguousarray(array)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
@@ -49,6 +52,8 @@ def pack(array: NDArray[Any], packing: Packing) -> Packed:
         raise ValueError(
             f"{packing} packs float32 arrays with at least one axis, found {array.dtype} {array.shape}"
         )
+    if (top := float(np.abs(array).max(initial=0.0))) > LARGEST:
+        raise ValueError(f"it holds {top:.3g}; {packing} takes numbers up to {LARGEST:.3g}")
     return _pack_float16(array) if packing == "float16" else _pack_int8(array)
 
 
