@@ -1,6 +1,6 @@
 """H3: centring makes one eigenvalue zero, and dividing by its root makes a huge direction of rounding noise.
 
-Guards: at most N-1 directions, and none below 1e-10 of the largest (`lowrank.RELATIVE_CUT`). Checked by removal: with
+Guards: at most N-1 directions, and none below 1e-14 of the largest (`lowrank.RELATIVE_CUT`). Checked by removal: with
 `most = min(n, d)` the first two tests fail, with RELATIVE_CUT = -1 the second (rounding noise counts as directions).
 """
 
@@ -9,7 +9,7 @@ import pytest
 from presses import LIKE_RESNET, features, fitted, head_scores, largest_error
 
 from edge.core.detector import Nominal
-from plugins.detectors.common.lowrank import spectrum
+from plugins.detectors.common.lowrank import mahalanobis_squared, spectrum
 from plugins.detectors.padim import padim
 
 
@@ -43,6 +43,23 @@ def test_many_presses_give_the_leading_directions() -> None:
     samples = rng.normal(size=(3, 150, 60)) * np.geomspace(1, 0.01, 60)
     full = spectrum(samples).values[:, :8]
     np.testing.assert_allclose(spectrum(samples, 8).values, full, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("n", "d"), [(24, 40), (60, 40), (24, 550)])
+@pytest.mark.parametrize("times", [1e3, 1e5, 1e6])
+def test_a_wide_channel_leaves_the_others_their_directions(n: int, d: int, times: float) -> None:
+    """One channel deviates up to a million times more: distances are those of the dense inverse, in float64."""
+    rng = np.random.default_rng(0)
+    samples, asked = rng.normal(5, 0.3, (n, d)), rng.normal(0, 0.3, (50, d))
+    samples[:, 3] *= times
+    asked[:, 3] *= times
+    found = spectrum(samples)
+    dense = np.cov(samples, rowvar=False) + 0.02 * np.eye(d)
+    unit = 1 / np.sqrt(np.diag(dense))  # a dense inverse is exact where every channel varies alike
+    expected = ((asked * unit) @ np.linalg.inv(dense * unit[:, None] * unit) * (asked * unit)).sum(axis=1)
+    np.testing.assert_allclose(
+        mahalanobis_squared(asked, found.values, found.basis, 0.02), expected, rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize(
