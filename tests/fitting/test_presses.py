@@ -240,3 +240,17 @@ def test_a_free_gel_of_another_light_is_a_warning(tmp_path: Path) -> None:
     )
     assert "most likely of another light" in free_gel_warnings(wrong)[0]
     assert free_gel_warnings(right) == []
+
+
+def test_a_part_that_fills_the_view_is_no_other_light(tmp_path: Path) -> None:
+    """Grooves over the whole view: what is relief is told by the noise of the free gel, not by that of the press."""
+    free = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR)
+    assert free is not None
+    for k in range(4):
+        grooves = 40 * np.sin((np.arange(160) + 3 * k) / 2)[None, :, None] + free
+        png = bytes(cv2.imencode(".png", np.clip(grooves, 0, 255).astype(np.uint8))[1])
+        write(tmp_path / "good", f"{k}.png", png)
+    write(tmp_path / "own", "free.png", gel(8))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "own"])
+    assert min(presses.reliefs) > 0.8
+    assert free_gel_warnings(presses) == []
