@@ -32,7 +32,7 @@ from calibration.fitting.bundle_measurements import (
 )
 from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.covering import covering_bank
-from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.features import extract, feature_warnings, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner
@@ -143,6 +143,7 @@ class _Fit:
     def run(self) -> Fitted:
         features, no_contact = self._timed("features", self._features)
         nominal = Nominal(features, self.posed.touched, no_contact)
+        self.warnings += feature_warnings(nominal, self.grid)
         self.limits = self._timed("threshold", self._limit_step)
         bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
         self.warnings += room_warnings(room)

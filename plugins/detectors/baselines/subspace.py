@@ -148,10 +148,9 @@ class Subspace:
             "channels": embedding.width,
             "rank": rank,
             "variance_explained": round(explained, 6),
-            "warnings": [
-                *embedding.warnings,
-                *([] if rank else ["all nominal descriptors are equal: every deviation counts the same"]),
-            ],
+            "warnings": []
+            if rank
+            else ["all nominal descriptors are equal: every deviation counts the same"],
         }
         # The arrays have kilobytes: packing them gains nothing.
         return Bank(arrays, {}, facts)

@@ -78,13 +78,12 @@ class Embedding:
     """A choice on a grid, with the channels drawn and the scales measured at fit.
 
     arrays, per tap: `channels_TAP` int64 (k,) of a random choice; `projection_TAP` float32 (c, d) of a semi-orthogonal
-    one, its scale included; `scales` float32 (taps,) otherwise, where balanced. warnings: of the fit that measured it.
+    one, its scale included; `scales` float32 (taps,) otherwise, where balanced.
     """
 
     choice: EmbeddingChoice
     grid: Grid
     arrays: Mapping[str, NDArray[Any]]
-    warnings: tuple[str, ...] = ()
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -231,17 +230,11 @@ def learn_embedding(
     if not total:
         raise FitError(f"the taps {', '.join(choice.taps)} have no channels; use a trunk that gives some")
     bare = Embedding(choice, grid, {})
-    found = [
+    deviations = [
         _deviation(_average(nominal.features[tap], bare._pool(tap)), np.unique(bare.index(tap)[touched]))
         for tap in (choice.taps if choice.is_balanced else ())
     ]
-    warnings = tuple(
-        f"'{tap}' differs between nominal presses by less than {DEVIATION_FLOOR:.0%} of its size: fainter differences "
-        "are missed; give presses that differ, or use another trunk"
-        for tap, (_, is_floor) in zip(choice.taps, found, strict=False)
-        if is_floor and nominal.presses > 1
-    )
-    scales = np.array([1 / root for root, _ in found] or [1.0] * len(counts))
+    scales = 1 / np.array(deviations or [1.0] * len(counts))
     channels = min(choice.channels or total, total)
     arrays: dict[str, NDArray[Any]] = {}
     ends = np.cumsum(counts)
@@ -249,7 +242,7 @@ def learn_embedding(
         frame = np.linalg.qr(rng.normal(size=(total, channels)))[0]
         for tap, scale, end, count in zip(choice.taps, scales, ends, counts, strict=True):
             arrays[f"projection_{tap}"] = (frame[end - count : end] * scale).astype(np.float32)
-        return Embedding(choice, grid, arrays, warnings)
+        return Embedding(choice, grid, arrays)
     if choice.projection == "random":
         drawn = (
             _listed(choice.channel_list, total) if choice.channel_list else rng.choice(total, channels, False)
@@ -259,7 +252,7 @@ def learn_embedding(
             arrays[f"channels_{tap}"] = drawn[(drawn >= end - count) & (drawn < end)] - (end - count)
     if choice.is_balanced:
         arrays["scales"] = scales.astype(np.float32)
-    return Embedding(choice, grid, arrays, warnings)
+    return Embedding(choice, grid, arrays)
 
 
 def touched_cells(
@@ -341,9 +334,8 @@ def _average(x: NDArray[np.floating], k: int) -> NDArray[np.floating]:
     return averaged
 
 
-def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> tuple[float, bool]:
-    """Root mean square deviation between presses at the same cell and channel, and whether it is at its floor; 1 for
-    all-zero taps."""
+def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> float:
+    """Root mean square deviation between presses at one cell and channel, at least the floor; 1 where all is zero."""
     squares = power = 0.0
     flat = x.reshape(*x.shape[:2], -1)
     scale = max(float(flat.max()), -float(flat.min())) or 1.0
@@ -353,6 +345,5 @@ def _deviation(x: NDArray[np.floating], cells: NDArray[np.int64]) -> tuple[float
         values /= scale
         power += float(np.square(values).mean())
         squares += float(values.var(axis=0, ddof=1).mean()) if len(values) > 1 else 0.0
-    floor = DEVIATION_FLOOR**2 * power
-    root = np.sqrt(max(squares, floor) / flat.shape[1])
-    return float(root * scale) or 1.0, squares < floor
+    root = np.sqrt(max(squares, DEVIATION_FLOOR**2 * power) / flat.shape[1])
+    return float(root * scale) or 1.0

@@ -286,7 +286,6 @@ def _facts(
     warnings = []
     if nominal.presses == 1:
         warnings.append("a single nominal press has no covariance: every deviation counts the same")
-    warnings += embedding.warnings
     affordable = _affordable(embedding, len(arrays["basis"]), embedding.grid, parameters)
     if affordable is not None and arrays["basis"].shape[1] == affordable < (parameters.rank or 0):
         warnings.append(
