@@ -308,6 +308,7 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 def summary(fitted: "Fitted", output: Path) -> None:
     """The summary of the bundle, in a few lines."""
     from edge.model.limit_facts import (
+        UNPROVEN,
         augmentation_sentence,
         backbone_sentence,
         limit_sentence,
@@ -339,4 +340,6 @@ def summary(fitted: "Fitted", output: Path) -> None:
             f"a frame takes {cost.trunk_ms:.1f} + {cost.head_ms:.1f} ms (trunk + head, {cost.threads} threads); "
             f"the bank {cost.bank_bytes_stored / 1e6:.2f} MB stored, {cost.bank_bytes_unpacked / 1e6:.2f} MB in use"
         )
-    typer.echo(f"bundle {manifest.part}/{manifest.position} written to {output}")
+    is_unproven = any(said.startswith(UNPROVEN) for said in manifest.provenance.warnings)
+    doubt = "; it is not proven: see the first warning" if is_unproven else ""
+    typer.echo(f"bundle {manifest.part}/{manifest.position} written to {output}{doubt}")

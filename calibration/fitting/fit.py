@@ -41,7 +41,7 @@ from calibration.fitting.limit_step import LimitStep
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.pose_decision import PoseChoice, chosen_pose
 from calibration.fitting.relief_step import ReliefChoice, relief_of, with_relief
-from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings
+from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
 from calibration.fitting.threshold import (
     MIN_PRESSES,
     conformal_threshold,
@@ -149,6 +149,8 @@ class _Fit:
         self.warnings += room_warnings(room)
         self.warnings += bank.facts.get("warnings", ())
         self.choice = self._timed("threshold", lambda: self._choice(bank, replace(nominal, room=room)))
+        found = None if self.limits is None else self.limits.found(self.choice, self._unit(scores))
+        self.warnings[:0] = unproven_warnings(self.pose.separated, found)
         head = self.learner.head(bank)
         if (chosen := self.choice.chosen) is not None:
             arrays = limit_arrays(chosen.limit)
@@ -258,7 +260,7 @@ class _Fit:
         view = config.profile, config.region
         pose = chosen_pose(config.register, self.presses, self.learner, self._taken, view)
         if pose.learnt is None:
-            self.warnings += scatter_warnings(
+            self.warnings[:0] = scatter_warnings(
                 self.presses, config.profile, self.detector, config.is_scattered, pose.why
             )
         return pose

@@ -92,6 +92,17 @@ class LimitStep:
             self._kinds,
         )
 
+    def found(self, choice: Choice, limit: float) -> tuple[int, int] | None:
+        """How many of the presses with rendered damage are found, and their number; None where none was rendered.
+
+        limit: the score that a press fails above, where the choice has not counted them.
+        """
+        if self._edited is None or self._held_out is None:
+            return None
+        above = float((self._held_out.edited.scores > limit).mean())
+        share = choice.found[choice.kind.name] if choice.found else above
+        return round(share * len(self._edited)), len(self._edited)
+
     def known_scores(self, scores: NDArray[np.float64], choice: Choice) -> dict[str, Any]:
         """What a station needs to know whether one more press pays, for the manifest's facts; empty without rendered
         damage. scores: of the nominal presses, in units of the bundle's score."""

@@ -46,10 +46,14 @@ View = tuple[SensorProfile, Region]
 
 @dataclass(frozen=True, eq=False)
 class PoseChoice:
-    """learnt: None where presses are scored as they lie. why: a sentence for the operator, empty for nothing to say."""
+    """learnt: None where presses are scored as they lie. why: a sentence for the operator, empty for nothing to say.
+
+    separated: image AUROC of rendered damage, as the presses are scored; None where it was not measured.
+    """
 
     learnt: LearntPose | None
     why: str = ""
+    separated: float | None = None
 
     @property
     def facts(self) -> dict[str, str]:
@@ -90,8 +94,9 @@ def chosen_pose(
         f"of rendered damage {registered:.2f} is separated from sound presses with it, {still:.2f} without"
     )
     if registered > still:
-        return PoseChoice(learnt, f"presses are registered: {apart}; {proof} (image AUROC, out of fold)")
-    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}")
+        why = f"presses are registered: {apart}; {proof} (image AUROC, out of fold)"
+        return PoseChoice(learnt, why, registered)
+    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", still)
 
 
 def _learnt(presses: NominalPresses) -> LearntPose:

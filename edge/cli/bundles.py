@@ -65,6 +65,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     rows = [
         ("part", f"{manifest.part}, position {manifest.position}"),
         ("revision", str(manifest.revision or "none")),
+        *(("warning", warning) for warning in manifest.provenance.warnings),
         ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
         ("method choice", method_sentence(manifest.facts) or "named, not chosen by the fit"),
         ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
@@ -165,7 +166,6 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
         )
     )
     rows += [("left out", name) for name in origin.left_out]
-    rows += [("warning", warning) for warning in origin.warnings]
     return rows
 
 

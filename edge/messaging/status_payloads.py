@@ -58,7 +58,9 @@ class InfoPayload(Payload):
     threshold: float | None = None
     false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
     warnings: tuple[str, ...] = Field(
-        default=(), description="the warnings of `fit`, such as an outlier among the presses"
+        default=(),
+        description="the warnings of `fit`, such as an outlier among the presses; first those that begin with "
+        "`not proven`: what the bundle's own evidence does not show",
     )
 
 

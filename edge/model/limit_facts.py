@@ -12,6 +12,7 @@ __all__ = [
     "LIMIT",
     "METHOD_CHOICE",
     "MISSING",
+    "UNPROVEN",
     "USUAL_CONTACT",
     "augmentation_sentence",
     "backbone_sentence",
@@ -20,6 +21,9 @@ __all__ = [
     "method_sentence",
     "missing_sentence",
 ]
+
+UNPROVEN = "not proven: "
+"""So begins a warning of `fit` that says what the bundle's own evidence does not show. They are the first warnings."""
 
 BACKBONE_CHOICE = "backbone_choice"
 """The entry's name: `chosen`, `why`, and `found`, what banks on each trunk saw of damage, by its kind; absent where the

@@ -243,7 +243,7 @@ def test_a_free_gel_of_another_light_is_a_warning(tmp_path: Path) -> None:
 
 
 def test_a_part_that_fills_the_view_is_no_other_light(tmp_path: Path) -> None:
-    """Grooves over the whole view: what is relief is told by the noise of the free gel, not by that of the press."""
+    """Grooves over the whole view: the noise of the free gel decides what is relief, not that of the press."""
     free = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR)
     assert free is not None
     for k in range(4):

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.fitting.bundle_measurements import scatter_warnings
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
@@ -68,3 +69,12 @@ def test_a_mark_raises_the_map_where_it_is(scorer: Scorer, gelslam: Path) -> Non
     row, column = np.unravel_index(int(risen.argmax()), risen.shape)
     assert 135 <= row <= 195
     assert 45 <= column <= 115
+
+
+def test_balls_that_lie_anywhere_without_the_free_gel_are_not_proven(gelslam: Path) -> None:
+    """24 pictures of one ball at many places: padim is warned of, with what to do; inreach takes any place."""
+    presses = read_presses([gelslam / "6.310mm" / str(k) for k in range(24)], PROFILE, REGION)
+    (said,) = scatter_warnings(presses, PROFILE, registry.detector("padim"))
+    assert said.startswith("not proven: half of the presses lie more than")
+    assert "give the free gel with --no-contact" in said
+    assert scatter_warnings(presses, PROFILE, registry.detector("inreach")) == []

@@ -62,7 +62,7 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
         gel(801, GelState.DUE),
         alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="gel S-1 is due", severity="warning")),
         stats(mqtt="no broker answers"),
-        info(),
+        info(warnings=("not proven: the bundle finds 1 of 48", "20 presses promise 1/21 at best")),
         *press(1),
         *press(2, verdict=Kind.FAIL, score=2.5, score_ratio=2.5, part="<b>bolt</b>", picture=PICTURE),
     ):
@@ -74,6 +74,7 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert "2.50 × threshold" in tab.inner_text("#facts")
     assert tab.inner_text("#alarms .alarm") == f"gel S-1 is due\nWhat to do: {ADVICE['gel']}".replace("`", "")
     assert tab.inner_text("#selected") == "bolt/pos1"
+    assert tab.inner_text("#unproven") == "not proven: the bundle finds 1 of 48"
     assert "GelSight Mini R0B, serial 2BNN4ZE7, 24.9 frames a second" in tab.inner_text("#sensor")
     assert "801 of 1000 presses, 199 left: due" in tab.inner_text("#gel")
     assert (tab.inner_text("#state"), tab.get_attribute("#state", "class")) == ("ready, 1 alarm", "alarmed")

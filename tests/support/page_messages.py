@@ -56,7 +56,10 @@ def state(word: str, reason: str | None = None) -> Message:
 
 
 def info(
-    part: str = "bolt", position: str = "pos1", parts: tuple[str, ...] = ("bolt/pos1", "nut/pos1")
+    part: str = "bolt",
+    position: str = "pos1",
+    parts: tuple[str, ...] = ("bolt/pos1", "nut/pos1"),
+    warnings: tuple[str, ...] = (),
 ) -> Message:
     return info_message(
         InfoPayload(
@@ -69,6 +72,7 @@ def info(
             parts=parts,
             method="padim",
             revision=3,
+            warnings=warnings,
         )
     )
 

@@ -76,6 +76,8 @@ function showPart(info) {
   const parts = info.parts || [], now = named(info);
   put("selected", now);
   put("part", now ? [now, info.method, info.revision && `revision ${info.revision}`].filter(Boolean).join(" · ") : "not known yet");
+  const unproven = (info.warnings || []).filter((said) => said.startsWith("not proven"));
+  draw("unproven", unproven, () => unproven.map((said) => element("li", said)));
   draw("parts", [parts, now], () => parts.map((name) => {
     const option = element("option", name);
     option.value = name;
