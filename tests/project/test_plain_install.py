@@ -170,7 +170,6 @@ def test_nothing_is_installed_that_nothing_imports(plain: Path) -> None:
         "matplotlib",
         "scipy",
         "scikit-learn",
-        "onnx",
         "torch",
         "amqtt",
     }
