@@ -13,6 +13,7 @@ from calibration.benchmark.trial import FORMAT, Trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.held_out import Learner
 from calibration.metrics import image_weights, interval, pixel_measures
+from calibration.metrics.summary import image_auroc_of
 from calibration.simulator.workers import in_order
 from edge import registry
 from edge.core.detector import Detector, Features, Grid, Nominal
@@ -230,7 +231,7 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     weights = np.concatenate([np.ones((1, len(label))), drawn])
     pixel = pixel_measures(maps[own], masks, weights, _FALSE_ALARMS)
     values = (
-        _image_auroc(scores[own], label, weights),
+        image_auroc_of(scores[own], label, weights),
         pixel.auroc,
         pixel.average_precision,
         pixel.aupro,
@@ -255,12 +256,3 @@ def _learner(detector: Detector, grid: Grid) -> Learner:
     parameters = detector.parameters("corrected")
     read = Grid(grid.frame, {tap: grid.taps[tap] for tap in detector.taps(parameters)}, grid.pixels_per_mm)
     return Learner(detector, read, parameters, seed=0, threads=_THREADS)
-
-
-def _image_auroc(scores: NDArray[np.float64], label: NDArray[np.bool_], weights: Column) -> Column:
-    """The share of (damaged, sound) pairs in the right order under each weighting, ties counting half."""
-    bad, good = scores[label], scores[~label]
-    wins = (bad[:, None] > good).astype(np.float64) + 0.5 * (bad[:, None] == good)
-    w_bad, w_good = weights[:, label], weights[:, ~label]
-    right: Column = ((w_bad @ wins) * w_good).sum(axis=1) / (w_bad.sum(axis=1) * w_good.sum(axis=1))
-    return right

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
-from calibration.gauge_study.distributions import clopper_pearson
+from edge.core.binomial import rate_limits
 
 __all__ = ["Agreement", "Appraiser", "Kappa", "Share", "agreement", "cohen_kappa", "fleiss_kappa"]
 
@@ -36,7 +36,7 @@ class Share:
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        return clopper_pearson(self.found, self.of) if self.of else None
+        return rate_limits(self.found, self.of, 0.975) if self.of else None
 
 
 @dataclass(frozen=True)

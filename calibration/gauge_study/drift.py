@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.gauge_study.distributions import t_quantile, t_two_sided
+from calibration.metrics.distributions import t_quantile, t_two_sided
 
 __all__ = ["Drift", "drift"]
 

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.gauge_study.distributions import f_above
+from calibration.metrics.distributions import f_above
 
 __all__ = ["COMPONENTS", "Component", "Gauge", "SourceRow", "gauge_by_anova"]
 

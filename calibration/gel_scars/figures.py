@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from calibration.gel_scars.runs import Alarm, Truth
-from edge.core.binomial import CONFIDENCE, upper_rate
+from edge.core.binomial import rate_limits
 from edge.core.gel_scars.causes import Cause
 
 __all__ = ["MEANINGS", "Rate", "rate", "table"]
@@ -38,7 +38,7 @@ def rate(number: int, of: int) -> Rate:
     """Clopper and Pearson, one-sided at 90 % each way. Without trials nothing is known: 0 to 1."""
     if of == 0:
         return Rate(0, 0, 0.0, 1.0)
-    return Rate(number, of, 1 - upper_rate(of - number, of, CONFIDENCE), upper_rate(number, of, CONFIDENCE))
+    return Rate(number, of, *rate_limits(number, of))
 
 
 def table(alarms: Sequence[Alarm], presses: int) -> str:

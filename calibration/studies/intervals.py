@@ -7,40 +7,17 @@ in 83 %, of three in 75 %.
 
 import math
 from collections.abc import Mapping
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MIN_DRAWS", "is_drawn", "mean_interval", "t_quantile"]
+from calibration.metrics.distributions import t_quantile
+
+__all__ = ["MIN_DRAWS", "is_drawn", "mean_interval"]
 
 MIN_DRAWS = 3
 """With fewer values there is no interval: of two it would be nine times as wide as the two are apart."""
-
-_LEVEL = 0.975
-_Z = NormalDist().inv_cdf(_LEVEL)
-
-
-def t_quantile(freedom: int) -> float:
-    """The 97.5 % quantile of Student's t, within 0.005. Errors: ValueError below one degree of freedom.
-
-    Ref: Abramowitz and Stegun 26.7.5; one and two degrees have closed forms.
-    """
-    if freedom < 1:
-        raise ValueError(f"an interval needs a degree of freedom, found {freedom}")
-    if freedom == 1:
-        return math.tan(math.pi * (_LEVEL - 0.5))
-    if freedom == 2:
-        return (2 * _LEVEL - 1) / math.sqrt(2 * _LEVEL * (1 - _LEVEL))
-    z, n = _Z, freedom
-    return (
-        z
-        + (z**3 + z) / (4 * n)
-        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2)
-        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * n**3)
-        + (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * n**4)
-    )
 
 
 def mean_interval(
@@ -54,7 +31,7 @@ def mean_interval(
     if len(values) < MIN_DRAWS:
         return math.nan, math.nan
     mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
-    half = t_quantile(len(values) - 1) * error
+    half = t_quantile(0.975, len(values) - 1) * error
     if math.isinf(lowest):
         return mean - half, mean + half
     below, above = mean - lowest, highest - mean

@@ -7,7 +7,7 @@ Conditional validity of inductive conformal predictors, 2012). So it holds for a
 
 import math
 
-__all__ = ["CONFIDENCE", "beta_quantile", "trials_needed", "upper_rate"]
+__all__ = ["CONFIDENCE", "beta_quantile", "rate_limits", "trials_needed", "upper_rate"]
 
 CONFIDENCE = 0.9
 """The probability with which a limit holds, over sets of presses."""
@@ -18,6 +18,11 @@ def upper_rate(alarms: int, trials: int, confidence: float = CONFIDENCE) -> floa
     if not 0 <= alarms <= trials:
         raise ValueError(f"alarms are 0 to {trials}, found {alarms}")
     return 1.0 if alarms == trials else beta_quantile(confidence, alarms + 1, trials - alarms)
+
+
+def rate_limits(alarms: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """The rates of which each is crossed with probability 1 - confidence at most."""
+    return 1 - upper_rate(trials - alarms, trials, confidence), upper_rate(alarms, trials, confidence)
 
 
 def trials_needed(rate: float, alarms: int = 0, confidence: float = CONFIDENCE) -> int:

@@ -5,15 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from calibration.studies.intervals import MIN_DRAWS, is_drawn, mean_interval, t_quantile
-
-
-@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 9, 30, 400])
-def test_the_quantile_is_that_of_students_t(freedom: int) -> None:
-    """Within 0.005 of SciPy's."""
-    assert t_quantile(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), abs=0.005)
+from calibration.studies.intervals import MIN_DRAWS, is_drawn, mean_interval
 
 
 @pytest.mark.parametrize("draws", [3, 5, 10])

@@ -1,4 +1,4 @@
-"""Probabilities of the F and t distributions, and exact binomial limits: what the tables need, in float64.
+"""Probabilities of the F and t distributions: what the tables need, in float64.
 
 Ref: Press et al., Numerical Recipes, 3rd edition, 6.4: the incomplete beta function by its continued fraction (Lentz).
 """
@@ -8,8 +8,6 @@ from collections.abc import Callable
 from typing import Final
 
 __all__ = [
-    "beta_quantile",
-    "clopper_pearson",
     "f_above",
     "t_quantile",
     "t_two_sided",
@@ -40,19 +38,6 @@ def t_quantile(probability: float, df: float) -> float:
     """Of Student's distribution, for a probability from 0.5 up to below 1."""
     tail = 2 * (1 - probability)
     return _root(lambda t: tail - t_two_sided(t, df), 0.0, 1e8)
-
-
-def clopper_pearson(found: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """The exact limits of a share, each missed with (1 - confidence) / 2 at most. Ref: Biometrika 26 (1934)."""
-    tail = (1 - confidence) / 2
-    low = 0.0 if found == 0 else beta_quantile(tail, found, trials - found + 1)
-    high = 1.0 if found == trials else beta_quantile(1 - tail, found + 1, trials - found)
-    return low, high
-
-
-def beta_quantile(probability: float, a: float, b: float) -> float:
-    """Of the beta distribution."""
-    return _root(lambda x: beta_below(x, a, b) - probability, 0.0, 1.0)
 
 
 def beta_below(x: float, a: float, b: float) -> float:
