@@ -7,8 +7,8 @@ from typing import Final, final
 __all__ = ["LongContact"]
 
 _CONTACTS_KEPT: Final = 9
-# This many times the usual length is an alarm, and twice as long a fault. A station that holds every part for a minute is
-# used to it; one that knows no usual length yet has half a minute.
+# This many times the usual length is an alarm, and twice as long a fault. A station that holds every part for a minute
+# is used to it; one that knows no usual length yet has half a minute.
 _TIMES: Final = 4.0
 _LEAST_S: Final = 3.0
 _FIRST_S: Final = 15.0
