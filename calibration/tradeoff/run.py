@@ -148,8 +148,9 @@ def require_same_run(
     other = [name for name in wanted if wanted[name] != found[name]]
     if other:
         raise ConfigError(
-            f"'{file}' has rows of another run ({', '.join(other)} differ); measure again with --overwrite, or choose "
-            "another folder with --output"
+            f"'{file}' has rows of another run ({', '.join(other)} differ); measure again with --overwrite, choose "
+            "another folder with --output, or draw these rows with `python -m calibration.tradeoff.figure "
+            f"{file} FILE.svg`"
         )
 
 

@@ -20,8 +20,10 @@ Float = NDArray[np.float64]
 @dataclass(frozen=True)
 class PressTimes:
     """Times of n points. stages, stages_p95: milliseconds (stages, n). ms: of a press, the sum of its stages' medians,
-    with low and high, (3, n). p95: of a press, (n,). ratio: of a press to the bare trunk, (3, n) as ms.
-    ratios: the ratio in each replicate, (replicates, n), all points with the same rounds. bare: median ms.
+    with low and high, (3, n). p95: of a press, (n,), the median and how far above their median the point's own
+    rounds reach: medians are pooled over points, so a percentile of its own rounds alone can be below them. ratio:
+    of a press to the bare trunk, (3, n) as ms. ratios: the ratio in each replicate, (replicates, n), all points
+    with the same rounds. bare: median ms.
     """
 
     stages: Float
@@ -43,14 +45,15 @@ def press_times(samples: Samples, *, seed: int, replicates: int = REPLICATES) ->
     ratio_samples = samples.stages / samples.bare
     drawn = rng.integers(samples.rounds, size=(replicates, samples.rounds))
     stages = _medians(samples.stages, samples.groups)
+    presses = samples.stages.sum(axis=0)
     ms = np.stack([_medians(samples.stages[:, rows], samples.groups).sum(axis=0) for rows in drawn])
     ratios = np.stack([_medians(ratio_samples[:, rows], samples.groups).sum(axis=0) for rows in drawn])
     ratio = _medians(ratio_samples, samples.groups).sum(axis=0)
     return PressTimes(
         stages=stages,
-        stages_p95=np.percentile(samples.stages, 95, axis=1),
+        stages_p95=stages + np.percentile(samples.stages, 95, axis=1) - np.median(samples.stages, axis=1),
         ms=_with_interval(stages.sum(axis=0), ms),
-        p95=np.percentile(samples.stages.sum(axis=0), 95, axis=0),
+        p95=stages.sum(axis=0) + np.percentile(presses, 95, axis=0) - np.median(presses, axis=0),
         ratio=_with_interval(ratio, ratios),
         ratios=ratios,
         bare=float(np.median(samples.bare)),
