@@ -96,7 +96,7 @@ def _of_recording(folder: Path, profile: SensorProfile) -> Iterator[Found]:
     recording, finder = Recording.open(folder), PressFinder(profile)
     frames = ((recorded.frame, (recorded.label or {}).get("specimen")) for recorded in recording)
     yield from from_frames(frames, finder, profile, folder.name)
-    if finder.detector.looked_at == 0:
+    if finder.detector.newest is None:
         raise FitError(f"no press was found: {why_unread(folder, recording, finder.detector)}")
 
 

@@ -249,7 +249,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
                 _add_settled(folder, found, specimens[found.frame.sequence], gathered)
             else:
                 gathered.add_free(decode(found.frame, gathered.profile).rgb)
-    if finder.detector.looked_at == 0:
+    if finder.detector.newest is None:
         gathered.refused.append(why_unread(folder, recording, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)
 

@@ -46,16 +46,15 @@ class PressFinder:
 
     def feed(self, frame: CameraFrame) -> Iterator[FoundPress | FoundFreeGel]:
         """What this frame completes."""
-        for event in self.detector.feed(frame):
+        for event in self.detector.feed(frame).events:
             yield from self._found(event)
         if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             self._last_free = self.detector.newest
 
     def _found(self, event: Event) -> Iterator[FoundPress | FoundFreeGel]:
-        if isinstance(event, PressSettled) and (chosen := self.detector.chosen(event)) is not None:
+        if isinstance(event, PressSettled) and event.frame is not None:
             self.settled += 1
-            tracker = self.detector.tracker
-            relief = tracker.chosen_relief
-            yield FoundPress(chosen, tracker.chosen_mask, None if relief is None else relief.area)
+            found = event.findings
+            yield FoundPress(event.frame, found.mask if found else None, found.relief.area if found else None)
         elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
             yield FoundFreeGel(self._last_free)

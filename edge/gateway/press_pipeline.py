@@ -1,7 +1,7 @@
 """From frames to judged presses: contact finds the press, the inspector judges its one frame."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from edge.core.contact.events import (
@@ -60,10 +60,10 @@ class PressPipeline:
 
     def feed(self, frame: CameraFrame) -> list[Inspection]:
         """One camera frame; returns an inspection for each press that it completes (at most one)."""
-        looked_at = self.detector.looked_at
-        inspections = self._inspections_for(self.detector.feed(frame))
-        if self._scars is not None and self.detector.looked_at > looked_at:
-            self._scars.see(self.tracker)
+        look = self.detector.feed(frame)
+        inspections = self._inspections_for(look.events)
+        if self._scars is not None and look.level is not None:
+            self._scars.see(self.tracker.state, look.level)
         return inspections
 
     def use(self, inspector: Inspector) -> None:
@@ -86,7 +86,7 @@ class PressPipeline:
         """Learn the free gel again."""
         return self._inspections_for(self.tracker.relearn())
 
-    def _inspections_for(self, events: list[Event]) -> list[Inspection]:
+    def _inspections_for(self, events: Iterable[Event]) -> list[Inspection]:
         inspections = []
         for event in events:
             self._on_event(event)
@@ -137,7 +137,7 @@ class PressPipeline:
             x_mm=touch.x * width * x_mm,
             y_mm=touch.y * height * y_mm,
             turn_deg=math.degrees(found.pose.turn_rad) if found is not None and is_turning else None,
-            noise_levels=self.tracker.noise_levels,
+            noise_levels=None if event.findings is None else event.findings.noise_levels,
         )
 
     def _admitted(self, event: PressSettled) -> Inspection:
@@ -150,19 +150,18 @@ class PressPipeline:
 
     def _judged(self, event: PressSettled) -> Inspection:
         started_ns = self._clock.monotonic_ns()
-        frame = self.detector.chosen(event)
-        if frame is None:
+        frame, found = event.frame, event.findings
+        if frame is None or found is None:
             return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)
         if self._scars is not None and self._label is not None:
-            self._scars.leave_out(self.tracker)
+            self._scars.leave_out(found)
         elif self._scars is not None:
-            inspection = self._scars.judge(inspection, self._inspector, self.tracker)
+            inspection = self._scars.judge(inspection, self._inspector, found)
         total = (self._clock.monotonic_ns() - started_ns) / 1e6
         # A frame that was made on demand has its recorded time.
         judged_ns = started_ns if frame.is_on_demand else frame.timestamp_ns
-        reference = self.tracker.reference
-        judged = JudgedFrame(frame, event.touch, None if reference is None else reference.view)
+        judged = JudgedFrame(frame, event.touch, found.free)
         latency_ms = {**inspection.latency_ms, "total": total}
         return replace(inspection, latency_ms=latency_ms, judged_ns=judged_ns, judged=judged)
 

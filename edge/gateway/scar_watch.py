@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.contact.events import Findings
 from edge.core.contact.reach import reach
 from edge.core.contact.reference import View
-from edge.core.contact.tracker import ContactTracker
+from edge.core.contact.table import State
 from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.gel_scars.free_views import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
@@ -72,14 +73,14 @@ class ScarWatch:
         """The first picture of this gel."""
         self._scars.first = first
 
-    def see(self, tracker: ContactTracker) -> None:
-        """After each view that was looked at."""
-        self._free.see(tracker.state, tracker.level)
+    def see(self, state: State, level: View) -> None:
+        """Take a view, and what the gel does in it."""
+        self._free.see(state, level)
 
-    def judge(self, inspection: Inspection, inspector: Inspector, tracker: ContactTracker) -> Inspection:
+    def judge(self, inspection: Inspection, inspector: Inspector, found: Findings) -> Inspection:
         """The same with its cause, and without the places that are known to be scarred."""
-        left, self._left = self._left, tracker.chosen_imprint
-        press = _scored(inspection, inspector, tracker)
+        left, self._left = self._left, found.imprint
+        press = _scored(inspection, inspector, found)
         if press is None:
             return inspection
         if not (can_mask := _is_highest(inspection)):
@@ -90,9 +91,9 @@ class ScarWatch:
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return masked(inspection, self._findings(inspection, judged), inspector.bundle)
 
-    def leave_out(self, tracker: ContactTracker) -> None:
+    def leave_out(self, found: Findings) -> None:
         """A press that is no part's: one piece pressed again and again at one place would look like a scar."""
-        self._left = tracker.chosen_imprint
+        self._left = found.imprint
 
     def save(self) -> None:
         """Keep the record where it is due. Never raises."""
@@ -149,9 +150,9 @@ def _repeated(place: Repeated) -> str:
     )
 
 
-def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracker) -> ScoredPress | None:
+def _scored(inspection: Inspection, inspector: Inspector, found: Findings) -> ScoredPress | None:
     """None for a press without a score."""
-    verdict, found, rgb = inspection.verdict, inspection.registered, inspection.rgb
+    verdict, placed, rgb = inspection.verdict, inspection.registered, inspection.rgb
     if rgb is None or inspection.score_map is None or verdict is None or verdict.threshold is None:
         return None
     bundle = inspector.bundle
@@ -163,21 +164,20 @@ def _scored(inspection: Inspection, inspector: Inspector, tracker: ContactTracke
         region,
         size,
         (x_mm, y_mm),
-        tracker.chosen_mask,
-        None if found is None else found.unseen_in_press,
-        None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+        found.mask,
+        None if placed is None else placed.unseen_in_press,
+        None if placed is None else (placed.pose.x_px * x_mm, placed.pose.y_px * y_mm),
         lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )
-    return replace(press, reach=_reach(press, inspection, inspector, tracker))
+    return replace(press, reach=_reach(press, inspection, inspector, found))
 
 
 def _reach(
-    press: ScoredPress, inspection: Inspection, inspector: Inspector, tracker: ContactTracker
+    press: ScoredPress, inspection: Inspection, inspector: Inspector, found: Findings
 ) -> NDArray[np.bool_] | None:
-    """Where the part is or should be, of the view; None where one of both is not known."""
-    touched, relief, expected = tracker.chosen_mask, tracker.chosen_relief, inspector.expected
-    if touched is None or relief is None or expected is None:
+    """Where the part is or should be, of the view; None where the second is not known."""
+    if inspector.expected is None:
         return None
-    found, usual = inspection.registered, expected.astype(np.float32)
-    here = usual if found is None else warped(usual, found.pose.inverse())
-    return reach(touched, relief) | (press.in_view(here) > 0)
+    placed, usual = inspection.registered, inspector.expected.astype(np.float32)
+    here = usual if placed is None else warped(usual, placed.pose.inverse())
+    return reach(found.mask, found.relief) | (press.in_view(here) > 0)

@@ -44,11 +44,11 @@ def presses_in(
     reliefs: list[float] = []
     counts: Counter[type] = Counter()
     for recorded in recording:
-        for event in detector.feed(recorded.frame):
+        for event in detector.feed(recorded.frame).events:
             counts[type(event)] += 1
-            if isinstance(event, PressSettled) and detector.tracker.chosen_relief is not None:
+            if isinstance(event, PressSettled) and event.findings is not None:
                 touches.append(event.touch)
-                reliefs.append(detector.tracker.chosen_relief.area)
+                reliefs.append(event.findings.relief.area)
     doubts = _doubts(touches, reliefs, began_pressed=counts[ReferenceCorrected] > 0)
     return FoundPresses(
         counts[PressSettled], counts[PressNotSettled], detector.corrupt, detector.first_fault, doubts

@@ -3,11 +3,18 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
+from edge.core.contact.relief import Relief
 from edge.core.contact.table import State
+from edge.core.imaging.frames import CameraFrame
 
 __all__ = [
     "Event",
+    "Findings",
     "NotSettledReason",
     "PressBegan",
     "PressEnded",
@@ -81,12 +88,33 @@ class PressBegan:
     sequence: int
 
 
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What the frame of a settled press shows, against the free gel, in the view of contact detection."""
+
+    mask: NDArray[np.bool_]
+    """The touched area, where it is light by its relief: (h, w)."""
+    level: View
+    """The view at the level of the free gel, float32 (h, w, 3)."""
+    free: View
+    """The free gel, float32 (h, w, 3)."""
+    relief: Relief
+    """The fine structure that the press adds."""
+    noise_levels: float | None
+    """One standard deviation of one value of a view of the free gel; None where it was not seen free three times."""
+
+    @property
+    def imprint(self) -> View:
+        """What the press adds to the free gel, levels, float32 (h, w, 3)."""
+        return np.asarray(self.level - self.free, np.float32)
+
+
 @dataclass(frozen=True)
 class PressSettled:
     """The press rests: score frame `sequence`, the deepest one at rest. Once per press.
 
     timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch, strength: of the frame to score; strength
-    grows with depth, levels.
+    grows with depth, levels. findings: added by the tracker. frame: the one to score, added by the detector.
     """
 
     timestamp_ns: int
@@ -94,6 +122,8 @@ class PressSettled:
     began_ns: int
     touch: Touch
     strength: float = 0.0
+    findings: Findings | None = None
+    frame: CameraFrame | None = None
 
 
 @dataclass(frozen=True)

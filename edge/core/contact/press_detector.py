@@ -5,10 +5,11 @@ out broken and repeated frames, and detects interruptions by the frames' own tim
 contact detection needs, and keeps the few frames that may still be chosen.
 """
 
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 from edge.core.contact.events import Event, PressSettled
-from edge.core.contact.reference import Reference
+from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.sight import Sight
 from edge.core.contact.tracker import ContactTracker
@@ -18,18 +19,28 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["GAP_S", "PressDetector"]
+__all__ = ["GAP_S", "Look", "PressDetector"]
 
 # Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
 GAP_S: Final = 0.27
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What one camera frame shows."""
+
+    events: tuple[Event, ...] = ()
+    """What it completes, in order."""
+    level: View | None = None
+    """Its view at the level of the free gel, float32 (h, w, 3); None for a frame that was not decoded, or is blind."""
 
 
 @final
 class PressDetector:
     """Finds the presses in one sensor's frames. Feed every frame, in order; it has no clock but the frames' times.
 
-    corrupt: frames that could not be read. first_fault: why, for the first of them. looked_at: frames that were read.
-    sight: whether the frames show the gel.
+    corrupt: frames that could not be read or are blind. first_fault: why, for the first of them. newest: the last frame that showed
+    the gel. sight: whether the frames show it.
     """
 
     def __init__(
@@ -42,44 +53,39 @@ class PressDetector:
         self.tracker = ContactTracker(settings, stored, witness)
         self.sight = Sight()
         self.corrupt = 0
-        self.looked_at = 0
         self.first_fault: str | None = None
         self._profile = profile
         self._freshness = Freshness()
         self._last_ns: int | None = None
-        self._newest: CameraFrame | None = None
+        self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
 
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The last frame that was read."""
-        return self._newest
-
-    def feed(self, frame: CameraFrame) -> list[Event]:
-        """The events of this frame. A frame that cannot be read is counted in `corrupt`; it changes nothing, nor does
-        one that does not show the gel."""
+    def feed(self, frame: CameraFrame) -> Look:
+        """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
         if not self._is_sound(frame) or not self._is_new(frame):
-            return []
+            return Look()
         was_blind = self.sight.lost is not None
         events = self._interrupted_before(frame)
         if not self.tracker.is_due(frame.timestamp_ns):
-            return events
+            return Look(tuple(events))
         try:
             view = decode_view(frame, self._profile)
         except FrameCorrupt as error:
             self._count_corrupt(str(error), frame)
-            return events
+            return Look(tuple(events))
         if not self.sight.see(view, frame.timestamp_ns):
-            return events
+            self._count(f"frame {frame.sequence} does not show the gel")
+            return Look(tuple(events))
         if was_blind:
             events += self.tracker.gap()
-        self.looked_at += 1
-        self._newest = self._kept[frame.sequence] = frame
-        return [*events, *self.tracker.feed(view, frame.timestamp_ns, frame.sequence)]
+        self.newest = self._kept[frame.sequence] = frame
+        events += self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
+        return Look(tuple(self._with_frame(event) for event in events), self.tracker.level)
 
-    def chosen(self, settled: PressSettled) -> CameraFrame | None:
-        """The frame that a settled press is scored by; ask before the next frame is fed. None only when asked later."""
-        return self._kept.get(settled.sequence)
+    def _with_frame(self, event: Event) -> Event:
+        if not isinstance(event, PressSettled):
+            return event
+        return replace(event, frame=self._kept.get(event.sequence))
 
     def _is_sound(self, frame: CameraFrame) -> bool:
         if frame.damage is not None:
@@ -104,6 +110,9 @@ class PressDetector:
         return self.tracker.gap()
 
     def _count_corrupt(self, fault: str, frame: CameraFrame) -> None:
+        self._count(fault)
+        self.sight.miss(fault, frame.timestamp_ns)
+
+    def _count(self, fault: str) -> None:
         self.corrupt += 1
         self.first_fault = self.first_fault or fault
-        self.sight.miss(fault, frame.timestamp_ns)

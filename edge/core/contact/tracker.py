@@ -1,13 +1,13 @@
 """The contact tracker: views in, events out. It keeps the pictures that the pure rules of `contact` need."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact import rules as contact
-from edge.core.contact.events import Event, PressSettled, ReferenceCorrected, ReferenceRefreshed
+from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected, ReferenceRefreshed
 from edge.core.contact.mask import (
     Touch,
     changed_share,
@@ -99,7 +99,6 @@ class ContactTracker:
         self._mask: NDArray[np.bool_] | None = None
         self._touch: Touch | None = None
         self._relief: Relief | None = None
-        self._chosen: _Seen | None = None
 
     @property
     def state(self) -> State:
@@ -114,15 +113,6 @@ class ContactTracker:
     def reference(self) -> Reference | None:
         """The free gel as last learnt, or the stored one until then."""
         return self._reference
-
-    @property
-    def noise_levels(self) -> float | None:
-        """The temporal noise of the free gel: one standard deviation of one value of a view. The look just before
-        a contact is left out: the part may be in it. None where the gel was not seen free three times."""
-        if len(self._free_looks) < 3:
-            return None
-        earlier, later, _ = self._free_looks
-        return float(np.std(later - earlier, dtype=np.float64) / np.sqrt(2))
 
     @property
     def mask(self) -> NDArray[np.bool_] | None:
@@ -140,29 +130,9 @@ class ContactTracker:
         return self._relief
 
     @property
-    def chosen_mask(self) -> NDArray[np.bool_] | None:
-        """The touched area of the frame that the last `PressSettled` names: bool (h, w)."""
-        chosen = self._chosen
-        if chosen is None or chosen.mask is None or chosen.relief is None:
-            return None
-        return with_relief(chosen.mask, chosen.relief, self.settings.on_area)
-
-    @property
     def level(self) -> View | None:
         """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
         return self._last
-
-    @property
-    def chosen_imprint(self) -> View | None:
-        """What the press adds to the free gel in the frame that the last `PressSettled` names, levels, (h, w, 3)."""
-        if self._chosen is None or self._reference is None:
-            return None
-        return np.asarray(self._chosen.level - self._reference.view, np.float32)
-
-    @property
-    def chosen_relief(self) -> Relief | None:
-        """The fine structure of that frame."""
-        return None if self._chosen is None else self._chosen.relief
 
     @property
     def candidates(self) -> frozenset[int]:
@@ -182,12 +152,13 @@ class ContactTracker:
         seen, level = self._observed(view, timestamp_ns, sequence)
         before = self.state
         self._recent[sequence] = _Seen(level, self._mask, self._relief)
-        self._track, events = contact.step(self._track, seen, self.settings)
-        for event in events:
-            if isinstance(event, PressSettled):
-                self._chosen = self._recent[event.sequence]
-            elif isinstance(event, ReferenceCorrected):
-                self._correct(timestamp_ns)
+        self._track, stepped = contact.step(self._track, seen, self.settings)
+        events = [
+            replace(event, findings=self._findings(event)) if isinstance(event, PressSettled) else event
+            for event in stepped
+        ]
+        if any(isinstance(event, ReferenceCorrected) for event in events):
+            self._correct(timestamp_ns)
         self._last = level
         if self._track.still_ns == timestamp_ns:
             self._rest = level
@@ -248,6 +219,21 @@ class ContactTracker:
             imprint=imprint,
             place=self._place(),
         ), level
+
+    def _findings(self, settled: PressSettled) -> Findings | None:
+        """None only without a reference, against which no press settles."""
+        seen, reference = self._recent[settled.sequence], self._reference
+        if seen.mask is None or seen.relief is None or reference is None:
+            return None
+        mask = with_relief(seen.mask, seen.relief, self.settings.on_area)
+        return Findings(mask, seen.level, reference.view, seen.relief, self._noise_levels())
+
+    def _noise_levels(self) -> float | None:
+        """Measure the temporal noise of the free gel, without the look just before a contact: the part may be in it."""
+        if len(self._free_looks) < 3:
+            return None
+        earlier, later, _ = self._free_looks
+        return float(np.std(later - earlier, dtype=np.float64) / np.sqrt(2))
 
     def _place(self) -> Touch | None:
         """The place of a contact that is too light to have an area; computed only during a press."""
