@@ -39,8 +39,8 @@ class Look:
 class PressDetector:
     """Finds the presses in one sensor's frames. Feed every frame, in order; it has no clock but the frames' times.
 
-    corrupt: frames that could not be read or are blind. first_fault: why, for the first of them. newest: the last frame that showed
-    the gel. sight: whether the frames show it.
+    corrupt: frames that could not be read, or are blind. first_fault: why, for the first of them. newest: the last that
+    showed the gel. sight: whether the frames show it.
     """
 
     def __init__(
@@ -64,7 +64,6 @@ class PressDetector:
         """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
         if not self._is_sound(frame) or not self._is_new(frame):
             return Look()
-        was_blind = self.sight.lost is not None
         events = self._interrupted_before(frame)
         if not self.tracker.is_due(frame.timestamp_ns):
             return Look(tuple(events))
@@ -76,8 +75,6 @@ class PressDetector:
         if not self.sight.see(view, frame.timestamp_ns):
             self._count(f"frame {frame.sequence} does not show the gel")
             return Look(tuple(events))
-        if was_blind:
-            events += self.tracker.gap()
         self.newest = self._kept[frame.sequence] = frame
         events += self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
         return Look(tuple(self._with_frame(event) for event in events), self.tracker.level)

@@ -33,19 +33,15 @@ class Sight:
         self._recent: deque[int] = deque(maxlen=_BUFFERS)
 
     def see(self, view: View, timestamp_ns: int) -> bool:
-        """Take one decoded view, float32 (h, w, 3), 0 to 255; returns whether it may be used.
-
-        A view without a gel is never used, a frozen one until the sensor is taken for blind: a film that was made of
-        pictures repeats each of them for a moment.
-        """
+        """Take one decoded view, float32 (h, w, 3), 0 to 255; returns whether it shows a gel, now or earlier."""
         fault, digest = _blindness(view), zlib.crc32(view.tobytes())
         is_frozen = digest in self._recent
         self._recent.append(digest)
         if fault is None and not is_frozen:
             self.lost, self.since_ns = None, timestamp_ns
-            return True
-        self.miss(fault or "its picture has not changed", timestamp_ns)
-        return fault is None and self.lost is None
+        else:
+            self.miss(fault or "its picture has not changed", timestamp_ns)
+        return fault is None
 
     def miss(self, fault: str, timestamp_ns: int) -> None:
         """Take one frame that shows nothing. fault: why, as a clause."""
