@@ -14,6 +14,7 @@ from edge.cli import build
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "firmware_notes").glob("*.md")),
 ]
