@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff test test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff test test-lab test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -30,9 +30,13 @@ PROCESSES ?= $(shell expr $$(nproc) + 1)
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0
 
-# What `make test` skips: training of the backbone, checkpoints, and what is compared with torch.
+# What `make test` skips: the experiments (studies, trade-off, detectability, ...) and promises proved by simulation.
+test-lab: $(VENV)/.test debian
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m lab
+
+# What `make test` skips for want of torch: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 tests/training tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m "not importers" tests/training tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test

@@ -12,7 +12,24 @@ from hypothesis import settings
 
 from calibration.threads import one_blas_thread
 
+TESTS = Path(__file__).resolve().parent
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+# Tests of experiments: `make test-lab` runs them, and single tests elsewhere that are marked `lab`.
+LAB = {
+    "acquisition",
+    "benchmark",
+    "detectability",
+    "docs/test_studies.py",
+    "gauge_study",
+    "gel_change",
+    "gel_scars",
+    "sensor_fit",
+    "soak",
+    "studies",
+    "tradeoff",
+    "training",
+}
 
 # The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.
 # `pytest --hypothesis-profile=default` draws others.
@@ -21,6 +38,14 @@ settings.load_profile("ci")
 # A shell that starts the tests in the background has them ignore Ctrl-C, and every program that they start with them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the experiments before pytest selects by marker."""
+    for item in items:
+        if any(item.path.is_relative_to(TESTS / place) for place in LAB):
+            item.add_marker("lab")
 
 
 @pytest.fixture(scope="session", autouse=True)

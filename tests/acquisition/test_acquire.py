@@ -112,7 +112,6 @@ def _until_pressed(process: subprocess.Popen[str], count: int) -> None:
     raise AssertionError("it ended before")
 
 
-@pytest.mark.slow
 def test_a_kill_loses_no_press_that_was_said(recording: Path, tmp_path: Path) -> None:
     """Killed after the third press: all three are there, and the same folder is continued."""
     out = tmp_path / "acquired"
@@ -126,7 +125,6 @@ def test_a_kill_loses_no_press_that_was_said(recording: Path, tmp_path: Path) ->
     assert len(names(out)) == len(payloads(out)) == 6
 
 
-@pytest.mark.slow
 def test_ctrl_c_ends_with_the_summary(recording: Path, tmp_path: Path) -> None:
     """The presses so far, what they promise, and how to fit them; exit code 0."""
     with _started(recording, tmp_path / "acquired") as process:

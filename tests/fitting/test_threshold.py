@@ -61,6 +61,7 @@ def test_a_score_that_is_not_finite_is_refused() -> None:
         conformal_threshold([1.0, 2.0, 3.0, float("nan")], 0.05)
 
 
+@pytest.mark.lab
 def test_the_promise_holds_on_average() -> None:
     """20,000 draws of 19 scores and a new one: it lies above the threshold in 5 % of the cases."""
     draws = np.random.default_rng(1).standard_normal((20_000, 20))
@@ -94,6 +95,7 @@ def test_one_press_of_each_piece_is_as_if_pieces_were_unknown() -> None:
     assert conformal_threshold(scores, 0.1, specimens=names) == conformal_threshold(scores, 0.1)
 
 
+@pytest.mark.lab
 def test_the_promise_holds_for_new_pieces() -> None:
     """4,000 draws of 5 pieces with 10 presses each, alike within a piece: a press of a sixth fails in 1/6 at most.
 
@@ -125,6 +127,7 @@ def test_above_the_largest_score_one_bundles_rate_has_an_upper_limit_alone() -> 
     assert rate_range(10, 0.05) == pytest.approx((0.0, 1 - 0.05**0.1), abs=1e-9)
 
 
+@pytest.mark.lab
 def test_one_bundle_lies_in_its_range() -> None:
     """2,000 bundles of 39 uniform scores: the rate above the threshold is in the stated range in 95 % of them."""
     draws = np.random.default_rng(3).uniform(size=(2000, 39))

@@ -58,7 +58,6 @@ def mosquitto() -> Iterator[LocalBroker]:
         yield broker
 
 
-@pytest.mark.slow
 def test_a_subscriber_finds_the_still_of_each_result(
     tmp_path: Path, recording: Path, bundle: Path, mosquitto: LocalBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-import pytest
 from soak import FAULTS, Outcome, soak
 
 
-@pytest.mark.slow
 def test_no_press_is_lost_whatever_happens(tmp_path: Path) -> None:
     """Each press is delivered and counted once, the database is sound, every message is as the station describes it."""
     outcome = soak(tmp_path, len(FAULTS))

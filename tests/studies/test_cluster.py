@@ -86,7 +86,6 @@ def workers(folder: Path, address: str, count: int) -> Iterator[None]:
         yield
 
 
-@pytest.mark.slow
 def test_the_cells_of_a_worker_that_dies_are_run_by_the_other(
     tmp_path: Path, rows: Rows, counted: Counted
 ) -> None:
@@ -98,7 +97,6 @@ def test_the_cells_of_a_worker_that_dies_are_run_by_the_other(
     assert counted.times(3) == 2
 
 
-@pytest.mark.slow
 def test_a_refusal_on_a_cluster_is_a_row(tmp_path: Path, rows: Rows, counted: Counted) -> None:
     """As in a process of this machine; and a study on a cluster continues."""
     refusing = Counted(counted.folder, refused=(1,))
@@ -110,7 +108,6 @@ def test_a_refusal_on_a_cluster_is_a_row(tmp_path: Path, rows: Rows, counted: Co
     assert counted.times(1) == 1
 
 
-@pytest.mark.slow
 def test_a_scheduler_that_is_lost_ends_the_study_with_a_sentence(
     tmp_path: Path, rows: Rows, counted: Counted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,7 +151,6 @@ def test_an_address_that_is_none_is_a_sentence(
         Options(dataset=tmp_path, output=tmp_path / "out", dask=address)
 
 
-@pytest.mark.slow
 def test_a_scheduler_without_workers_is_a_sentence(
     tmp_path: Path, rows: Rows, counted: Counted, monkeypatch: pytest.MonkeyPatch
 ) -> None:

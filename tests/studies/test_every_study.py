@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import pytest
 from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
@@ -13,7 +12,6 @@ from calibration.studies.rows import read_rows
 from calibration.studies.study import Options
 
 
-@pytest.mark.slow
 def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:
     """Without a second position that study is left out with its sentence; a second run adds no row."""
     dataset, output = study_dataset(tmp_path / "data", positions=("pos1",)), tmp_path / "rows"

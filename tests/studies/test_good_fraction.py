@@ -303,7 +303,6 @@ def test_a_backbone_without_the_taps_of_a_method_is_refused(tmp_path: Path) -> N
         overrides_for("spade", "paper", str(tmp_path / "trunk.onnx"))
 
 
-@pytest.mark.slow
 def test_the_paper_mode_runs_with_the_shipped_backbone(dataset: Path, tmp_path: Path) -> None:
     """All four methods, on the same features."""
     asked = options(

@@ -57,7 +57,6 @@ def test_only_tiled_views_have_tiles() -> None:
     assert {len(layout) for layout in tiles.values() if layout is not None} == {32}
 
 
-@pytest.mark.slow
 def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) -> None:
     """With the shipped trunk; the pool is capped, the same number of presses everywhere."""
     asked = options(dataset, tmp_path)
@@ -118,7 +117,6 @@ def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
         study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
 
 
-@pytest.mark.slow
 def test_rows_of_the_other_mode_are_added_in_tiles(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -285,7 +285,6 @@ def test_a_trunk_behind_a_resize_sees_the_resized_frame() -> None:
     assert framing.seen == pytest.approx(24 * 24 / (32 * 40))
 
 
-@pytest.mark.slow
 @pytest.mark.importers
 def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
     """Trained now, by whatever version is installed, with several layers, another size and a crop."""

@@ -16,7 +16,7 @@ from station import gel, jpeg, station_config
 from edge.model.bundle import Bundle
 from export.parity import Stage, compare, order_stage
 
-pytestmark = [pytest.mark.slow, pytest.mark.importers]
+pytestmark = pytest.mark.importers
 
 ONNX = {"formats": ["onnx"]}
 GOOD, BAD = 10, 2
