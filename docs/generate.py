@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
 cli.md from the commands, config.md from the configuration's models and the plugins' options, errors.md from the error
-tree, mqtt.md from the payload models, backbone.md from the files about the weights.
+tree, mqtt.md from the payload models.
 """
 
 import inspect
@@ -17,7 +17,6 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import typer
 
-from calibration.benchmark import model_card
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code
 from edge.cli.run import EXAMPLE
@@ -326,14 +325,6 @@ def _json(value: object) -> str:
     )
 
 
-# The backbone
-
-
-def backbone_page() -> str:
-    """How the weights that ship were trained, and what they can and cannot do."""
-    return model_card.page(FOLDER.parent / "plugins" / "backbones")
-
-
 # Errors
 
 
@@ -390,7 +381,6 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "errors.md": errors_page,
     "parameters.md": parameters_page,
     "mqtt.md": partial(reference, COMMANDS),
-    "backbone.md": backbone_page,
 }
 
 if __name__ == "__main__":

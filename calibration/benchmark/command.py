@@ -41,7 +41,6 @@ def evaluate_backbone(
         typer.Option(help="measure at the fitted limit too, on real touch, which takes several times longer"),
     ] = True,
     workers: Annotated[int, typer.Option(help="trials in parallel", min=1, max=64)] = 1,
-    page: Annotated[Path | None, typer.Option(help="write this page of the manual")] = None,
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
     """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
@@ -53,7 +52,7 @@ def evaluate_backbone(
 
     needs("benchmark", "evaluate-backbone")
     from calibration.benchmark.evaluation import compared_detectors, evaluate
-    from calibration.benchmark.model_card import evaluation_tables
+    from calibration.benchmark.tables import evaluation_tables
     from calibration.progress import progress
 
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
@@ -75,7 +74,7 @@ def evaluate_backbone(
             advance=advance,
         )
     found["trunks"] = _facts(graphs)
-    _write(out, text := dumps(found, indent=1) + "\n", page)
+    _write(out, text := dumps(found, indent=1) + "\n")
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
@@ -153,16 +152,14 @@ def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
     }
 
 
-def _write(out: Path, text: str, page: Path | None) -> None:
-    """The evaluation's file, and the page made with it. Errors: StoreError."""
-    from calibration.benchmark import model_card
+def _write(out: Path, text: str) -> None:
+    """Write the evaluation's file. Errors: StoreError."""
     from edge.core.errors import StoreError
+    from plugins.backbones.tactile import tactile_resnet18
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / f"{model_card.NAME}_evaluation.json").write_text(text)
-        if page is not None:
-            page.write_text(model_card.page(out), encoding="utf-8")
+        (out / f"{tactile_resnet18.name}_evaluation.json").write_text(text)
     except OSError as error:
         raise StoreError(
             f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"

@@ -1,4 +1,4 @@
-"""The shipped backbone: its files are those of the facts, it works as a trunk, and its card is current."""
+"""The shipped backbone: its files are those of the facts, it works as a trunk, and its evaluation is current."""
 
 import hashlib
 import json
@@ -9,7 +9,6 @@ import onnxruntime as ort
 import pytest
 
 from calibration.benchmark.evaluation import compared_detectors, used_settings
-from calibration.benchmark.model_card import page
 from calibration.benchmark.sets import SETS
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.training.package import MOST_BYTES
@@ -60,13 +59,6 @@ def test_a_missing_file_is_a_sentence() -> None:
     tactile.read_file.cache_clear()
     with pytest.raises(ConfigError, match=r"'nowhere\.onnx' is missing from this installation"):
         TactileBackbone("nowhere").trunk()
-
-
-def test_the_page_has_their_evaluation_and_trials() -> None:
-    """docs/backbone.md, which another test compares with the program, is complete."""
-    text = page(HOME)
-    assert "Not evaluated yet" not in text
-    assert "## Training trials" in text
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
