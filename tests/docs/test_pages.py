@@ -183,16 +183,42 @@ def test_the_example_is_a_sound_configuration_with_every_table(tmp_path: Path) -
     assert config.station.model_fields_set == set(type(config.station).model_fields)
 
 
-LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
 
 
-@pytest.mark.parametrize(
-    "page",
-    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))],
-    ids=lambda page: page.name,
-)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
-    """Every relative link of a page names a file or folder that is there."""
-    links = [link for link in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link]
+    """Every relative link of a page names a file or folder that is there, and a section of it."""
+    links = {link for link in LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link}
 
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    assert [link for link in sorted(links) if not leads(page, link)] == []
+
+
+def test_sections_that_the_program_names_are_there() -> None:
+    """Messages and comments of the program point at pages too."""
+    text = "".join(file.read_text(encoding="utf-8") for room in ROOMS for file in (ROOT / room).rglob("*.py"))
+
+    assert [
+        link
+        for link in sorted(set(re.findall(r"docs/[\w/-]+\.md(?:#[\w-]+)?", text)))
+        if not leads(ROOT / "README.md", link)
+    ] == []
+
+
+ROOMS = ("edge", "plugins", "calibration", "export")
+
+
+def leads(page: Path, link: str) -> bool:
+    name, _, section = link.partition("#")
+    target = page.parent / name if name else page
+    return target.exists() and (not section or section in anchors(target))
+
+
+def anchors(page: Path) -> set[str]:
+    """Return what `#` can be followed by: headings, as GitHub writes them, and named places."""
+    text = page.read_text(encoding="utf-8")
+    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles} | set(
+        re.findall(r'<a id="([\w-]+)"', text)
+    )
