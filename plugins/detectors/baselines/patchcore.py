@@ -18,7 +18,7 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Pro
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.descriptor import Descriptor, Kind
 from plugins.detectors.common.parameters import Parameters, Unit, choose, repaired
-from plugins.detectors.common.patchbank import PatchBank, drawn
+from plugins.detectors.common.patchbank import PatchBank, draw_rows
 from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
     PAPER_SIGMA_PX,
@@ -166,7 +166,7 @@ class Patchcore:
         if p.is_touched_only:
             points = rows[:, p.rows.touched(nominal, grid)].reshape(-1, rows.shape[2])
             free = p.rows.free_gel(nominal, grid, arrays, rows, rng)
-        pressed = drawn(points, nominal.limit(p.most_patches), rng)
+        pressed = draw_rows(points, nominal.limit(p.most_patches), rng)
         points = np.concatenate([pressed, free])
         chosen, facts = _coreset(points, min(count, nominal.limit(p.most_rows) or count), p, rng)
         arrays["bank"] = points[chosen]
@@ -212,8 +212,8 @@ def _coreset(
     """The rows kept, and the random choices made."""
     start = int(rng.integers(len(points)))
     if p.is_coreset_exact:
-        found = k_centre(points, count, start)
-        return found.rows, {"start": start, "radius": found.radius}
+        coreset = k_centre(points, count, start)
+        return coreset.rows, {"start": start, "radius": coreset.radius}
     width = points.shape[1]
     projected = points
     if width > PROJECTION_DIMS:
@@ -222,5 +222,5 @@ def _coreset(
         )
     first = rng.choice(len(points), min(STARTING_POINTS, len(points)), replace=False)
     bounds = np.stack([np.linalg.norm(projected - projected[k], axis=1) for k in first]).mean(axis=0)
-    found = k_centre(projected, count, start, bounds.astype(np.float64))
-    return found.rows, {"starting_points": first.tolist()}
+    coreset = k_centre(projected, count, start, bounds.astype(np.float64))
+    return coreset.rows, {"starting_points": first.tolist()}

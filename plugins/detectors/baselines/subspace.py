@@ -126,8 +126,8 @@ class Subspace:
         rows, columns = grid.taps[parameters.grid_tap][1:]
         embedding = learn_embedding(parameters.embedding, grid, nominal, np.ones(rows * columns, bool), rng)
         descriptors = embedding.numpy(nominal.features, np.float32)
-        centre = _pooled(descriptors, lambda x: x.sum(axis=(0, 1)), lambda done: progress(done / 2))
-        covariance = _pooled(
+        centre = _average(descriptors, lambda x: x.sum(axis=(0, 1)), lambda done: progress(done / 2))
+        covariance = _average(
             descriptors,
             lambda x: np.tensordot(x - centre, x - centre, axes=((0, 1), (0, 1))),
             lambda done: progress(0.5 + done / 2),
@@ -198,10 +198,10 @@ def _rank(values: NDArray[np.float64], power: float, parameters: SubspaceParamet
     return min(wanted, alive, parameters.most_rank, len(values) - 1)
 
 
-def _pooled(
+def _average(
     descriptors: Embedded, add: Callable[[NDArray[np.float64]], NDArray[np.float64]], progress: Progress
 ) -> NDArray[np.float64]:
-    """The mean over all cells and presses of the sums that `add` makes of descriptors (cells, n, d)."""
+    """Average over all cells and presses the sums that `add` makes of descriptors (cells, n, d)."""
     total, count = np.zeros(()), 0
     every = np.arange(descriptors.embedding.count)
     for part in blocks(len(every)):

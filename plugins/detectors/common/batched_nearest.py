@@ -53,8 +53,8 @@ def emit_group_nearest(
     the missing ones.
     """
     rows_there = graph.op("Shape", ranked, start=1, end=2)
-    one = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
-    closeness = graph.op("MatMul", one, graph.transpose(ranked, 0, 2, 1))
+    padded = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
+    closeness = graph.op("MatMul", padded, graph.transpose(ranked, 0, 2, 1))
     if bias is not None:
         closeness = graph.op("Sub", closeness, bias)
     short, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
@@ -117,8 +117,8 @@ class HalvedBank:
     def nearest(self, queries: Value) -> Value:
         """Plain distances (q,) of queries (q, width)."""
         graph = self.graph
-        one = graph.op("Pad", queries, graph.ints(0, 0, 0, 1), graph.scalar(1.0))
-        runs = graph.reshape(graph.op("MatMul", one, self.ranked), -1, RUN)
+        padded = graph.op("Pad", queries, graph.ints(0, 0, 0, 1), graph.scalar(1.0))
+        runs = graph.reshape(graph.op("MatMul", padded, self.ranked), -1, RUN)
         # (2q, runs): a row for each half of the bank.
         halves = graph.op("Concat", graph.ints(-1), self.runs, axis=0)
         tops = graph.op("Reshape", graph.op("ReduceMax", runs, graph.ints(1), keepdims=0), halves)
@@ -135,5 +135,5 @@ class HalvedBank:
 
 def emit_range(graph: Graph, count: Value) -> Value:
     """0, 1, ... up to a count in a vector of length one."""
-    zero, one = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
-    return graph.op("Range", zero, graph.op("Squeeze", count), one)
+    start, step = (graph.op("Squeeze", graph.ints(number)) for number in (0, 1))
+    return graph.op("Range", start, graph.op("Squeeze", count), step)

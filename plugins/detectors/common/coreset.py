@@ -32,7 +32,7 @@ class Coreset(NamedTuple):
 def k_centre(
     points: NDArray[np.floating], count: int, start: int, anchor: NDArray[np.float64] | None = None
 ) -> Coreset:
-    """At most `count` rows of `points` (n, c), beginning at `start`.
+    """Choose at most `count` rows of `points` (n, c), beginning at `start`.
 
     anchor: (n,) plain distances, the first upper bounds (PatchCore's ten random points); the first pick is then the
     farthest by `anchor` instead of `start`.
@@ -118,7 +118,7 @@ class _Picks:
 
 
 def greedy_from_distances(squared: NDArray[np.floating], count: int, start: int) -> NDArray[np.int64]:
-    """The same choice for many small sets at once, from pairwise squared distances (g, n, n): int64 rows (g, count).
+    """Choose so in many small sets at once, from pairwise squared distances (g, n, n): int64 rows (g, count).
 
     No row is picked twice; where all remaining rows equal a pick, the lowest of them follows.
     """

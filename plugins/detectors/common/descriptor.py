@@ -128,7 +128,7 @@ class Descriptor:
         return np.swapaxes(columns.reshape(n, len(columns[0]), -1), 1, 2)
 
     def emit(self, graph: Graph, grid: Grid, scales: Value | None) -> Value:
-        """The same in a graph: inputs for the taps; descriptors as columns (n * tiles, width, cells).
+        """Do the same in a graph: inputs for the taps; descriptors as columns (n * tiles, width, cells).
 
         scales: (taps,).
         """
@@ -151,7 +151,7 @@ class Descriptor:
         return graph.reshape(columns, 0, self.width(grid), h * w)
 
     def _native(self, x: NDArray[np.floating], number: int) -> NDArray[np.floating]:
-        """One tap's part at its own size: (n, c, h, w) to (n, rows, h, w)."""
+        """Describe one tap at its own size: (n, c, h, w) to (n, rows, h, w)."""
         if self.kind == "cells":
             return x
         n, c, h, w = x.shape
@@ -202,7 +202,7 @@ class Descriptor:
 
 
 def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
-    """One axis: bilinear onto a finer grid; onto a coarser one the transposed weights, so that nothing is skipped."""
+    """Resample one axis: bilinear onto a finer grid, by the transposed weights onto a coarser one (none is skipped)."""
     kind: Literal["sampled", "bilinear"] = "sampled" if is_sampled else "bilinear"
     if cells <= onto:
         return upsampling_matrix(cells, onto, kind)

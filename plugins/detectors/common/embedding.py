@@ -101,18 +101,18 @@ class Embedding:
         first = self.choice.taps[0]
         if f"projection_{first}" in self.arrays:
             return int(self.arrays[f"projection_{first}"].shape[1])
-        return sum(len(self._chosen(tap)) for tap in self.choice.taps)
+        return sum(len(self._channels_of(tap)) for tap in self.choice.taps)
 
     def numpy(self, features: Features, dtype: type[np.floating] = np.float64) -> "Embedded":
         """The descriptors of n presses, made cell by cell on demand."""
         return Embedded(self, {tap: self._native(tap, features[tap], dtype) for tap in self.choice.taps})
 
     def emit(self, graph: Graph) -> Value:
-        """The same in a graph: inputs for the taps and arrays, result float32 (n, cells, d).
+        """Do the same in a graph: inputs for the taps and arrays, result float32 (n, cells, d).
 
         A tap of which no channel was drawn is no input.
         """
-        read = [(index, tap) for index, tap in enumerate(self.choice.taps) if len(self._chosen(tap))]
+        read = [(index, tap) for index, tap in enumerate(self.choice.taps) if len(self._channels_of(tap))]
         if "scales" in self.arrays:
             graph.input("scales", (len(self.choice.taps),))
         parts = [self._emit_tap(graph, index, tap) for index, tap in read]
@@ -132,7 +132,7 @@ class Embedding:
         flat: NDArray[np.int64] = (rows[:, None] * shape[1] + columns[None]).ravel()
         return flat
 
-    def _chosen(self, tap: str) -> NDArray[np.int64]:
+    def _channels_of(self, tap: str) -> NDArray[np.int64]:
         everything = np.arange(self.grid.taps[tap][0])
         chosen: NDArray[np.int64] = self.arrays.get(f"channels_{tap}", everything)
         return chosen
@@ -160,7 +160,9 @@ class Embedding:
                 native[:, number] = press.T.astype(dtype, copy=False) @ projection
             return native.swapaxes(0, 1)
         scale = self.arrays["scales"][self.choice.taps.index(tap)] if "scales" in self.arrays else 1.0
-        chosen: NDArray[np.floating] = np.swapaxes(x[:, self._chosen(tap)], 1, 2).astype(dtype) * dtype(scale)
+        chosen: NDArray[np.floating] = np.swapaxes(x[:, self._channels_of(tap)], 1, 2).astype(dtype) * dtype(
+            scale
+        )
         return chosen
 
     def _emit_tap(self, graph: Graph, position: int, tap: str) -> Value:
@@ -179,7 +181,7 @@ class Embedding:
                 axis=1,
             )
         rows, columns = self._shape(tap)
-        x = graph.reshape(graph.transpose(x, 0, 2, 3, 1), 0, rows * columns, len(self._chosen(tap)))
+        x = graph.reshape(graph.transpose(x, 0, 2, 3, 1), 0, rows * columns, len(self._channels_of(tap)))
         if f"projection_{tap}" in self.arrays:
             x = graph.op("MatMul", x, graph.input(f"projection_{tap}", (channels, self.width)))
         elif "scales" in self.arrays:
@@ -245,7 +247,9 @@ def learn_embedding(
         return Embedding(choice, grid, arrays)
     if choice.projection == "random":
         drawn = (
-            _listed(choice.channel_list, total) if choice.channel_list else rng.choice(total, channels, False)
+            _check_channels(choice.channel_list, total)
+            if choice.channel_list
+            else rng.choice(total, channels, False)
         )
         drawn = np.sort(drawn)
         for tap, end, count in zip(choice.taps, ends, counts, strict=True):
@@ -281,8 +285,8 @@ def touched_cells(
     return touched
 
 
-def _listed(channels: tuple[int, ...], total: int) -> NDArray[np.int64]:
-    """The channels of a list. Errors: FitError for one that the taps do not have."""
+def _check_channels(channels: tuple[int, ...], total: int) -> NDArray[np.int64]:
+    """Give the channels as an array. Errors: FitError for one that the taps do not have."""
     if max(channels) >= total:
         raise FitError(
             f"channel_list names channel {max(channels)}, the taps have {total} together, 0 to {total - 1}"
@@ -310,8 +314,8 @@ def _repeat(cells: int, onto: int, is_sampled: bool, tiles: int = 1) -> NDArray[
     tiles: how many tiles are along the axis; no cell represents one of another tile.
     """
     if tiles > 1:
-        one = _repeat(cells // tiles, onto // tiles, is_sampled)
-        return (np.arange(tiles)[:, None] * (cells // tiles) + one).ravel()
+        index_in_tile = _repeat(cells // tiles, onto // tiles, is_sampled)
+        return (np.arange(tiles)[:, None] * (cells // tiles) + index_in_tile).ravel()
     if cells >= onto:
         return np.arange(onto)
     ratio = 2 ** round(np.log2(onto / cells)) if is_sampled else 0

@@ -84,7 +84,7 @@ def gel_distances(
 
 
 def emit_gel_distances(graph: Graph, rows: Value, mean: Value, weight: Value) -> Value:
-    """The same in a graph."""
+    """Give the same distances in a graph."""
     difference = graph.op("Sub", rows, mean)
     squared = graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0)
     return graph.op("Mul", graph.op("Sqrt", squared), weight)

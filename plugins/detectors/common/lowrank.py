@@ -64,7 +64,7 @@ def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int =
 
 
 def covariance_spectrum(mean: NDArray[np.float64], covariance: NDArray[np.float64], rank: int) -> Spectrum:
-    """The same from given covariances (..., d, d). rank: the most directions, at least 1."""
+    """Give the spectrum of known covariances (..., d, d). rank: the most directions, at least 1."""
     values, vectors = _leading(covariance, rank)
     return _cut(mean, values, np.swapaxes(vectors, -1, -2).copy())
 

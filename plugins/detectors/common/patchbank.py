@@ -24,7 +24,7 @@ from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.common.tile_layout import emit_join, join, layout, split
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["PatchBank", "drawn", "of_every_place"]
+__all__ = ["PatchBank", "draw_rows", "of_every_place"]
 
 # The most presses and cells from which the mean and the leading directions are learnt.
 SAMPLE_PRESSES = 16
@@ -62,7 +62,7 @@ class PatchBank:
             arrays["scales"] = np.array([1 / _deviation(features[tap]) for tap in taps], np.float32)
         n = len(features[taps[0]])
         drawn = np.sort(rng.choice(n, min(n, SAMPLE_PRESSES), replace=False))
-        sample = np.concatenate([self._described(features, grid, int(k), arrays) for k in drawn])
+        sample = np.concatenate([self._describe(features, grid, int(k), arrays) for k in drawn])
         if len(sample) > SAMPLE_CELLS:
             sample = sample[np.sort(rng.choice(len(sample), SAMPLE_CELLS, replace=False))]
         rotation = fit_rotation(sample, self.dims)
@@ -72,8 +72,8 @@ class PatchBank:
         each = (self.rows(_press(features, taps, k), grid, arrays, np.float32)[0] for k in range(n))
         first = next(each)
         rows = np.empty((n, *first.shape), np.float32)
-        for row, found in zip(rows, chain([first], each), strict=True):
-            row[:] = found
+        for row, described in zip(rows, chain([first], each), strict=True):
+            row[:] = described
         return arrays, rows
 
     def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
@@ -99,11 +99,11 @@ class PatchBank:
         Without them the bank would score free gel as a defect. Every place has rows, because each press shows the
         corners of the picture, which look like no other place.
         """
-        found = [of_every_place(rows[:, ~self.touched(nominal, grid)], FREE_GEL_ROWS, rng)]
+        sources = [of_every_place(rows[:, ~self.touched(nominal, grid)], FREE_GEL_ROWS, rng)]
         if nominal.no_contact is not None:
             free = self.rows(nominal.no_contact, grid, arrays, np.float32)
-            found.append(of_every_place(free, FREE_GEL_ROWS, rng))
-        return np.concatenate(found).astype(np.float32)
+            sources.append(of_every_place(free, FREE_GEL_ROWS, rng))
+        return np.concatenate(sources).astype(np.float32)
 
     def rows(
         self,
@@ -116,19 +116,19 @@ class PatchBank:
         rotation = Rotation(arrays["mean"], arrays.get("basis"))
         rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays), dtype), dtype)
         rows = rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2])
-        return self._placed(rows, grid).astype(dtype, copy=False)
+        return self._append_place(rows, grid).astype(dtype, copy=False)
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
     ) -> NDArray[np.float64]:
         """The oracle: distances (n, grid rows, grid columns) to the nearest row of `bank` (m, width), in float64."""
         rows = self.rows(features, grid, arrays)
-        found = nearest(rows.reshape(-1, rows.shape[2]), arrays["bank"]).distances
-        raw = (found**2 if is_squared else found).reshape(-1, *self.descriptor.cells(grid))
+        plain = nearest(rows.reshape(-1, rows.shape[2]), arrays["bank"]).distances
+        raw = (plain**2 if is_squared else plain).reshape(-1, *self.descriptor.cells(grid))
         return join(raw, grid)
 
     def emit(self, graph: Graph, grid: Grid, bank: Bank, is_squared: bool) -> Value:
-        """The same in a graph; the number of rows in the bank is free."""
+        """Do the same in a graph; the number of rows in the bank is free."""
         width, dims = self.descriptor.width(grid), bank.arrays.get("basis")
         scales = graph.input("scales", (len(self.descriptor.taps),)) if self.is_balanced else None
         columns = self.descriptor.emit(graph, grid, scales)
@@ -165,18 +165,18 @@ class PatchBank:
             asked = rows
             if count < h * w:
                 asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
-            found = bank.nearest(graph.reshape(asked, -1, size[1]))
-            parts.append(graph.reshape(found, -1, count))
+            distances = bank.nearest(graph.reshape(asked, -1, size[1]))
+            parts.append(graph.reshape(distances, -1, count))
         raw = graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
         return emit_join(graph, raw, (h, w), grid)
 
-    def _described(
+    def _describe(
         self, features: Features, grid: Grid, press: int, arrays: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.floating]:
         """Descriptors (cells, c) of one press, float32."""
-        one = _press(features, self.descriptor.taps, press)
-        described: NDArray[np.floating] = self.descriptor.numpy(one, grid, self._scales(arrays), np.float32)
-        return described.reshape(-1, described.shape[2])
+        taps = _press(features, self.descriptor.taps, press)
+        rows: NDArray[np.floating] = self.descriptor.numpy(taps, grid, self._scales(arrays), np.float32)
+        return rows.reshape(-1, rows.shape[2])
 
     def _scales(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, float]:
         return (
@@ -196,7 +196,7 @@ class PatchBank:
         places = split(np.stack(np.meshgrid(down, across, indexing="ij"))[None], grid)
         return np.asarray(self.position_weight * places.transpose(0, 2, 3, 1).reshape(-1, 2))
 
-    def _placed(self, rows: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
+    def _append_place(self, rows: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
         if not self.position_weight:
             return rows
         places = np.broadcast_to(self._places(grid), (*rows.shape[:-1], 2))
@@ -212,12 +212,12 @@ def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generat
     n, places, width = rows.shape
     count = min(n, max(1, most // max(1, places)))
     presses = rng.permuted(np.tile(np.arange(n), (places, 1)), axis=1)[:, :count]
-    found: NDArray[np.floating] = rows[presses, np.arange(places)[:, None]].reshape(-1, width)
-    return found
+    drawn: NDArray[np.floating] = rows[presses, np.arange(places)[:, None]].reshape(-1, width)
+    return drawn
 
 
-def drawn(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
-    """At most `most` of the rows, in their order; None: all."""
+def draw_rows(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Draw at most `most` of the rows, in their order; None: all."""
     if most is not None and len(rows) > most:
         rows = rows[np.sort(rng.choice(len(rows), most, replace=False))]
     return rows.astype(np.float32)

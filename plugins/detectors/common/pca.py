@@ -49,14 +49,14 @@ def fit_rotation(rows: NDArray[np.floating], dims: int | None) -> Rotation:
     width = rows.shape[1]
     if dims is None or dims >= width:
         return Rotation(mean, None)
-    found = spectrum(rows, dims).basis
+    directions = spectrum(rows, dims).basis
     basis = np.zeros((dims, width), np.float32)
-    basis[: len(found)] = found
+    basis[: len(directions)] = directions
     return Rotation(mean, basis)
 
 
 def emit_rotation(graph: Graph, columns: Value, mean: Value, basis: Value | None) -> Value:
-    """The same in a graph: descriptors as columns (n, c, p), mean (c,), basis (d, c); gives rows (n, p, width)."""
+    """Rotate in a graph: descriptors as columns (n, c, p), mean (c,), basis (d, c); gives rows (n, p, width)."""
     centred = graph.op("Sub", columns, graph.op("Unsqueeze", mean, graph.ints(1)))
     if basis is not None:
         along = graph.op("MatMul", basis, centred)

@@ -55,7 +55,7 @@ def blur_px(sigma: float, unit: Literal["mm", "px"], grid: Grid) -> float:
 
 @cache
 def upsampling_matrix(cells: int, pixels: int, kind: Upsampling = "bilinear") -> NDArray[np.float64]:
-    """One axis of an upsampling: float64 (pixels, cells), each row sums to 1.
+    """Upsample one axis: float64 (pixels, cells), each row sums to 1.
 
     bilinear: half-pixel centres, edges clamped. nearest: floor(pixel * cells / pixels). sampled: cell i is at pixel
     i * stride; the stride is the power of two that the sizes imply.
@@ -83,7 +83,7 @@ def _stride(cells: int, pixels: int) -> float:
 
 @cache
 def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") -> NDArray[np.float64]:
-    """One axis of a Gaussian blur: float64 (pixels, pixels), each row sums to 1. Sigma 0 changes nothing."""
+    """Blur one axis by a Gaussian: float64 (pixels, pixels), each row sums to 1. Sigma 0 changes nothing."""
     if not (np.isfinite(sigma_px) and sigma_px >= 0):
         raise ValueError(f"a blur is a finite number of pixels, at least 0, found {sigma_px}")
     radius = int(TRUNCATE * sigma_px + 0.5)
@@ -150,7 +150,7 @@ class Smoothing:
         return self._over(self.tiles.blend_columns(self.cells[1] // len(self.tiles.columns)), self.frame[1])
 
     def _over(self, blend: NDArray[np.float64], pixels: int) -> NDArray[np.float64]:
-        """One axis of a mosaic: blended onto the frame's own grid, then upsampled and blurred."""
+        """Blend one axis of a mosaic onto the frame's own grid, then upsample and blur it."""
         return smoothing_matrix(len(blend), pixels, self.sigma_px, self.upsampling) @ blend
 
     def __call__(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -84,7 +84,7 @@ class Fapm:
         _require_halved(grid, p)
         # One start for every group.
         start = float(rng.random())
-        kept = {tap: self._kept(nominal, grid, tap, p) for tap in p.layers}
+        kept = {tap: self._find_kept(nominal, grid, tap, p) for tap in p.layers}
         fraction = _affordable(nominal, kept, grid, p)
         arrays: dict[str, NDArray[Any]] = {}
         facts: dict[str, Any] = {"start": start, "near_fraction": fraction}
@@ -105,7 +105,7 @@ class Fapm:
             )
         return Bank(arrays, _packing(arrays, grid, p), facts)
 
-    def _kept(self, nominal: Nominal, grid: Grid, tap: str, p: FapmParameters) -> NDArray[np.bool_]:
+    def _find_kept(self, nominal: Nominal, grid: Grid, tap: str, p: FapmParameters) -> NDArray[np.bool_]:
         """Which groups of a tap keep prototypes: those with a touched place, or all."""
         groups = _layout(grid, tap, p).groups
         if not p.is_touched_only:
@@ -121,7 +121,7 @@ class Fapm:
         p = parameters
         require_scorable(self.name, features, p.layers)
         each = [
-            _layer_distances(_pooled(features[tap].astype(np.float64), grid, p.pooling), tap, bank.arrays, p)
+            _layer_distances(_pool(features[tap].astype(np.float64), grid, p.pooling), tap, bank.arrays, p)
             for tap in p.layers
         ]
         fused = each[0] if len(each) == 1 else each[0] + each[1][:, coarse_of_fine(grid, p)]
@@ -161,8 +161,8 @@ def _layout(grid: Grid, tap: str, p: FapmParameters) -> Layout:
     return cell_layout(shape_of(grid, tap), side, p.banks == "cell")
 
 
-def _pooled(layer: NDArray[np.floating], grid: Grid, side: int) -> NDArray[np.floating]:
-    """Means over side x side cells, zeros beyond the border of a tile counted: (n, c, H, W) to rows (n, places, c)."""
+def _pool(layer: NDArray[np.floating], grid: Grid, side: int) -> NDArray[np.floating]:
+    """Average over side x side cells, with zeros beyond the border of a tile: (n, c, H, W) to rows (n, places, c)."""
     maps = split(layer, grid)
     h, w = maps.shape[2:]
     if side > 1:
@@ -184,24 +184,24 @@ def _fit_layer(
     p: FapmParameters,
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """The arrays of one layer, and facts of the fit. kept: bool (groups,), those with prototypes."""
-    rows = _pooled(nominal.features[tap], grid, p.pooling)
+    rows = _pool(nominal.features[tap], grid, p.pooling)
     places = _layout(grid, tap, p).only(kept)
     near, far = _counts(nominal.presses * places.groups.shape[1], fraction, p)
-    found = choose_prototypes(rows, places, (near, far), p.far_quantile, start)
+    chosen = choose_prototypes(rows, places, (near, far), p.far_quantile, start)
     arrays: dict[str, NDArray[Any]] = {}
-    for kind, members, count in (("near", ~found.is_far, near), ("far", found.is_far, far)):
+    for kind, members, count in (("near", ~chosen.is_far, near), ("far", chosen.is_far, far)):
         if members.any():
-            arrays[kind] = np.ascontiguousarray(found.rows[members, :count])
-            arrays[f"{kind}_mean"] = found.mean[members]
+            arrays[kind] = np.ascontiguousarray(chosen.rows[members, :count])
+            arrays[f"{kind}_mean"] = chosen.mean[members]
             arrays[f"{kind}_places"] = places.groups[members]
-    scales = cell_scales(found.apart, places.cell, SCALE_FLOOR_QUANTILE) if p.is_calibrated else None
+    scales = cell_scales(chosen.apart, places.cell, SCALE_FLOOR_QUANTILE) if p.is_calibrated else None
     gel = np.setdiff1d(np.arange(rows.shape[1]), places.groups)
     if len(gel):
         free = None
         if nominal.no_contact is not None:
-            free = _pooled(nominal.no_contact[tap], grid, p.pooling)[:, gel]
+            free = _pool(nominal.no_contact[tap], grid, p.pooling)[:, gel]
         arrays["gel"], scatter = gel_mean(rows[:, gel], free)
-        known = found.apart[np.isfinite(found.apart)]
+        known = chosen.apart[np.isfinite(chosen.apart)]
         usual = float(np.median(known)) if known.size else math.nan
         weight = gel_weight(scatter, usual) if scales is None else 1 / max(scales.min(), scatter)
         arrays["gel_weight"] = np.array([weight], np.float32)
@@ -214,7 +214,7 @@ def _fit_layer(
     ]
     # Of a place that its cell repeats at the border the first copy is used.
     arrays["order"] = np.unique(np.concatenate(where), return_index=True)[1]
-    learnt = {"near_prototypes": near, "far_prototypes": far, "far_groups": int(found.is_far.sum())}
+    learnt = {"near_prototypes": near, "far_prototypes": far, "far_groups": int(chosen.is_far.sum())}
     return arrays, learnt | {"groups": len(places.groups), "gel_places": len(gel)}
 
 
@@ -246,7 +246,7 @@ def _affordable(
 
 
 def _packing(arrays: Mapping[str, NDArray[Any]], grid: Grid, p: FapmParameters) -> dict[str, Packing]:
-    """How the prototypes are stored; the free gel's means are never coarser than float16."""
+    """Choose how the prototypes are stored; the free gel's means are never coarser than float16."""
     if p.packing == "none":
         return {}
     means: dict[str, Packing] = {name: "float16" for name in arrays if name.endswith("_gel")}

@@ -43,7 +43,7 @@ def fapm_head(name: str, grid: Grid, bank: Bank, p: FapmParameters) -> bytes:
 
 
 def is_unweighted(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> bool:
-    """Whether the score has no weight because there is no second neighbour."""
+    """Tell whether the score has no weight because there is no second neighbour."""
     return min(p.neighbours, fewest(arrays, p)) < steps_of(p).least_weighted
 
 
@@ -68,7 +68,7 @@ def coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
 
 
 def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameters) -> Value:
-    """The same in a graph."""
+    """Compute the distances of one layer in a graph."""
     c, h, w = tile_grid(grid).taps[tap]
     tiles = math.prod(layout(grid))
     maps = emit_split(graph, graph.input(tap, ("n", *grid.taps[tap])), grid.taps[tap], grid)

@@ -37,7 +37,7 @@ class Chosen(NamedTuple):
 
 
 def together(rows: int, width: int) -> int:
-    """How many groups of this many rows are picked from at once, which limits the memory."""
+    """Limit how many groups of this many rows are picked from at once, for the memory."""
     return max(1, PAIRS // rows**2 if rows < MANY_ROWS else HELD // (rows * width))
 
 
@@ -47,7 +47,7 @@ def pick(x: NDArray[np.float32], count: int, start: int, s: int) -> Chosen:
     if x.shape[1] < MANY_ROWS:
         return _by_pairs(x, lengths, count, start, s)
     each = [_by_fronts(*group, count, start, s) for group in zip(x, lengths, strict=True)]
-    return Chosen(*(np.stack(found) for found in zip(*each, strict=True)))
+    return Chosen(*(np.stack(values) for values in zip(*each, strict=True)))
 
 
 def _by_pairs(x: NDArray[np.float32], lengths: NDArray[np.float32], count: int, start: int, s: int) -> Chosen:
@@ -73,15 +73,15 @@ def _by_fronts(
 ) -> Chosen:
     """The picks (count,) and distances (n,) of one group of rows (n, c)."""
     group, picks = _Group(rows, lengths, s), np.full(count, start)
-    done, found = 0, 1
+    done, end = 0, 1
     while True:
-        group.compare(picks[done:found])
-        done = found
+        group.compare(picks[done:end])
+        done = end
         if done == count:
             break
         front = group.front(min(FRONT, count - done))
-        found = done + len(front)
-        picks[done:found] = front
+        end = done + len(front)
+        picks[done:end] = front
     nearest, apart = np.maximum(group.bound, 0), np.maximum(group.apart, 0)
     _clear_rounding(rows, lengths, picks, s, nearest, apart)
     return Chosen(picks, nearest, apart)

@@ -82,22 +82,22 @@ def choose_prototypes(
     share of the set, so that it means the same at every size.
     """
     near, far = counts
-    found = _learn(rows, places.groups, near, start)
+    all_near = _learn(rows, places.groups, near, start)
     cells, of_group = np.unique(places.cell, return_inverse=True)
-    reach = np.bincount(of_group, found.radius.mean(axis=1), len(cells)) / np.bincount(of_group)
+    reach = np.bincount(of_group, all_near.radius.mean(axis=1), len(cells)) / np.bincount(of_group)
     is_far = (reach >= np.quantile(reach, far_quantile))[of_group]
     more = _learn(rows, places.groups[is_far], far, start)
     chosen = np.zeros((len(places.groups), far, rows.shape[2]), np.float32)
-    chosen[:, :near] = found.rows
-    chosen[is_far], found.apart[is_far] = more.rows, more.apart
-    return Prototypes(found.mean, chosen, near, is_far, found.apart)
+    chosen[:, :near] = all_near.rows
+    chosen[is_far], all_near.apart[is_far] = more.rows, more.apart
+    return Prototypes(all_near.mean, chosen, near, is_far, all_near.apart)
 
 
 def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, start: float) -> _Learnt:
     """`count` prototypes of each group (g, s) of places."""
     n, _, c = rows.shape
     s = groups.shape[1]
-    found = _Learnt(
+    learnt = _Learnt(
         np.empty((len(groups), c), np.float32),
         np.empty((len(groups), count, c), np.float32),
         np.empty((len(groups), s)),
@@ -107,23 +107,23 @@ def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, st
     for first in range(0, len(groups), at_once):
         part = slice(first, first + at_once)
         x = _rows_of(rows, groups[part])
-        found.mean[part] = x.mean(axis=1, dtype=np.float64)
-        x -= found.mean[part, None]
+        learnt.mean[part] = x.mean(axis=1, dtype=np.float64)
+        x -= learnt.mean[part, None]
         chosen = pick(x, count, int(start * n * s), s)
-        found.rows[part] = np.take_along_axis(x, chosen.picks[:, :, None], axis=1)
-        found.radius[part] = _root(chosen.nearest).reshape(-1, n, s).max(axis=1)
-        found.apart[part] = _root(chosen.apart)
-    return found
+        learnt.rows[part] = np.take_along_axis(x, chosen.picks[:, :, None], axis=1)
+        learnt.radius[part] = _root(chosen.nearest).reshape(-1, n, s).max(axis=1)
+        learnt.apart[part] = _root(chosen.apart)
+    return learnt
 
 
 def _rows_of(rows: NDArray[np.floating], groups: NDArray[np.int64]) -> NDArray[np.floating]:
     """The rows (g, n * s, c) of groups (g, s) of places, press by press."""
     n, _, c = rows.shape
-    found = np.empty((n, groups.size, c), rows.dtype)
+    columns = np.empty((n, groups.size, c), rows.dtype)
     # In memory a channel's places follow each other: taken as columns and turned while they are in the cache.
-    for press, taken in zip(rows, found, strict=True):
+    for press, taken in zip(rows, columns, strict=True):
         taken[:] = press.T[:, groups.ravel()].T
-    return found.reshape(n, len(groups), -1).swapaxes(0, 1).reshape(len(groups), -1, c)
+    return columns.reshape(n, len(groups), -1).swapaxes(0, 1).reshape(len(groups), -1, c)
 
 
 def _root(squared: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -163,8 +163,8 @@ def prototype_distances(
         names = (f"{tap}_{kind}", f"{tap}_{kind}_mean", f"{tap}_{kind}_places")
         for bank, mean, places in zip(*(arrays.get(name, ()) for name in names), strict=True):
             asked = rows[:, places] - mean
-            found = nearest(asked.reshape(-1, rows.shape[2]), bank, k).distances
-            repeated = found[:, np.minimum(np.arange(k), found.shape[1] - 1)]
+            nearest_k = nearest(asked.reshape(-1, rows.shape[2]), bank, k).distances
+            repeated = nearest_k[:, np.minimum(np.arange(k), nearest_k.shape[1] - 1)]
             distances[:, places] = repeated.reshape(len(rows), len(places), -1)
     if f"{tap}_gel" in arrays:
         places = arrays[f"{tap}_gel_places"]
@@ -176,7 +176,7 @@ def prototype_distances(
 def emit_prototype_distances(
     graph: Graph, rows: Value, tap: str, arrays: Mapping[str, NDArray[Any]], k: int
 ) -> Value:
-    """The same in a graph. rows: (n, places, c). Groups, prototypes and touched places are free."""
+    """Give the same distances in a graph. rows: (n, places, c). Groups, prototypes and touched places are free."""
     parts = [
         _emit_kind(graph, rows, f"{tap}_{kind}", arrays, k)
         for kind in ("near", "far")
@@ -201,9 +201,9 @@ def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArra
         return graph.reshape(emit_closest(graph, asked, prototypes, c), 0, -1, 1)
     # All presses under their group's bank at once: (groups, s * n, c).
     asked = graph.reshape(graph.transpose(asked, 1, 2, 0, 3), 0, -1, c)
-    found = emit_group_nearest(graph, asked, emit_ranked(graph, prototypes), c, k, max(k, SHORTLIST))
-    last = graph.op("Sub", graph.op("Shape", found, start=2, end=3), graph.ints(1))
-    repeated = graph.op("Gather", found, graph.op("Min", graph.ints(*range(k)), last), axis=2)
+    distances = emit_group_nearest(graph, asked, emit_ranked(graph, prototypes), c, k, max(k, SHORTLIST))
+    last = graph.op("Sub", graph.op("Shape", distances, start=2, end=3), graph.ints(1))
+    repeated = graph.op("Gather", distances, graph.op("Min", graph.ints(*range(k)), last), axis=2)
     by_press = graph.transpose(graph.reshape(repeated, 0, s, -1, k), 2, 0, 1, 3)
     return graph.reshape(by_press, 0, -1, k)
 
@@ -213,5 +213,5 @@ def _emit_gel(graph: Graph, rows: Value, tap: str, c: int, k: int) -> Value:
     count = f"{tap}_gel_places"
     here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=1)
     mean, weight = graph.input(f"{tap}_gel", (count, c)), graph.input(f"{tap}_gel_weight", (1,))
-    found = graph.op("Unsqueeze", emit_gel_distances(graph, here, mean, weight), graph.ints(2))
-    return graph.op("Concat", *[found] * k, axis=2) if k > 1 else found
+    distances = graph.op("Unsqueeze", emit_gel_distances(graph, here, mean, weight), graph.ints(2))
+    return graph.op("Concat", *[distances] * k, axis=2) if k > 1 else distances

@@ -30,7 +30,7 @@ def minus_largest(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def emit_minus_largest(graph: Graph, distances: Value) -> Value:
-    """The same in a graph."""
+    """Do the same in a graph."""
     return graph.op("Sub", distances, graph.op("ReduceMax", distances, graph.ints(1), keepdims=1))
 
 
@@ -44,7 +44,7 @@ def softmax_weight(shifted: NDArray[np.float64], weighting: Weighting) -> NDArra
 
 
 def emit_softmax_weight(graph: Graph, shifted: Value, weighting: Weighting) -> Value:
-    """The same in a graph."""
+    """Do the same in a graph."""
     grown = graph.op("Exp", shifted)
     share = graph.op("Div", grown, graph.op("ReduceSum", grown, graph.ints(1), keepdims=1))
     if weighting == "largest":

@@ -49,11 +49,11 @@ def associate(
         seeds = min(press, p.realisations)
         nearest = _nearest(asking[press], asked_of[:seeds])
         for seed in range(seeds):
-            found = _match(rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), steps)
-            is_better = steps.is_taken(found, best)
-            best[is_better] = found.squared[is_better]
-            opener[is_better] = seed * cells + found.patch[is_better]
-            is_joined[is_better] = found.is_mutual[is_better]
+            match = _match(rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), steps)
+            is_better = steps.is_taken(match, best)
+            best[is_better] = match.squared[is_better]
+            opener[is_better] = seed * cells + match.patch[is_better]
+            is_joined[is_better] = match.is_mutual[is_better]
         joined = np.flatnonzero(is_joined)
         key, patch = steps.member(opener[joined], joined, cells)
         keys.append(key)
@@ -88,8 +88,8 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
     for seed, first in itertools.product(range(seeds), range(0, cells, step)):
         part = slice(first, min(first + step, cells))
         squared = np.matmul(asking[part], asked_of[seed].T, out=product[: part.stop - first])
-        there[seed, part] = found = squared.argmin(axis=1)
-        away[seed, part] = squared[np.arange(len(found)), found]
+        there[seed, part] = closest = squared.argmin(axis=1)
+        away[seed, part] = squared[np.arange(len(closest)), closest]
         np.minimum(back[seed], squared.min(axis=0), out=back[seed])
     return Nearest(there, away, back, asking[:, -2] + asked_of[:, :, -1])
 
@@ -100,8 +100,8 @@ def _match(asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Neare
     exact, back = squared_distances(asked, seed[there]), np.full(len(asked), -1)
     both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
     back[there[both]] = both
-    found = steps.prefer(asked, seed, nearest, Joined(exact, there, back))
-    return Match(found.squared, found.there, found.back[found.there] == every)
+    preferred = steps.prefer(asked, seed, nearest, Joined(exact, there, back))
+    return Match(preferred.squared, preferred.there, preferred.back[preferred.there] == every)
 
 
 def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -> Channels:

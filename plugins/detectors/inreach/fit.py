@@ -85,8 +85,8 @@ class Inreach:
         most = nominal.limit(p.most_rows)
         if most is not None and len(members) > most:
             start = int(rng.integers(len(members)))
-            found = k_centre(members, most, start)
-            chosen, facts["start"], facts["radius"] = found.rows, start, found.radius
+            coreset = k_centre(members, most, start)
+            chosen, facts["start"], facts["radius"] = coreset.rows, start, coreset.radius
         arrays["bank"] = np.ascontiguousarray(members[chosen])
         facts |= {"rows": len(chosen), "rows_of_free_gel": int((chosen >= pressed).sum())}
         progress(1.0)
@@ -148,13 +148,13 @@ def _associate_tiles(
     rows: NDArray[np.float32], tiles: list[slice], p: InreachParameters, progress: Progress
 ) -> Channels:
     """Channels tile by tile: a patch is searched for in its own tile alone, as if each tile were a separate model."""
-    found = []
+    of_tiles = []
     for number, tile in enumerate(tiles):
         channels = associate(rows[:, tile], p, _part_of(progress, number, len(tiles)))
-        found.append(
+        of_tiles.append(
             Channels(channels.key + tile.start * len(rows), channels.press, channels.patch + tile.start)
         )
-    return Channels(*(np.concatenate(fields) for fields in zip(*found, strict=True)))
+    return Channels(*(np.concatenate(fields) for fields in zip(*of_tiles, strict=True)))
 
 
 def _part_of(progress: Progress, number: int, count: int) -> Progress:

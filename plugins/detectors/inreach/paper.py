@@ -113,15 +113,15 @@ def steps_of(p: InreachParameters) -> Steps:
 
 
 def keep_first(
-    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, found: Joined
+    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Joined
 ) -> Joined:
     """Among equally near patches the first wins, and constant gel leaves one pair."""
-    return found
+    return match
 
 
-def is_nearer(found: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether a realisation is the closest so far, mutual or not."""
-    return found.squared < best
+def is_nearer(match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Tell whether a realisation is the closest so far, mutual or not."""
+    return match.squared < best
 
 
 def swapped(

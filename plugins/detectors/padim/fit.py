@@ -109,13 +109,13 @@ class Padim:
             here = locations[part].ravel()
             delta = descriptors.at(here) - arrays["mean"][here, None].astype(np.float64)
             values = 1 / arrays["weights"][part].astype(np.float64) - ridge
-            found = mahalanobis_squared(
+            block = mahalanobis_squared(
                 delta.reshape(len(values), -1, delta.shape[2]),
                 values,
                 arrays["basis"][part].astype(np.float64),
                 ridge,
             )
-            squared[here] = found.reshape(len(here), -1)
+            squared[here] = block.reshape(len(here), -1)
         for part in blocks(len(elsewhere)):
             delta = descriptors.at(elsewhere[part]) - arrays["mean"][elsewhere[part], None].astype(np.float64)
             values = 1 / arrays["shared_weights"].astype(np.float64) - ridge
@@ -150,19 +150,19 @@ def _affordable(
 def _fit_local(
     descriptors: Embedded, cells: NDArray[np.int64], parameters: PadimParameters, progress: Progress
 ) -> dict[str, NDArray[np.float32]]:
-    """From blocks of cells (m, k): mean (m * k, d), basis (m, r, d), weights (m, r) = 1 / (lambda + ridge), r >= 1."""
+    """Fit blocks of cells (m, k): mean (m * k, d), basis (m, r, d), weights (m, r) = 1 / (lambda + ridge), r >= 1."""
     mean, weights, basis = [], [], []
     for part in blocks(len(cells)):
         here = cells[part]
         if parameters.neighbours or parameters.block > 1:
-            found = _of_blocks(descriptors, here, parameters)
+            fitted = _of_blocks(descriptors, here, parameters)
         else:
-            found = spectrum(descriptors.at(here[:, 0]), parameters.rank)
-        rank = max(found.values.shape[1], 1)  # a single press has no direction: one of zeros is used
+            fitted = spectrum(descriptors.at(here[:, 0]), parameters.rank)
+        rank = max(fitted.values.shape[1], 1)  # a single press has no direction: one of zeros is used
         values = np.zeros((len(here), rank))
-        rows = np.zeros((len(here), rank, found.mean.shape[-1]))
-        values[:, : found.values.shape[1]], rows[:, : found.values.shape[1]] = found.values, found.basis
-        mean.append(found.mean.reshape(here.size, -1).astype(np.float32))
+        rows = np.zeros((len(here), rank, fitted.mean.shape[-1]))
+        values[:, : fitted.values.shape[1]], rows[:, : fitted.values.shape[1]] = fitted.values, fitted.basis
+        mean.append(fitted.mean.reshape(here.size, -1).astype(np.float32))
         weights.append((1 / (values + parameters.total_ridge)).astype(np.float32))
         basis.append(rows.astype(np.float32))
         progress(part.stop / len(cells))
@@ -202,7 +202,7 @@ def _fit_shared(
     cells: NDArray[np.int64],
     parameters: PadimParameters,
 ) -> dict[str, NDArray[np.float32]]:
-    """One covariance for all cells that no press touches, around each cell's own mean.
+    """Fit one covariance for all cells that no press touches, around each cell's own mean.
 
     Presses and frames without contact show the untouched gel there.
     mean (cells, d), shared_basis (r, d), shared_weights (r,).
@@ -240,7 +240,7 @@ MEASURED_CELLS = 512
 
 
 def _loses_in_halves(embedding: Embedding, descriptors: Embedded, nominal: Nominal) -> bool:
-    """Whether means and projections stored as float16 would change a press too much.
+    """Tell whether means and projections stored as float16 would change a press too much.
 
     The error of half precision is relative to the means, and the scored deviations may be much smaller than these.
     """

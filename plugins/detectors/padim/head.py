@@ -53,7 +53,7 @@ def emit_squared(graph: Graph, delta: Value, basis: Value, weights: Value, count
 
 
 def _squared_shared(graph: Graph, delta: Value, basis: Value, weights: Value, ridge: float) -> Value:
-    """The same under one basis (r, d) and weights (r,) for all locations."""
+    """Give the same under one basis (r, d) and weights (r,) for all locations."""
     along = graph.op("MatMul", delta, graph.transpose(basis, 1, 0))
     off = graph.op("Sub", delta, graph.op("MatMul", along, basis))
     return _sum(graph, along, weights, off, ridge, 2)

@@ -84,7 +84,7 @@ class Spade:
         )
         described = _describe(nominal.features, grid, p)
         start = int(rng.integers(len(described)))
-        stored = {tap: self._stored(nominal, grid, tap, p) for tap in p.layers}
+        stored = {tap: self._find_stored(nominal, grid, tap, p) for tap in p.layers}
         kept = _affordable(described, nominal.room, stored, grid, p, start)
         press_mean = described[kept].mean(axis=0).astype(np.float32)
         arrays: dict[str, NDArray[Any]] = {
@@ -94,7 +94,7 @@ class Spade:
         facts = _facts(kept, len(described), start, p)
         packing: dict[str, Packing] = {}
         for number, tap in enumerate(p.layers):
-            layer = _averaged(nominal.features[tap][kept], grid, tap, p)
+            layer = _average(nominal.features[tap][kept], grid, tap, p)
             dims = p.dims[number] if p.dims else None
             arrays |= _fit_layer(tap, layer, np.flatnonzero(stored[tap]), dims, p, rng)
             packing[f"{tap}_bank"] = p.packing
@@ -119,7 +119,7 @@ class Spade:
             progress((number + 1) / len(p.layers))
         return Bank(arrays, packing, facts)
 
-    def _stored(self, nominal: Nominal, grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.bool_]:
+    def _find_stored(self, nominal: Nominal, grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.bool_]:
         """Which cells of a layer keep rows, flat, tile by tile."""
         cells = p.cells(grid, tap)
         if not p.is_touched_only or p.window(grid, tap) is None:
@@ -141,7 +141,7 @@ class Spade:
                 [
                     _distances(row, near.indices[i, : p.pixel_neighbours], bank.arrays, tap, grid, p)
                     for i, row in enumerate(
-                        _rows(_averaged(features[tap].astype(np.float64), grid, tap, p), tap, bank.arrays)
+                        _rows(_average(features[tap].astype(np.float64), grid, tap, p), tap, bank.arrays)
                     )
                 ]
             )
@@ -171,16 +171,16 @@ def _facts(kept: NDArray[np.intp], presses: int, start: int, p: SpadeParameters)
 
 def _describe(features: Features, grid: Grid, p: SpadeParameters) -> NDArray[np.float64]:
     """Global descriptors (n, d), float64."""
-    found = []
+    parts = []
     for tap in p.descriptor_taps(grid):
         down, across = p.regions_of(grid, tap)
         # Press by press: all of them in float64 would be twice the features.
-        found.append(np.stack([(down @ x.astype(np.float64) @ across.T).ravel() for x in features[tap]]))
-    return np.concatenate(found, axis=1)
+        parts.append(np.stack([(down @ x.astype(np.float64) @ across.T).ravel() for x in features[tap]]))
+    return np.concatenate(parts, axis=1)
 
 
-def _averaged(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
-    """A layer averaged to the cells that are compared, tiles one under the other: (n, c, tiles * h, w)."""
+def _average(layer: NDArray[np.float32], grid: Grid, tap: str, p: SpadeParameters) -> NDArray[np.floating]:
+    """Average a layer to the cells that are compared, tiles one under the other: (n, c, tiles * h, w)."""
     matrices = p.averaging(grid, tap)
     if matrices is None:
         return stacked(layer, grid)
@@ -275,7 +275,7 @@ def _fit_gel(
     gel = arrays[f"{tap}_gel_cells"]
     frames = [np.stack([rows[gel] for rows in _rows(pressed, tap, arrays)])]
     if nominal.no_contact is not None:
-        free = _averaged(nominal.no_contact[tap], grid, tap, p)
+        free = _average(nominal.no_contact[tap], grid, tap, p)
         frames.append(np.stack([rows[gel] for rows in _rows(free, tap, arrays)]))
     arrays[f"{tap}_gel"], scatter = gel_mean(frames[0], frames[1] if len(frames) > 1 else None)
     return scatter
@@ -306,13 +306,13 @@ def _distances(
     p: SpadeParameters,
 ) -> NDArray[np.float64]:
     """Distances (tiles, h, w) of one press's descriptors to the gallery, or to the free gel in untouched cells."""
-    found = _search(rows, presses, arrays, tap, grid, p)
+    distances = _search(rows, presses, arrays, tap, grid, p)
     if f"{tap}_gel" in arrays:
         gel = arrays[f"{tap}_gel_cells"]
-        found.reshape(-1)[gel] = gel_distances(
+        distances.reshape(-1)[gel] = gel_distances(
             rows[None, gel], arrays[f"{tap}_gel"], arrays[f"{tap}_gel_weight"]
         )[0]
-    return found
+    return distances
 
 
 def _search(
@@ -336,11 +336,11 @@ def _search(
     window = p.window(grid, tap)
     if window is not None:
         return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
-    found = []
+    distances = []
     for t, tile in enumerate(tiles):
         searched = steps_of(p).gallery(gallery[:, t])
-        found.append(nearest(tile.reshape(h * w, -1), searched).distances.reshape(h, w))
-    return np.stack(found)
+        distances.append(nearest(tile.reshape(h * w, -1), searched).distances.reshape(h, w))
+    return np.stack(distances)
 
 
 def _nominal_distance(arrays: Mapping[str, NDArray[Any]], tap: str, grid: Grid, p: SpadeParameters) -> float:

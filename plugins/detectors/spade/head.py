@@ -114,18 +114,18 @@ def _emit_windows(
         tables = Tables.of(blocks, np.arange(cells))
         presses = graph.input(f"{tap}_bank", ("presses", cells, width))
         values = graph.constant(tables.queries), graph.constant(tables.reached)
-        found = emit_window_nearest(graph, rows, presses, gallery, blocks, values, size)
-        return graph.op("Gather", found, graph.constant(tables.back), axis=1)
+        distances = emit_window_nearest(graph, rows, presses, gallery, blocks, values, size)
+        return graph.op("Gather", distances, graph.constant(tables.back), axis=1)
     presses = graph.input(f"{tap}_bank", ("presses", f"{tap}_stored", width))
     queries, reached = (
         graph.input(f"{tap}_{name}", (f"{tap}_blocks", bank.arrays[f"{tap}_{name}"].shape[1]), "int64")
         for name in ("queries", "reached")
     )
-    found = emit_window_nearest(graph, rows, presses, gallery, blocks, (queries, reached), size)
+    distances = emit_window_nearest(graph, rows, presses, gallery, blocks, (queries, reached), size)
     count = f"{tap}_untouched"
     here = graph.op("Gather", rows, graph.input(f"{tap}_gel_cells", (count,), "int64"), axis=1)
     mean, weight = graph.input(f"{tap}_gel", (count, width)), graph.input(f"{tap}_gel_weight", (1,))
-    both = graph.op("Concat", found, emit_gel_distances(graph, here, mean, weight), axis=1)
+    both = graph.op("Concat", distances, emit_gel_distances(graph, here, mean, weight), axis=1)
     return graph.op("Gather", both, graph.input(f"{tap}_order", (cells,), "int64"), axis=1)
 
 
@@ -142,9 +142,9 @@ def _emit_whole_search(
     tiles, h, w, width = size
     cells = h * w
     count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
-    found = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
+    gathered = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
     shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
-    bank = graph.op("Reshape", graph.transpose(found, 0, 2, 1, 3, 4), shape)
+    bank = graph.op("Reshape", graph.transpose(gathered, 0, 2, 1, 3, 4), shape)
     rows = graph.reshape(rows, -1, cells, width)
     bank = emit_ranked(graph, steps_of(p).emit_gallery(graph, bank, (h, w, width)))
     step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))

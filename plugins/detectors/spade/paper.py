@@ -85,7 +85,7 @@ def steps_of(p: SpadeParameters) -> Steps:
 
 
 def absolute_floor(layer: NDArray[np.floating]) -> float:
-    """The same constant for all features, which changes faint ones."""
+    """Use one constant for all features, which changes faint ones."""
     return LENGTH_FLOOR
 
 
@@ -99,7 +99,7 @@ def whole_chunks(gallery: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def emit_whole_chunks(graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
-    """The same in a graph, of a gallery (m, presses * cells, width). size: rows and columns, width."""
+    """Do the same in a graph, for a gallery (m, presses * cells, width). size: rows and columns, width."""
     h, w, width = size
     total = graph.op("Shape", bank, start=1, end=2)
     turned = graph.transpose(graph.reshape(bank, 0, -1, h, w, width), 0, 1, 3, 2, 4)

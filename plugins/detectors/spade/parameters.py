@@ -122,7 +122,7 @@ class SpadeParameters(Parameters):
         return rows, columns
 
     def window(self, grid: Grid, tap: str) -> int | None:
-        """How many cells of a tap a match may be away; None for anywhere on the map."""
+        """Count the cells of a tap that a match may be away; None for anywhere on the map."""
         if self.window_mm is None:
             return None
         own = self.cells(grid, tap)

@@ -64,7 +64,7 @@ class Blocks:
         return np.where(allowed.reshape(count, -1), 0.0, FORBIDDEN).astype(np.float32)
 
     def step(self, numbers: int) -> int:
-        """How many blocks to search at once, for the numbers that a cell has in a gallery."""
+        """Limit the blocks to search at once, for the numbers that a cell has in a gallery."""
         reached = int(self.gallery().shape[1]) * numbers
         count = self.tiles * math.prod(self.count)
         wanted = max(GATHERED // reached, -(-count // PARTS))
@@ -76,9 +76,9 @@ class Blocks:
             reach = np.arange(count)[:, None] * side + np.arange(-margin, side + margin)[None, :]
             axes.append(np.clip(reach, 0, n - 1))
         rows, columns = axes
-        one = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
+        in_tile = rows[:, None, :, None] * self.cells[1] + columns[None, :, None, :]
         first = np.arange(self.tiles) * self.cells[0] * self.cells[1]
-        table: NDArray[np.int64] = first[:, None, None, None, None] + one
+        table: NDArray[np.int64] = first[:, None, None, None, None] + in_tile
         return table.reshape(self.tiles * self.count[0] * self.count[1], -1)
 
 
@@ -142,7 +142,7 @@ def emit_window_nearest(
         ]
         parts.append(search.closest(part[0], part[1]))
     closest = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
-    return graph.reshape(search.measured(tables[0], closest), 0, -1)
+    return graph.reshape(search.measure(tables[0], closest), 0, -1)
 
 
 class _Search:
@@ -177,12 +177,12 @@ class _Search:
             graph.op("Unsqueeze", here, graph.ints(1)),
         )
         # The rows as the left side of the product need no repacking: (n, blocks, k * r, width + 1).
-        found = self._shaped(
+        rows = self._shaped(
             graph.op("Gather", self.ranked, numbers, axis=0),
             graph.op("Mul", self.presses, graph.ints(self.r)),
             graph.ints(self.width + 1),
         )
-        product = graph.op("MatMul", found, graph.transpose(ranking, 0, 1, 3, 2))
+        product = graph.op("MatMul", rows, graph.transpose(ranking, 0, 1, 3, 2))
         product = self._shaped(product, self.presses, graph.ints(self.r, self.q))
         best = graph.op("ReduceMax", product, graph.ints(2), keepdims=0)
         absent = graph.op("Cast", graph.op("Greater", reached, self.last), to=_FLOAT)
@@ -200,8 +200,8 @@ class _Search:
         ends = graph.op("Mul", self.presses, graph.ints(self.r))
         return graph.op("GatherElements", self._shaped(numbers, ends), at, axis=2)
 
-    def measured(self, queries: Value, closest: Value) -> Value:
-        """The distance (n, blocks, q) to the closest rows (n, blocks, q), as a sum of squared differences."""
+    def measure(self, queries: Value, closest: Value) -> Value:
+        """Measure the distance (n, blocks, q) to the closest rows (n, blocks, q), as a sum of squared differences."""
         graph = self.graph
         difference = graph.op(
             "Sub",
