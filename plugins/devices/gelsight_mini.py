@@ -52,24 +52,24 @@ class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOpt
     Options = GelsightMiniOptions
 
     def discover(self, options: GelsightMiniOptions) -> list[DiscoveredDevice]:
-        """Errors: DeviceNotFound when libusb cannot be loaded."""
-        return [one.discovered for one in discover(get_backend())]
+        """List the sensors on the bus. Errors: DeviceNotFound when libusb cannot be loaded."""
+        return [sensor.discovered for sensor in discover(get_backend())]
 
     def open(self, options: GelsightMiniOptions, clock: Clock) -> Device:
-        """Errors: DeviceNotFound, DeviceBusy, DeviceLost, DeviceStalled."""
+        """Open the sensor. Errors: DeviceNotFound, DeviceBusy, DeviceLost, DeviceStalled."""
         backend = get_backend()
-        found = choose(discover(backend), options.serial)
+        sensor = choose(discover(backend), options.serial)
         if options.stream == "uvc":
-            return UvcSensor.open(backend, found, clock, controls=options.controls)
-        return _open_v4l2(backend, found, options, clock)
+            return UvcSensor.open(backend, sensor, clock, controls=options.controls)
+        return _open_v4l2(backend, sensor, options, clock)
 
     def reset(self, options: GelsightMiniOptions) -> str:
         """Reset the sensor as a re-plug does; returns which one. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
-        found = choose(discover(get_backend()), options.serial)
-        who = f"{found.discovered.product} at {found.discovered.place}"
+        sensor = choose(discover(get_backend()), options.serial)
+        who = f"{sensor.discovered.product} at {sensor.discovered.place}"
         with guarded(who):
-            found.device.reset()
-            usb.util.dispose_resources(found.device)
+            sensor.device.reset()
+            usb.util.dispose_resources(sensor.device)
         return who
 
 
@@ -101,5 +101,6 @@ def _open_v4l2(
 
 def _is_on_bus(backend: LibusbBackend, serial: str) -> bool:
     return any(
-        one.discovered.identity and one.discovered.identity.serial == serial for one in discover(backend)
+        sensor.discovered.identity and sensor.discovered.identity.serial == serial
+        for sensor in discover(backend)
     )

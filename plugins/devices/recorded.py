@@ -126,7 +126,7 @@ class Recorded(DevicePlugin[RecordedOptions]):
         return options.recording
 
     def open(self, options: RecordedOptions, clock: Clock) -> Device:
-        """Errors: RecordingError."""
+        """Open the recording as a sensor. Errors: RecordingError."""
         return RecordedSensor(Recording.open(options.recording), clock, pace=options.pace, loop=options.loop)
 
 

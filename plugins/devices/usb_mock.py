@@ -123,19 +123,19 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
         return options._bench
 
     def discover(self, options: UsbMockOptions) -> list[DiscoveredDevice]:
-        return [one.discovered for one in discover(self.bench(options).bus)]
+        return [sensor.discovered for sensor in discover(self.bench(options).bus)]
 
     def recording(self, options: UsbMockOptions) -> Path:
         return options.recording
 
     def open(self, options: UsbMockOptions, clock: Clock) -> Device:
-        """Errors: RecordingError, DeviceNotFound, DeviceBusy (also by another process that plays this recording)."""
+        """Open the sensor. Errors: RecordingError, DeviceNotFound, DeviceBusy (also by a process that plays it)."""
         bench = self.bench(options, clock)
-        found = choose(discover(bench.bus), options.serial)
+        on_bus = choose(discover(bench.bus), options.serial)
         # Two stations of one computer may play the same recording as two sensors.
         own = f"-{options.serial}" if options.serial else ""
         lock_name = f"virtual-{options.recording.resolve()}{own}"[-200:]
-        sensor = UvcSensor.open(bench.bus, found, clock, lock_name=lock_name, controls=options.controls)
+        sensor = UvcSensor.open(bench.bus, on_bus, clock, lock_name=lock_name, controls=options.controls)
         if options.pace == 0:
             sensor.played_ns = bench.sensor.played_ns
         return sensor

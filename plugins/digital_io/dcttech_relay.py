@@ -51,7 +51,7 @@ class DcttechRelay:
     def write(self, channel: int, is_on: bool) -> None:
         if not 1 <= channel <= self.channels:
             raise ValueError(f"{self.name} has channels 1 to {self.channels}, found {channel}")
-        self._opened().send_feature(bytes([0, ON if is_on else OFF, channel, 0, 0, 0, 0, 0, 0]))
+        self._require_open().send_feature(bytes([0, ON if is_on else OFF, channel, 0, 0, 0, 0, 0, 0]))
         _, bits = self._report()
         if bool(bits >> (channel - 1) & 1) != is_on:
             raise DeviceStalled(
@@ -68,7 +68,7 @@ class DcttechRelay:
 
     def _report(self) -> tuple[str, int]:
         """The board's name and its relays as bits. Errors: DeviceLost; DeviceNotFound for another kind of board."""
-        report = self._opened().get_feature(0, 9)
+        report = self._require_open().get_feature(0, 9)
         data = report[1:] if len(report) == 9 else report
         name = data[:5].decode("ascii", errors="replace")
         if not data:
@@ -80,7 +80,7 @@ class DcttechRelay:
             )
         return name, data[7]
 
-    def _opened(self) -> HidHandle:
+    def _require_open(self) -> HidHandle:
         if self._handle is None:
             raise DeviceLost(f"{self._info.product} at {self._info.place} was closed")
         return self._handle
@@ -114,10 +114,10 @@ def _discovered(bus: HidBus, info: HidInfo, options: RelayOptions) -> Discovered
 
 def open_relay(bus: HidBus, options: RelayOptions) -> DcttechRelay:
     """The only board, or that of the options. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
-    found = discover_relays(bus, options)
-    usable = [(info, port) for info, port in found if port.refusal is None]
+    boards_seen = discover_relays(bus, options)
+    usable = [(info, port) for info, port in boards_seen if port.refusal is None]
     if not usable:
-        seen = "; ".join(port.refusal for _, port in found if port.refusal)
+        seen = "; ".join(port.refusal for _, port in boards_seen if port.refusal)
         raise DeviceNotFound(
             f"no relay board is plugged in; {seen or 'check its cable, then `gelgate devices`'}"
         )

@@ -53,7 +53,7 @@ class Kernel:
         return _gpiod().request_lines(chip, dict(settings), "gelgate")
 
     def is_output(self, chip: str, line: int) -> bool:
-        """Whether the line drives its level now."""
+        """Tell whether the line drives its level now."""
         gpiod = _gpiod()
         with gpiod.Chip(chip) as opened:
             return bool(opened.get_line_info(line).direction == gpiod.line.Direction.OUTPUT)
@@ -76,16 +76,16 @@ class GpioButton:
             active_low=options.active_low,
         )
         self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
-        self._request: Any = _tried(self.name, lambda: kernel.request(options.chip, {options.line: settings}))
+        self._request: Any = _call(self.name, lambda: kernel.request(options.chip, {options.line: settings}))
         self._changes: deque[bool] = deque()
         self._is_down = False
 
     def read(self, deadline_ns: int) -> bool | None:
-        request = _opened(self._request, self.name)
+        request = _require_open(self._request, self.name)
         if not self._changes:
             wait_s = max(0, deadline_ns - self._clock.monotonic_ns()) / 1e9
-            if _tried(self.name, lambda: request.wait_edge_events(timedelta(seconds=wait_s))):
-                events = _tried(self.name, request.read_edge_events)
+            if _call(self.name, lambda: request.wait_edge_events(timedelta(seconds=wait_s))):
+                events = _call(self.name, request.read_edge_events)
                 self._changes.extend(event.event_type == self._rising for event in events)
         while self._changes:
             is_down = self._changes.popleft()
@@ -110,15 +110,15 @@ class GpioRelays:
         self.name = f"lines {', '.join(map(str, options.lines))} of {options.chip}"
         self.channels = len(options.lines)
         self._kernel, self._options = kernel, options
-        self._request: Any = _tried(self.name, self._requested)
+        self._request: Any = _call(self.name, self._requested)
 
     def write(self, channel: int, is_on: bool) -> None:
         if not 1 <= channel <= self.channels:
             raise ValueError(f"{self.name} are channels 1 to {self.channels}, found {channel}")
-        request, line = _opened(self._request, self.name), self._options.lines[channel - 1]
+        request, line = _require_open(self._request, self.name), self._options.lines[channel - 1]
         value = _gpiod().line.Value(int(is_on))
-        _tried(self.name, lambda: request.set_value(line, value))
-        if _tried(self.name, lambda: request.get_value(line)) != value:
+        _call(self.name, lambda: request.set_value(line, value))
+        if _call(self.name, lambda: request.get_value(line)) != value:
             raise DeviceStalled(
                 f"line {line} of {self._options.chip} does not take its level; is it short-circuited?"
             )
@@ -153,13 +153,13 @@ class GpioRelays:
         return request
 
 
-def _opened(request: Any, name: str) -> Any:
+def _require_open(request: Any, name: str) -> Any:
     if request is None:
         raise DeviceLost(f"{name} was closed")
     return request
 
 
-def _tried(name: str, call: Callable[[], T]) -> T:
+def _call(name: str, call: Callable[[], T]) -> T:
     try:
         return call()
     except OSError as error:
@@ -179,7 +179,7 @@ def _device_error(name: str, error: OSError) -> DeviceError:
 
 
 def _gpiod() -> Any:
-    """Errors: ConfigError without gpiod."""
+    """Import gpiod. Errors: ConfigError where it is not installed."""
     try:
         import gpiod
     except ImportError as error:

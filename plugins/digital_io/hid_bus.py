@@ -47,7 +47,7 @@ class HidHandle(Protocol):
     """An open interface. Errors of every call: DeviceLost."""
 
     def read(self, most: int, timeout_s: float) -> bytes:
-        """One input report, empty when none came in time."""
+        """Read an input report, empty when none came in time."""
         ...
 
     def send_feature(self, report: bytes) -> None:
@@ -69,12 +69,12 @@ class HidBus(Protocol):
         ...
 
     def open(self, info: HidInfo) -> HidHandle:
-        """Errors: DeviceBusy without the rights to it, DeviceLost."""
+        """Open an interface. Errors: DeviceBusy without the rights to it, DeviceLost."""
         ...
 
 
 def is_plugged_in(bus: HidBus, info: HidInfo) -> bool:
-    """Whether the same interface is still there."""
+    """Tell whether the same interface is still there."""
     return info in bus.enumerate()
 
 
@@ -82,11 +82,11 @@ class SystemHidBus:
     """The HID devices of this machine."""
 
     def enumerate(self) -> list[HidInfo]:
-        """Errors: ConfigError without hidapi."""
+        """List the interfaces on the bus. Errors: ConfigError without hidapi."""
         module = _module()
         with _LOCK:
-            found = module.enumerate()
-        return sorted((_info(one) for one in found), key=lambda info: info.path)
+            interfaces = module.enumerate()
+        return sorted(map(_info, interfaces), key=lambda info: info.path)
 
     def open(self, info: HidInfo) -> HidHandle:
         device = _module().device()
@@ -109,22 +109,22 @@ class _SystemHandle:
 
     def read(self, most: int, timeout_s: float) -> bytes:
         # 0 would wait without end in some versions.
-        return bytes(self._tried("read", most, max(1, round(timeout_s * 1000))))
+        return bytes(self._call("read", most, max(1, round(timeout_s * 1000))))
 
     def send_feature(self, report: bytes) -> None:
-        if self._tried("send_feature_report", report) < 0:
+        if self._call("send_feature_report", report) < 0:
             raise DeviceLost(
                 f"{self._info.product} at {self._info.place} takes no report: {self._device.error()}"
             )
 
     def get_feature(self, report_id: int, most: int) -> bytes:
-        return bytes(self._tried("get_feature_report", report_id, most))
+        return bytes(self._call("get_feature_report", report_id, most))
 
     def close(self) -> None:
         with _LOCK:
             self._device.close()
 
-    def _tried(self, name: str, *given: object) -> Any:
+    def _call(self, name: str, *given: object) -> Any:
         try:
             return getattr(self._device, name)(*given)
         except (OSError, ValueError) as error:  # ValueError: not open
@@ -132,7 +132,7 @@ class _SystemHandle:
 
 
 def _module() -> Any:
-    """Errors: ConfigError without hidapi."""
+    """Import hidapi. Errors: ConfigError where it is not installed."""
     for name in ("hidraw", "hid"):
         try:
             return import_module(name)

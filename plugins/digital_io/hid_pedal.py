@@ -49,7 +49,7 @@ class HidPedal:
         self._is_down = False
 
     def read(self, deadline_ns: int) -> bool | None:
-        handle = self._opened()
+        handle = self._require_open()
         while True:
             left_ns = deadline_ns - self._clock.monotonic_ns()
             report = handle.read(_MOST, max(0, left_ns) / 1e9)
@@ -67,7 +67,7 @@ class HidPedal:
         if handle is not None:
             handle.close()
 
-    def _opened(self) -> HidHandle:
+    def _require_open(self) -> HidHandle:
         if self._handle is None:
             raise DeviceLost(f"{self.name} was closed")
         return self._handle
@@ -100,17 +100,17 @@ def _refusal(info: HidInfo, options: PedalOptions) -> str | None:
 
 def open_pedal(bus: HidBus, options: PedalOptions, clock: Clock) -> HidPedal:
     """The first usable one. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
-    found = discover_pedals(bus, options)
-    usable = [info for info, refusal in found if refusal is None]
+    pedals = discover_pedals(bus, options)
+    usable = [info for info, refusal in pedals if refusal is None]
     if not usable:
-        seen = "; ".join(refusal for _, refusal in found if refusal)
+        seen = "; ".join(refusal for _, refusal in pedals if refusal)
         which = f"pedal {options.device}" if options.device else "pedal"
         raise DeviceNotFound(f"no {which} is plugged in; {seen or 'check its cable, then `gelgate devices`'}")
     return HidPedal(bus, usable[0], clock, options.key)
 
 
-def discovered_pedals(bus: HidBus, options: PedalOptions) -> list[DiscoveredPort]:
-    """For `gelgate devices`."""
+def list_pedals(bus: HidBus, options: PedalOptions) -> list[DiscoveredPort]:
+    """List the pedals for `gelgate devices`."""
     return [
         DiscoveredPort(info.place, info.product, info.serial or None, refusal)
         for info, refusal in discover_pedals(bus, options)
@@ -123,7 +123,7 @@ class HidPedalPlugin:
     Options = PedalOptions
 
     def discover(self, options: PedalOptions) -> Sequence[DiscoveredPort]:
-        return discovered_pedals(SystemHidBus(), options)
+        return list_pedals(SystemHidBus(), options)
 
     def open(self, options: PedalOptions, clock: Clock) -> HidPedal:
         return open_pedal(SystemHidBus(), options, clock)

@@ -17,7 +17,7 @@ from edge.core.errors import DeviceLost
 from edge.core.ports import Clock
 from plugins.digital_io.dcttech_relay import ON, DcttechRelay, RelayOptions, discover_relays, open_relay
 from plugins.digital_io.hid_bus import HidHandle, HidInfo
-from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, discovered_pedals, open_pedal
+from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, list_pedals, open_pedal
 
 __all__ = ["VirtualHidBus", "VirtualHidOptions", "actuator", "bus_of", "trigger"]
 
@@ -64,12 +64,12 @@ class VirtualHidBus:
         return (self.clock.monotonic_ns() - self._started_ns) / 1e9
 
     def has_devices(self) -> bool:
-        """Whether they are plugged in now."""
+        """True while they are plugged in."""
         away = self.options.unplugged_s
         return self.is_plugged_in and not (away and away[0] <= self.now_s < away[1])
 
     def is_down(self) -> bool:
-        """Whether the pedal is pressed now, by its script or by hand."""
+        """True while the pedal is pressed, by its script or by hand."""
         now_s, held_s = self.now_s, self.options.held_s
         return self.pedal_is_down or any(at <= now_s < at + held_s for at in self.options.presses_s)
 
@@ -86,12 +86,12 @@ class VirtualHidBus:
         return _Pedal(self) if info == PEDAL_INFO else _Board(self)
 
     def check(self, info: HidInfo) -> None:
-        """Errors: DeviceLost when it is unplugged."""
+        """Refuse an unplugged interface. Errors: DeviceLost."""
         if not self.has_devices():
             raise DeviceLost(f"{info.product} at {info.place} is gone")
 
     def switch(self, channel: int, is_on: bool) -> None:
-        """One relay, into the log as well."""
+        """Switch one relay, and log it."""
         if self.is_stuck:
             return
         self.relays[channel - 1] = is_on
@@ -171,7 +171,7 @@ class VirtualTrigger:
     Options = VirtualHidOptions
 
     def discover(self, options: VirtualHidOptions) -> Sequence[DiscoveredPort]:
-        return discovered_pedals(bus_of(options), PedalOptions())
+        return list_pedals(bus_of(options), PedalOptions())
 
     def open(self, options: VirtualHidOptions, clock: Clock) -> HidPedal:
         return open_pedal(bus_of(options, clock), PedalOptions(), clock)

@@ -96,14 +96,14 @@ class Oak(DevicePlugin[OakOptions]):
     Options = OakOptions
 
     def discover(self, options: OakOptions) -> list[DiscoveredDevice]:
-        """Errors: ConfigError without depthai. The search takes half a second."""
+        """List the cameras. Errors: ConfigError without depthai. The search takes half a second."""
         if options.film is not None:
             return [DiscoveredDevice(str(options.film), PRODUCT, _identity(str(options.film), options))]
-        found = quiet_depthai().Device.getAllAvailableDevices()
-        return [DiscoveredDevice(str(one.name), PRODUCT, _identity(one.deviceId, options)) for one in found]
+        cameras = quiet_depthai().Device.getAllAvailableDevices()
+        return [DiscoveredDevice(str(c.name), PRODUCT, _identity(c.deviceId, options)) for c in cameras]
 
     def open(self, options: OakOptions, clock: Clock) -> Device:
-        """Errors: ConfigError, DeviceNotFound, DeviceBusy, RecordingError."""
+        """Open the camera or the film. Errors: ConfigError, DeviceNotFound, DeviceBusy, RecordingError."""
         dai = quiet_depthai()
         return _film(dai, options, clock) if options.film is not None else _camera(dai, options, clock)
 
@@ -116,7 +116,7 @@ def _identity(serial: str, options: OakOptions) -> DeviceIdentity:
 
 
 def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
-    info = _chosen(dai.Device.getAllAvailableDevices(), options.serial)
+    info = _choose(dai.Device.getAllAvailableDevices(), options.serial)
     try:
         device = dai.Device(info)
         pipeline = dai.Pipeline(device)
@@ -131,12 +131,12 @@ def _camera(dai: Any, options: OakOptions, clock: Clock) -> OakCamera:
     return OakCamera(_identity(info.deviceId, options), pipeline, queue, clock, is_film=False)
 
 
-def _chosen(found: Any, serial: str | None) -> Any:
-    """Errors: DeviceNotFound for none, or several, with those that are there. An `OAK` is not waited for."""
-    fitting = [one for one in found if serial in (None, one.deviceId)]
+def _choose(cameras: Any, serial: str | None) -> Any:
+    """Choose the one camera that fits, without waiting for it. Errors: DeviceNotFound with those that are there."""
+    fitting = [camera for camera in cameras if serial in (None, camera.deviceId)]
     if len(fitting) == 1:
         return fitting[0]
-    seen = ", ".join(one.deviceId for one in found) or "none"
+    seen = ", ".join(camera.deviceId for camera in cameras) or "none"
     wanted = "one OAK" if serial is None else f"the OAK {serial}"
     raise DeviceNotFound(
         f"{wanted} is expected, seen: {seen}; plug it in, check its cable and power, or name its serial"

@@ -36,10 +36,10 @@ class UsbCameraOptions(BaseModel):
 
 def discovered(nodes: list[VideoNode], mode: tuple[int, int]) -> list[DiscoveredDevice]:
     """Every capture node; touch sensors are refused."""
-    return [_described(node, mode) for node in nodes if node.index == 0]
+    return [_describe(node, mode) for node in nodes if node.index == 0]
 
 
-def _described(node: VideoNode, mode: tuple[int, int]) -> DiscoveredDevice:
+def _describe(node: VideoNode, mode: tuple[int, int]) -> DiscoveredDevice:
     if node.product.startswith(TOUCH_SENSOR):
         return DiscoveredDevice(
             str(node.path), node.product, refusal="it is a touch sensor; use [device] for it"
@@ -76,7 +76,7 @@ class UsbCamera(DevicePlugin[UsbCameraOptions]):
         return discovered(video_nodes(), (options.width, options.height))
 
     def open(self, options: UsbCameraOptions, clock: Clock) -> Device:
-        """Errors: DeviceNotFound, DeviceBusy."""
+        """Open the camera. Errors: DeviceNotFound, DeviceBusy."""
         import cv2
 
         node = choose(video_nodes(), options.camera)

@@ -63,7 +63,7 @@ class VirtualCamera:
         number = self._sequence
         self._sequence += 1
         text = self._options.parts[number % len(self._options.parts)]
-        payload = _jpeg(_drawn(text, self._options.kind, number))
+        payload = _jpeg(_draw(text, self._options.kind, number))
         return CameraFrame(payload, self._clock.monotonic_ns(), number, is_on_demand=True)
 
     def close(self) -> None:
@@ -85,8 +85,8 @@ class VirtualOverview(DevicePlugin[VirtualOverviewOptions]):
 plugin = VirtualOverview()
 
 
-def _drawn(text: str, kind: str, seed: int) -> NDArray[np.uint8]:
-    """uint8 (h, w). No two are the same: the noise is drawn from the seed."""
+def _draw(text: str, kind: str, seed: int) -> NDArray[np.uint8]:
+    """Draw a picture, uint8 (h, w). No two are the same: the noise is drawn from the seed."""
     w, h = IDENTITY.mode
     clean = np.full((h, w), TABLE, np.float32)
     if text:

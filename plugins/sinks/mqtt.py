@@ -101,7 +101,7 @@ class MqttSink:
 
     @property
     def faults(self) -> Sequence[str]:
-        """What a person should correct although messages pass, one sentence each."""
+        """Faults to correct although messages pass, one sentence each."""
         second = self._availability.fault
         return [*dict(self._faults).values(), *self._strikes.faults, *([second] if second else [])]
 
@@ -136,7 +136,7 @@ class MqttSink:
         self._availability.close()
 
     def step(self) -> float | None:
-        """One turn of the connecting thread: try to connect where there is no connection.
+        """Do one turn of the connecting thread: try to connect where there is no connection.
 
         Gives the pause before the next turn in seconds, None while there is a connection. Never raises.
         """
@@ -167,7 +167,7 @@ class MqttSink:
         return None
 
     def find_level(self) -> None:
-        """At 3.1.1 by choice of the broker: ask again for level 5, and connect again if it answers."""
+        """Ask again for level 5 where the broker chose 3.1.1, and connect again if it answers."""
         connection = self._connection
         self._level_again_s = min(2 * self._level_again_s, LEVEL_AGAIN_LAST_S)
         if connection is None or connection.level == "5" or self._broker.level is not None:
@@ -179,14 +179,14 @@ class MqttSink:
             connection.close()
 
     def find_availability(self) -> None:
-        """Where the second connection could not be kept: try again."""
+        """Try again to open the second connection where it could not be kept."""
         connection = self._connection
         if connection is not None and self._availability.is_missing:
             self._availability.open(connection.level, self._lost.set)
             self._say_availability(connection)
 
     def answer(self, request: Received) -> None:
-        """One turn of the answering thread: do what is asked and publish the response."""
+        """Do what a request asks and publish the response: one turn of the answering thread."""
         if not self._closing.is_set():
             self._requests.answer(request, self._connection)
 
@@ -207,7 +207,7 @@ class MqttSink:
             self.answer(request)
 
     def _see_loss(self) -> None:
-        """One of the two connections is lost: the second alone is opened again."""
+        """Handle the loss of one of the two connections: the second alone is opened again."""
         connection, lost = self._connection, self._lost
         lost.clear()
         if connection is None or not connection.is_up or self._closing.is_set():

@@ -37,7 +37,7 @@ class Availability:
 
     @property
     def is_held(self) -> bool:
-        """Whether the broker has the will now."""
+        """True while the broker has the will."""
         return self._connection is not None and self._connection.is_up
 
     def open(self, level: Level, on_lost: Callable[[], None]) -> None:
@@ -49,7 +49,7 @@ class Availability:
 
     @property
     def is_missing(self) -> bool:
-        """Whether it should be held and is not."""
+        """True where it should be held and is not."""
         return self._offline is not None and self._is_wanted and not self.is_held
 
     def renew(self, level: Level, on_lost: Callable[[], None]) -> None:
@@ -62,7 +62,7 @@ class Availability:
             self._note("the broker closes it soon after it accepts it")
 
     def outgoing(self, message: Outgoing) -> Outgoing:
-        """What to publish for a message of the station: on this topic nothing while the will is not held."""
+        """Give what to publish for a message of the station: on this topic nothing while the will is not held."""
         if self._offline is None or message.topic != self._offline.topic or self.is_held:
             return message
         return replace(message, payload=b"")

@@ -81,16 +81,16 @@ class BrokerOptions(BaseModel):
         return "{}:{}".format(*self._address())
 
     def warnings(self) -> list[str]:
-        """What is open to others on the plant's network."""
-        found = []
+        """List what is open to others on the plant's network."""
+        sentences = []
         if self.tls is None and self.host not in _OWN_MACHINE:
-            found.append("the connection is not encrypted; set tls")
+            sentences.append("the connection is not encrypted; set tls")
         if (
             self.username is None
             and (self.tls is None or self.tls.cert is None)
             and self.host not in _OWN_MACHINE
         ):
-            found.append(
+            sentences.append(
                 "no user name is given, so others may publish as this station; set username or tls.cert"
             )
         if (
@@ -98,11 +98,13 @@ class BrokerOptions(BaseModel):
             and self.password_file.exists()
             and self.password_file.stat().st_mode & 0o007
         ):
-            found.append(f"password file {self.password_file} is open to every user; set its rights to 0640")
-        return found
+            sentences.append(
+                f"password file {self.password_file} is open to every user; set its rights to 0640"
+            )
+        return sentences
 
     def address(self) -> tuple[str, int]:
-        """Where the broker listens. Errors: ConfigError for a password or TLS file that cannot be used."""
+        """Give the host and port of the broker. Errors: ConfigError for a password or TLS file that cannot be used."""
         broker = self.broker("check")
         return broker.host, broker.port
 

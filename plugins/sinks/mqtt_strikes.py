@@ -27,7 +27,7 @@ class Strikes:
 
     @property
     def is_suspecting(self) -> bool:
-        """Whether connections end while one message waits."""
+        """True while connections end and one message waits."""
         return self._closed[1] > 0 or self._silent[1] > 0
 
     @property

@@ -79,7 +79,7 @@ class SparkplugSink:
             return
         with self._lock:
             connection = self._connected()
-            self._values.update({one.name: replace(one, is_historical=False) for one in changed})
+            self._values.update({metric.name: replace(metric, is_historical=False) for metric in changed})
             connection.publish(self._outgoing("NDATA", changed))
 
     def close(self) -> None:

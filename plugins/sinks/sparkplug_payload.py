@@ -69,15 +69,15 @@ def encode(metrics: Sequence[Metric], time_ms: int, seq: int | None) -> bytes:
     if seq is not None:
         payload.seq = seq
     for metric in metrics:
-        one = payload.metrics.add(name=metric.name, timestamp=metric.time_ms, datatype=metric.kind)
+        entry = payload.metrics.add(name=metric.name, timestamp=metric.time_ms, datatype=metric.kind)
         if metric.is_historical:
-            one.is_historical = True
+            entry.is_historical = True
         if metric.value is None:
-            one.is_null = True
+            entry.is_null = True
         else:
             value = metric.value
             # A negative number is sent as its two's complement: the field is unsigned.
-            setattr(one, _VALUES[metric.kind], value % 2**64 if metric.kind is DataType.INT64 else value)
+            setattr(entry, _VALUES[metric.kind], value % 2**64 if metric.kind is DataType.INT64 else value)
     return bytes(payload.SerializeToString())
 
 
@@ -90,7 +90,7 @@ def decode(data: bytes) -> list[tuple[str, Value | None]]:
         payload.ParseFromString(data)
     except DecodeError as error:
         raise ValueError(f"not a Sparkplug B payload: {error}") from error
-    return [(one.name, _value(one)) for one in payload.metrics]
+    return [(entry.name, _value(entry)) for entry in payload.metrics]
 
 
 def _value(metric: Any) -> Value | None:

@@ -95,8 +95,8 @@ def pin(
         except OSError as error:
             unset[name] = f"setting it to {value} failed: {error.strerror or error}"
     for name, value in controls.items():
-        if name not in unset and (found := _read_back(name, get_value)) != value:
-            unset[name] = f"set to {value}, reads back {found}"
+        if name not in unset and (actual := _read_back(name, get_value)) != value:
+            unset[name] = f"set to {value}, reads back {actual}"
     return unset
 
 

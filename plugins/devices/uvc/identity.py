@@ -39,7 +39,7 @@ class SensorOnBus:
 
 
 def refusal(product: str) -> str | None:
-    """Why a device with the sensor's USB id is not a sensor, or None when it is one."""
+    """Say why a device with the sensor's USB id is not a sensor, or None when it is one."""
     if product.startswith(PRODUCT_PREFIX):
         return None
     return (
@@ -50,15 +50,17 @@ def refusal(product: str) -> str | None:
 
 def discover(backend: Any) -> list[SensorOnBus]:
     """Everything with the sensor's USB id, in the order of bus, port and address."""
-    found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
-    seen = [SensorOnBus(device, _look(device)) for device in found]
-    return sorted(seen, key=lambda one: (one.device.bus, one.device.port_numbers or (), one.device.address))
+    devices = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
+    seen = [SensorOnBus(device, _look(device)) for device in devices]
+    return sorted(
+        seen, key=lambda sensor: (sensor.device.bus, sensor.device.port_numbers or (), sensor.device.address)
+    )
 
 
 def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
     """The sensor with this serial, or the only one. Errors: DeviceNotFound with every device that was seen instead."""
-    sensors = [one for one in seen if one.discovered.identity is not None]
-    chosen = [one for one in sensors if serial in (None, _serial(one))]
+    sensors = [sensor for sensor in seen if sensor.discovered.identity is not None]
+    chosen = [sensor for sensor in sensors if serial in (None, _serial(sensor))]
     if len(chosen) == 1:
         return chosen[0]
     if len(chosen) > 1:
@@ -66,8 +68,12 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
             f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial"
         )
     wanted = f"no GelSight Mini with serial {serial}" if serial else "no GelSight Mini"
-    others = [f"{_serial(one)} at {one.discovered.place}" for one in sensors]
-    others += [f"{one.discovered.place}: {one.discovered.refusal}" for one in seen if one.discovered.refusal]
+    others = [f"{_serial(sensor)} at {sensor.discovered.place}" for sensor in sensors]
+    others += [
+        f"{sensor.discovered.place}: {sensor.discovered.refusal}"
+        for sensor in seen
+        if sensor.discovered.refusal
+    ]
     raise DeviceNotFound(f"{wanted} is plugged in; seen: {'; '.join(others) or 'no device with its USB id'}")
 
 
@@ -75,7 +81,7 @@ def streaming_formats(device: Any) -> tuple[int, list[MjpegFormat]]:
     """(number of the streaming interface, its MJPEG formats). Errors: ValueError when it has none."""
     for interface in _streaming_interfaces(device):
         formats = mjpeg_formats(bytes(interface.extra_descriptors))
-        if any(one.modes for one in formats):
+        if any(mjpeg.modes for mjpeg in formats):
             return int(interface.bInterfaceNumber), formats
     raise ValueError("it has no MJPEG video mode")
 
@@ -120,4 +126,4 @@ def _tail(product: str) -> str:
 
 def largest_mode(formats: list[MjpegFormat]) -> VideoMode:
     """The mode with most pixels; the first of equals."""
-    return max((mode for one in formats for mode in one.modes), key=lambda mode: mode.width * mode.height)
+    return max((mode for mjpeg in formats for mode in mjpeg.modes), key=lambda mode: mode.width * mode.height)

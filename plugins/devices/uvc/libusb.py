@@ -52,7 +52,9 @@ class LibusbPacketStream:
             ctypes.create_string_buffer(packet_bytes * PACKETS_PER_TRANSFER) for _ in range(TRANSFERS)
         ]
         self._transfers = [self._prepared(handle, endpoint, buffer) for buffer in self._buffers]
-        self._position = {ctypes.addressof(one.contents): i for i, one in enumerate(self._transfers)}
+        self._position = {
+            ctypes.addressof(transfer.contents): i for i, transfer in enumerate(self._transfers)
+        }
         try:
             for position in range(TRANSFERS):
                 self._submit(position)
@@ -99,10 +101,10 @@ class LibusbPacketStream:
         view = memoryview(self._buffers[position])
         return [
             Packet(
-                bytes(view[start : start + one.actual_length]),
-                one.status == libusb1.LIBUSB_TRANSFER_COMPLETED,
+                bytes(view[start : start + packet.actual_length]),
+                packet.status == libusb1.LIBUSB_TRANSFER_COMPLETED,
             )
-            for start, one in zip(range(0, len(view), self._packet_bytes), descriptors, strict=True)
+            for start, packet in zip(range(0, len(view), self._packet_bytes), descriptors, strict=True)
         ]
 
     def _handle_events(self, timeout_ms: int) -> None:

@@ -137,7 +137,9 @@ class UvcSensor:
             frame = self._next_received(deadline_ns)
             self._check(frame)
             if self._freshness.is_new(frame.payload):
-                return self._stamped(frame.payload)
+                time_ns = self.played_ns() if self.played_ns else self._clock.monotonic_ns()
+                self._sequence += 1
+                return CameraFrame(frame.payload, time_ns, self._sequence - 1, self.on_demand)
 
     def _next_received(self, deadline_ns: int) -> ReceivedFrame:
         while not self._received:
@@ -169,12 +171,6 @@ class UvcSensor:
             self._sequence += 1
             raise FrameCorrupt(f"{self.identity.product}, frame {self._sequence - 1}: {fault}")
 
-    def _stamped(self, payload: bytes) -> CameraFrame:
-        time_ns = self.played_ns() if self.played_ns else self._clock.monotonic_ns()
-        frame = CameraFrame(payload, time_ns, self._sequence, self.on_demand)
-        self._sequence += 1
-        return frame
-
     def close(self) -> None:
         """Stop the stream, return the interfaces to the kernel and release the lock."""
         self._lost = self._lost or f"{self.identity.product} was closed"
@@ -182,7 +178,7 @@ class UvcSensor:
 
 
 def _quietly(undo: ExitStack, step: Any, *arguments: object) -> None:
-    """At closing, a missing sensor is not an error."""
+    """Undo a step at closing, where a missing sensor is not an error."""
 
     def attempt() -> None:
         with suppress(usb.core.USBError, DeviceError):
@@ -229,7 +225,7 @@ def _start_stream(backend: PacketBackend, device: Any, undo: ExitStack) -> tuple
 def _negotiate(device: Any, number: int, formats: list[MjpegFormat]) -> StreamControl:
     """Set probe, read the camera's answer, commit exactly that."""
     mode = largest_mode(formats)
-    format_index = next(one.format_index for one in formats if mode in one.modes)
+    format_index = next(mjpeg.format_index for mjpeg in formats if mode in mjpeg.modes)
     size = _block_size(device, number)
     wish = StreamControl(format_index, mode.frame_index, mode.intervals[0])
     device.ctrl_transfer(REQUEST_SET, SET_CUR, PROBE << 8, number, wish.pack(size))

@@ -132,16 +132,16 @@ def mjpeg_formats(extra: bytes) -> list[MjpegFormat]:
 
 
 def _descriptors(extra: bytes) -> list[bytes]:
-    found, at = [], 0
+    descriptors, at = [], 0
     while at < len(extra):
         length = extra[at]
         if length < 3 or at + length > len(extra):
             raise ValueError(
                 f"a class-specific descriptor at byte {at} says {length} bytes; {len(extra) - at} are left"
             )
-        found.append(extra[at : at + length])
+        descriptors.append(extra[at : at + length])
         at += length
-    return found
+    return descriptors
 
 
 def _mode(descriptor: bytes) -> VideoMode:

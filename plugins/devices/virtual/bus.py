@@ -31,7 +31,7 @@ class Handle:
     address: int
 
     def live_camera(self) -> VirtualCamera:
-        """Errors: USBError errno 19 when the camera has left the bus."""
+        """Give the camera. Errors: USBError errno 19 when it has left the bus."""
         if not self.camera.is_present or self.camera.address != self.address:
             raise usb_error(errno.ENODEV)
         return self.camera
@@ -93,7 +93,7 @@ class VirtualBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb is untype
         camera = dev_handle.camera
         if not camera.is_present or camera.address != dev_handle.address:
             return
-        for interface in [one for one, holder in camera.claims.items() if holder is dev_handle]:
+        for interface in [claimed for claimed, holder in camera.claims.items() if holder is dev_handle]:
             self.release_interface(dev_handle, interface)
 
     def get_configuration(self, dev_handle: Handle) -> int:

@@ -139,7 +139,7 @@ class VirtualCamera:
     # Control pipe
 
     def control(self, request_type: int, request: int, value: int, index: int, data: Any) -> int:
-        """One control transfer; `data` is filled for IN requests. Returns the byte count. Errors: USBError."""
+        """Answer one control transfer; `data` is filled for IN requests. Returns the byte count. Errors: USBError."""
         if (request_type, request) == _STANDARD_GET_DESCRIPTOR and value >> 8 == 3:
             return self._string(value & 0xFF, data)
         if index & 0xFF == STREAMING_INTERFACE and request_type & 0x7F == 0x21:

@@ -46,7 +46,7 @@ class Board:
 
     @property
     def strings(self) -> tuple[str, ...]:
-        """By string index, from 1."""
+        """The strings in the order of their index, from 1."""
         return (self.manufacturer, self.product, self.serial)
 
     @staticmethod
