@@ -24,7 +24,7 @@ from export.onnx_trunk import graph_trunk, named_taps
 from export.onnx_values import first_conv_input, run_values
 from export.parity import ParityReport, Stage, compare
 from export.weights_file import file_sha256, is_onnx, read_checkpoint, read_weights
-from plugins.backbones.input_steps import IMAGENET, InputSteps, applied
+from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps
 from plugins.backbones.reference import forward
 from plugins.backbones.resnet import TAPS, build_trunk
 from plugins.backbones.topology import (
@@ -32,11 +32,11 @@ from plugins.backbones.topology import (
     State,
     Topology,
     check_state,
-    expected_shapes,
+    list_shapes,
     recognised,
     topology,
 )
-from plugins.backbones.vit import known_vit_taps, vit_shape
+from plugins.backbones.vit import list_vit_taps, vit_shape
 from plugins.backbones.vit_reference import vit_forward
 from plugins.backbones.vit_trunk import build_vit_trunk
 from plugins.backbones.vqgan import FIRST, vqgan_layers
@@ -123,7 +123,7 @@ def export_backbone(
 
 def weights_sha256(state: State, topology_name: str) -> str:
     """SHA-256 over the weights that the topology uses, sorted by name: the same for every file that holds them."""
-    return _sha256_of(state, sorted(expected_shapes(topology(topology_name))))
+    return _sha256_of(state, sorted(list_shapes(topology(topology_name))))
 
 
 def _sha256_of(state: State, names: Sequence[str]) -> str:
@@ -182,7 +182,7 @@ def _resnet(
     net = _topology(state, options.topology, source)
     version = check_release(facts["file_sha256"], options.version, net.name, str(source))
     check_state(state, net, f"the weights in {source}", until=options.taps or TAPS)
-    digest = _sha256_of(state, [name for name in sorted(expected_shapes(net)) if name in state])
+    digest = _sha256_of(state, [name for name in sorted(list_shapes(net)) if name in state])
     facts = {**facts, "release": version, "weights_sha256": digest}
     taps = options.taps or TAPS
     is_free = steps.size is None and steps.background is None
@@ -190,7 +190,7 @@ def _resnet(
     trunk = build_trunk(state, net.name, taps, steps=steps, frame=frame, weights=options.weights, facts=facts)
     # Three steps of stride 32 show every kind of border; a larger frame shows nothing more.
     frames = _probe(frame or (96, 96))
-    planes = applied(steps, frames)
+    planes = apply_steps(steps, frames)
     expected = forward(state, net.name, planes.astype(np.float32), taps)
     return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
 
@@ -218,12 +218,12 @@ def _vit(
 ) -> BackboneExport:
     eps = encoder(options.encoder).eps if options.encoder else 1e-6
     shape = vit_shape(state, f"the weights in {source}", options.heads, eps)
-    last = [tap for tap in known_vit_taps(shape) if tap != "norm"]
+    last = [tap for tap in list_vit_taps(shape) if tap != "norm"]
     taps = options.taps or (last[len(last) // 2 - 1], last[-1])
     facts = {**facts, "weights_sha256": _sha256_of(state, sorted(state))}
     trunk = build_vit_trunk(state, shape, taps, steps, options.frame, weights=options.weights, facts=facts)
     frames = _probe(options.frame)
-    planes = applied(steps, frames)
+    planes = apply_steps(steps, frames)
     return _exported(
         trunk, taps, planes, vit_forward(state, shape, planes, taps), frames, source, facts, options.weights
     )
@@ -240,7 +240,7 @@ def _vqgan(
     facts = {**facts, "weights_sha256": _sha256_of(state, used)}
     trunk = build_vqgan_trunk(state, taps, steps, options.frame, weights=options.weights, facts=facts)
     frames = _probe(options.frame)
-    planes = applied(steps, frames)
+    planes = apply_steps(steps, frames)
     expected = vqgan_forward(state, planes, taps)
     return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
 

@@ -22,7 +22,7 @@ from export.onnx_values import (
     run_each,
 )
 from export.parity import Stage
-from plugins.backbones.input_steps import InputSteps, applied
+from plugins.backbones.input_steps import InputSteps, apply_steps
 
 __all__ = ["GraphTrunk", "graph_trunk", "named_taps"]
 
@@ -76,7 +76,7 @@ def graph_trunk(
     if picture.size is not None and picture.size != (steps.size or frame):
         steps = replace(steps, size=picture.size)
     facts = {**(facts or {}), "preprocessing": steps.words}
-    pixels = applied(steps, frames) * high
+    pixels = apply_steps(steps, frames) * high
     pixels = pixels if picture.layout == "nchw" else pixels.transpose(0, 2, 3, 1)
     pixels = np.rint(pixels).clip(0, 255).astype(np.uint8) if picture.is_bytes else pixels.astype(np.float32)
     expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)

@@ -29,7 +29,7 @@ from export.onnx_values import (
     same_versions,
 )
 from export.parity import ParityReport, Stage, compare, order_stage
-from plugins.backbones.input_steps import IMAGENET, InputSteps, applied, linear_matrix
+from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, linear_matrix
 from plugins.onnx_builder import Graph
 
 __all__ = ["Adapted", "GraphInput", "adapted"]
@@ -184,7 +184,7 @@ def _normalisation(model: Any, start: str) -> float | None:
 
 def _pixels(frames: NDArray[np.uint8], steps: InputSteps, high: float, picture: PictureInput) -> NDArray[Any]:
     """What the original graph is given for these frames."""
-    planes = applied(steps, frames) * high
+    planes = apply_steps(steps, frames) * high
     planes = planes if picture.layout == "nchw" else planes.transpose(0, 2, 3, 1)
     if picture.is_bytes:
         return np.rint(planes).clip(0, 255).astype(np.uint8)

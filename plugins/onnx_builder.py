@@ -56,11 +56,11 @@ class Graph:
         self._outputs.append(_value_info(name, dtype, shape))
 
     def op(self, kind: str, *inputs: Value, **attributes: object) -> Value:
-        """One standard operation with one result. An absent optional input is the empty string."""
+        """Add a standard operation with one result. An absent optional input is the empty string."""
         return self.ops(kind, 1, *inputs, **attributes)[0]
 
     def ops(self, kind: str, results: int, *inputs: Value, **attributes: object) -> tuple[Value, ...]:
-        """One standard operation with several results, such as TopK."""
+        """Add a standard operation with several results, such as TopK."""
         names = tuple(self._fresh(kind) for _ in range(results))
         self._nodes.append(_node(kind, list(inputs), list(names), **attributes))
         return names
@@ -87,11 +87,11 @@ class Graph:
         return self.constant(np.array(value, np.float32))
 
     def reshape(self, value: Value, *shape: int) -> Value:
-        """The same elements in another shape; 0 keeps a size, -1 is whatever is left."""
+        """Reshape a value; 0 keeps a size, -1 is whatever is left."""
         return self.op("Reshape", value, self.ints(*shape))
 
     def transpose(self, value: Value, *order: int) -> Value:
-        """Axes in another order."""
+        """Reorder the axes."""
         return self.op("Transpose", value, perm=list(order))
 
     def serialise(self, facts: Mapping[str, str] | None = None) -> bytes:

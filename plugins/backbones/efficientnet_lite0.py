@@ -89,7 +89,7 @@ class EfficientNetLite0:
     name: str = "efficientnet_lite0"
 
     def facts(self) -> dict[str, object]:
-        """What a manifest records with the trunk's SHA-256."""
+        """Give what a manifest records with the trunk's SHA-256."""
         return {
             "topology": self.name,
             "weights": f"learnt from ImageNet photographs, {FILE} of the package {PACKAGE}",
@@ -123,8 +123,8 @@ def _trunk() -> bytes:
 def installed_weights(package: str = PACKAGE) -> State:
     """The weights in an installed package. Errors: ConfigError."""
     try:
-        found = [file for file in files(package) or () if file.name == FILE]
-        data = found[0].locate().read_bytes()  # type: ignore[attr-defined]
+        weights = [file for file in files(package) or () if file.name == FILE]
+        data = weights[0].locate().read_bytes()  # type: ignore[attr-defined]
     except (PackageNotFoundError, IndexError, OSError) as error:
         raise ConfigError(
             f"the backbone efficientnet_lite0 needs the file {FILE} of the package {package}, not installed here; "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["IMAGENET", "InputSteps", "applied", "cubic_matrix", "input_planes", "linear_matrix"]
+__all__ = ["IMAGENET", "InputSteps", "apply_steps", "cubic_matrix", "input_planes", "linear_matrix"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class InputSteps:
         if self.size is not None:
             plainly = "" if self.is_antialiased else " without antialiasing"
             steps.append(f"resize {self.size[0]}x{self.size[1]}{plainly}")
-        steps.append(f"-{_listed(self.mean)}, /{_listed(self.std)}")
+        steps.append(f"-{_write_tuple(self.mean)}, /{_write_tuple(self.std)}")
         if self.copies > 1:
             steps.append(f"the settled frame {self.copies} times")
         return "; ".join(steps)
@@ -90,13 +90,13 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
     if steps.size is not None and steps.size != frame:
         if frame is None:
             raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
-        x = _resized(graph, x, frame, steps.size, steps.is_antialiased)
+        x = _resize(graph, x, frame, steps.size, steps.is_antialiased)
     x = graph.op("Mul", x, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
     x = graph.op("Add", x, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
     return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
 
 
-def _resized(
+def _resize(
     graph: Graph, planes: Value, frame: tuple[int, int], size: tuple[int, int], is_antialiased: bool
 ) -> Value:
     """Two products with fixed matrices: runtimes differ in how they resize with antialiasing at the border."""
@@ -107,8 +107,8 @@ def _resized(
     return graph.op("MatMul", graph.constant(rows), across)
 
 
-def applied(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """The same in NumPy: uint8 (n, h, w, 3) to float64 (n, 3 x copies, h', w')."""
+def apply_steps(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Do the same in NumPy: uint8 (n, h, w, 3) to float64 (n, 3 x copies, h', w')."""
     x = frames.astype(np.float64)
     if steps.background is not None:
         x = x - steps.background
@@ -149,8 +149,10 @@ def _resampling(
     kernel: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     is_antialiased: bool = True,
 ) -> NDArray[np.float64]:
-    """With antialiasing the kernel is widened to an output pixel where pixels become fewer; rows sum to 1 at the
-    border too."""
+    """Weigh input pixels by a kernel; rows sum to 1 at the border too.
+
+    With antialiasing the kernel is widened to an output pixel where pixels become fewer.
+    """
     scale = source / target
     centres = (np.arange(target) + 0.5) * scale - 0.5
     weights = kernel((np.arange(source) - centres[:, None]) / (max(scale, 1.0) if is_antialiased else 1.0))
@@ -158,5 +160,5 @@ def _resampling(
     return matrix
 
 
-def _listed(values: tuple[float, ...]) -> str:
+def _write_tuple(values: tuple[float, ...]) -> str:
     return "(" + ", ".join(f"{value:g}" for value in values) + ")"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plugins.backbones.reference import forward
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS, build_trunk
-from plugins.backbones.topology import Conv, State, expected_shapes, topology
+from plugins.backbones.topology import Conv, State, list_shapes, topology
 
 __all__ = ["RandomBackbone", "random_state", "wide_resnet50_2_random"]
 
@@ -32,7 +32,7 @@ class RandomBackbone:
     seed: int = 0
 
     def facts(self) -> dict[str, object]:
-        """What a manifest records with the trunk's SHA-256."""
+        """Give what a manifest records with the trunk's SHA-256."""
         return {
             "topology": self.topology,
             "weights": f"random weights, seed {self.seed}",
@@ -61,7 +61,7 @@ def random_state(topology_name: str, seed: int = 0) -> State:
     """
     rng = np.random.default_rng(seed)
     state: dict[str, NDArray[np.float32]] = {}
-    for name, shape in expected_shapes(topology(topology_name)).items():
+    for name, shape in list_shapes(topology(topology_name)).items():
         if len(shape) == 4:
             fan_in = shape[1] * shape[2] * shape[3]
             state[name] = rng.normal(0, np.sqrt(2 / fan_in), shape).astype(np.float32)

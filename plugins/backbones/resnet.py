@@ -119,14 +119,14 @@ class _TrunkBuilder:
         return self.graph.op(
             "Conv",
             x,
-            self._stored(weight),
+            self._store(weight),
             self.graph.constant(bias.astype(np.float32)),
             kernel_shape=[conv.kernel] * 2,
             strides=[conv.stride] * 2,
             pads=[conv.padding] * 4,
         )
 
-    def _stored(self, weight: NDArray[np.float64]) -> Value:
+    def _store(self, weight: NDArray[np.float64]) -> Value:
         if self._dtype == np.float32:
             return self.graph.constant(weight.astype(np.float32))
         most = float(np.abs(weight).max())

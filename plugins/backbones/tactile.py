@@ -39,7 +39,7 @@ class TactileBackbone:
     topology: str = "resnet18"
 
     def facts(self) -> dict[str, object]:
-        """What a manifest records with the trunk's SHA-256."""
+        """Give what a manifest records with the trunk's SHA-256."""
         known = json.loads(read_file(_FACTS))
         recipe = known["recipe"]
         return {

@@ -24,7 +24,7 @@ class TactileLite0:
     name: str = "tactile_lite0"
 
     def facts(self) -> dict[str, object]:
-        """What a manifest records with the trunk's SHA-256."""
+        """Give what a manifest records with the trunk's SHA-256."""
         known = json.loads(read_file(f"{self.name}.json"))
         return {
             "topology": self.name,

@@ -102,7 +102,7 @@ def _plain(trunk: bytes, tiles: Tiles) -> Any:
 
 
 def _read(trunk: bytes) -> Any:
-    """Errors: ConfigError for a file that is no ONNX model."""
+    """Parse an ONNX model. Errors: ConfigError for another file."""
     import onnx
     from google.protobuf.message import DecodeError
 

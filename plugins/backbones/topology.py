@@ -19,9 +19,9 @@ __all__ = [
     "State",
     "Topology",
     "check_state",
-    "expected_shapes",
-    "known_taps",
     "last_block",
+    "list_shapes",
+    "list_taps",
     "recognised",
     "topology",
 ]
@@ -116,8 +116,8 @@ def topology(name: str) -> Topology:
     return TOPOLOGIES[name]
 
 
-def known_taps(net: Topology) -> tuple[str, ...]:
-    """Every tap of a network in the order in which it is computed; a stage is the same tensor as its last block."""
+def list_taps(net: Topology) -> tuple[str, ...]:
+    """List the taps of a network in order of computation; a stage is the same tensor as its last block."""
     taps = ["relu", "maxpool"]
     for stage, depth in zip(STAGES, net.depths, strict=True):
         taps += [f"{stage}.{index}" for index in range(depth)] + [stage]
@@ -126,15 +126,15 @@ def known_taps(net: Topology) -> tuple[str, ...]:
 
 def last_block(net: Topology, tap: str) -> str:
     """The block whose output a tap is: `layer2` is `layer2.3`. Errors: ConfigError for an unknown tap."""
-    if tap not in known_taps(net):
-        raise ConfigError(f"{net.name} has no tap '{tap}'; known: {', '.join(known_taps(net))}")
+    if tap not in list_taps(net):
+        raise ConfigError(f"{net.name} has no tap '{tap}'; known: {', '.join(list_taps(net))}")
     if tap in STAGES:
         return f"{tap}.{net.depths[STAGES.index(tap)] - 1}"
     return tap
 
 
-def expected_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[str, tuple[int, ...]]:
-    """Name to shape of every weight that these taps need (never the classifier `fc` or the batch counters)."""
+def list_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[str, tuple[int, ...]]:
+    """Map each weight that these taps need to its shape (never the classifier `fc` or the batch counters)."""
     shapes: dict[str, tuple[int, ...]] = {}
     convs = [net.stem]
     left = {last_block(net, tap) for tap in until} - {"relu", "maxpool"}
@@ -153,7 +153,7 @@ def expected_shapes(net: Topology, until: Iterable[str] = ("avgpool",)) -> dict[
 def recognised(state: State) -> Topology | None:
     """The network whose weights these are, as far as they go; None where none has all of them in these shapes."""
     weights = {key: tuple(value.shape) for key, value in state.items() if not _ignored(key)}
-    nets = (net for net in TOPOLOGIES.values() if weights.items() <= expected_shapes(net).items())
+    nets = (net for net in TOPOLOGIES.values() if weights.items() <= list_shapes(net).items())
     return next(nets, None) if weights else None
 
 
@@ -165,18 +165,18 @@ def check_state(
     Errors: ConfigError with the missing, unexpected and wrongly shaped names (a few of each), or the weights that
     are not finite.
     """
-    shapes = expected_shapes(net)
+    shapes = list_shapes(net)
     extra = [key for key in state if key not in shapes and not _ignored(key)]
     wrong = [
         f"{key} {tuple(state[key].shape)} instead of {shape}"
         for key, shape in shapes.items()
         if key in state and tuple(state[key].shape) != shape
     ]
-    missing = [key for key in expected_shapes(net, until) if key not in state]
+    missing = [key for key in list_shapes(net, until) if key not in state]
     faults = [
-        f"{len(found)} {what} ({', '.join(found[:4])}{', ...' if len(found) > 4 else ''})"
-        for what, found in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
-        if found
+        f"{len(names)} {what} ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
+        for what, names in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
+        if names
     ]
     if faults:
         raise ConfigError(f"{name} are not a {net.name} in torchvision's naming: {'; '.join(faults)}")

@@ -20,7 +20,7 @@ __all__ = [
     "REGISTERS",
     "VitShape",
     "check_vit_taps",
-    "known_vit_taps",
+    "list_vit_taps",
     "prefix_tokens",
     "vit_shape",
 ]
@@ -52,8 +52,8 @@ class VitShape:
     eps: float = USUAL_EPS
 
 
-def known_vit_taps(shape: VitShape) -> tuple[str, ...]:
-    """Every tap in the order of computation."""
+def list_vit_taps(shape: VitShape) -> tuple[str, ...]:
+    """List the taps in the order of computation."""
     return (*(f"block{number}" for number in range(shape.depth)), "norm")
 
 
@@ -66,9 +66,9 @@ def vit_shape(
     """
     for key, wanted in (("patch_embed.proj.weight", 4), ("pos_embed", 3)):
         if key not in state or state[key].ndim != wanted:
-            found = "missing" if key not in state else f"of shape {state[key].shape}"
+            problem = "missing" if key not in state else f"of shape {state[key].shape}"
             raise ConfigError(
-                f"{name} are not a vision transformer that is known here: '{key}' is {found}, {wanted} axes are "
+                f"{name} are not a vision transformer that is known here: '{key}' is {problem}, {wanted} axes are "
                 "expected; export it to ONNX with its own program, then `gelgate export backbone FILE.onnx --taps ...`"
             )
     width, channels, patch, patch_w = state["patch_embed.proj.weight"].shape
@@ -88,7 +88,7 @@ def vit_shape(
 
 
 def _positions(state: State, prefixes: int, name: str) -> tuple[int, int]:
-    """How many prefix tokens have a position, and the side of the patch grid."""
+    """Count the prefix tokens that have a position, and find the side of the patch grid."""
     count = state["pos_embed"].shape[-2]
     for placed in range(prefixes + 1):
         side = round(max(count - placed, 0) ** 0.5)
@@ -101,8 +101,8 @@ def _positions(state: State, prefixes: int, name: str) -> tuple[int, int]:
 
 
 def check_vit_taps(taps: Sequence[str], shape: VitShape, state: State) -> None:
-    """Errors: ConfigError for no tap, an unknown one, one that is given twice, or `norm` where no weights have it."""
-    known = [tap for tap in known_vit_taps(shape) if tap != "norm" or "norm.weight" in state]
+    """Refuse no tap, an unknown one, one that is given twice, or `norm` without its weights. Errors: ConfigError."""
+    known = [tap for tap in list_vit_taps(shape) if tap != "norm" or "norm.weight" in state]
     if not taps or len(set(taps)) != len(taps) or not set(taps) <= set(known):
         raise ConfigError(
             f"a trunk needs distinct taps of {', '.join(known)}; found {', '.join(taps) or 'none'}"
@@ -133,9 +133,9 @@ def prefix_tokens(
 
 
 def _check(state: State, shape: VitShape, name: str) -> None:
-    """Every weight is there, none is unknown, all are finite. Errors: ConfigError."""
+    """Refuse missing, unknown and non-finite weights. Errors: ConfigError."""
     first = state.get("blocks.0.mlp.fc1.weight")
-    known = _expected(shape, 4 * shape.width if first is None else first.shape[0])
+    known = _list_shapes(shape, 4 * shape.width if first is None else first.shape[0])
     wrong = [
         f"{key} {tuple(state[key].shape)} instead of {known[key]}"
         for key in known
@@ -145,9 +145,9 @@ def _check(state: State, shape: VitShape, name: str) -> None:
     tokens = {"pos_embed", *PREFIXES, *REGISTERS}
     extra = [key for key in state if key not in known and key not in tokens and not IGNORED.match(key)]
     faults = [
-        f"{len(found)} {what} ({', '.join(found[:4])}{', ...' if len(found) > 4 else ''})"
-        for what, found in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
-        if found
+        f"{len(names)} {what} ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
+        for what, names in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
+        if names
     ]
     if faults:
         raise ConfigError(
@@ -161,7 +161,7 @@ def _check(state: State, shape: VitShape, name: str) -> None:
         )
 
 
-def _expected(shape: VitShape, hidden: int) -> dict[str, tuple[int, ...]]:
+def _list_shapes(shape: VitShape, hidden: int) -> dict[str, tuple[int, ...]]:
     d = shape.width
     sizes: dict[str, tuple[int, ...]] = {
         "patch_embed.proj.weight": (d, shape.channels, shape.patch, shape.patch),

@@ -92,7 +92,7 @@ class _VitBuilder:
         patches = g.op(
             "Conv",
             planes,
-            self._stored(self._state["patch_embed.proj.weight"]),
+            self._store(self._state["patch_embed.proj.weight"]),
             g.constant(np.asarray(bias, np.float32)),
             kernel_shape=[shape.patch] * 2,
             strides=[shape.patch] * 2,
@@ -108,17 +108,17 @@ class _VitBuilder:
 
     def _block(self, x: Value, name: str) -> Value:
         x = self.graph.op(
-            "Add", x, self._scaled(self._attention(self._norm(x, f"{name}.norm1"), name), f"{name}.ls1")
+            "Add", x, self._scale(self._attention(self._norm(x, f"{name}.norm1"), name), f"{name}.ls1")
         )
         hidden = self._gelu(self._linear(self._norm(x, f"{name}.norm2"), f"{name}.mlp.fc1"))
-        return self.graph.op("Add", x, self._scaled(self._linear(hidden, f"{name}.mlp.fc2"), f"{name}.ls2"))
+        return self.graph.op("Add", x, self._scale(self._linear(hidden, f"{name}.mlp.fc2"), f"{name}.ls2"))
 
     def _attention(self, x: Value, name: str) -> Value:
         g, heads = self.graph, self._shape.heads
         each = self._shape.width // heads
         qkv = g.reshape(self._linear(x, f"{name}.attn.qkv"), 0, self._tokens, 3, heads, each)
         split = g.ops("Split", 3, g.transpose(qkv, 2, 0, 3, 1, 4), axis=0, num_outputs=3)
-        q, k, v = (g.op("Squeeze", one, g.ints(0)) for one in split)
+        q, k, v = (g.op("Squeeze", part, g.ints(0)) for part in split)
         scores = g.op("MatMul", g.op("Mul", q, g.scalar(each**-0.5)), g.transpose(k, 0, 1, 3, 2))
         mixed = g.op("MatMul", g.op("Softmax", scores, axis=-1), v)
         joined = g.reshape(g.transpose(mixed, 0, 2, 1, 3), 0, self._tokens, self._shape.width)
@@ -132,7 +132,7 @@ class _VitBuilder:
         return g.reshape(g.transpose(x, 0, 2, 1), 0, self._shape.width, *self.grid)
 
     def _linear(self, x: Value, name: str) -> Value:
-        y = self.graph.op("MatMul", x, self._stored(np.asarray(self._state[f"{name}.weight"]).T))
+        y = self.graph.op("MatMul", x, self._store(np.asarray(self._state[f"{name}.weight"]).T))
         bias = self._state.get(f"{name}.bias")
         return (
             y if bias is None else self.graph.op("Add", y, self.graph.constant(np.asarray(bias, np.float32)))
@@ -145,7 +145,7 @@ class _VitBuilder:
         )
         return self.graph.op("LayerNormalization", x, weight, bias, axis=-1, epsilon=self._shape.eps)
 
-    def _scaled(self, x: Value, name: str) -> Value:
+    def _scale(self, x: Value, name: str) -> Value:
         gamma = self._state.get(f"{name}.gamma")
         return (
             x
@@ -158,7 +158,7 @@ class _VitBuilder:
         erf = g.op("Erf", g.op("Mul", x, g.scalar(0.5**0.5)))
         return g.op("Mul", g.op("Mul", x, g.op("Add", erf, g.scalar(1))), g.scalar(0.5))
 
-    def _stored(self, weight: NDArray[np.floating]) -> Value:
+    def _store(self, weight: NDArray[np.floating]) -> Value:
         if self._dtype == np.float32:
             return self.graph.constant(np.asarray(weight, np.float32))
         most = float(np.abs(weight).max())

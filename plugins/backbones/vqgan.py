@@ -113,12 +113,12 @@ def _layers(state: State, name: str) -> Iterator[VqganLayer]:
 
 
 def _rows(state: State, conv: str, name: str) -> int:
-    """Output channels of a convolution. Errors: ConfigError where it is missing or is none."""
+    """Read the output channels of a convolution. Errors: ConfigError where it is missing or has another shape."""
     weight = state.get(f"{conv}.weight")
     if weight is None or weight.ndim != 4:
-        found = "missing" if weight is None else f"of shape {weight.shape}"
+        problem = "missing" if weight is None else f"of shape {weight.shape}"
         raise ConfigError(
-            f"{name} are not a VQGAN in taming-transformers' naming: '{conv}.weight' is {found}, four axes are "
+            f"{name} are not a VQGAN in taming-transformers' naming: '{conv}.weight' is {problem}, four axes are "
             "expected; give the checkpoint of the complete VQModel"
         )
     return int(weight.shape[0])
@@ -137,7 +137,7 @@ def _norm(name: str, channels: int) -> dict[str, tuple[int, ...]]:
 
 
 def _check(state: State, layers: Sequence[VqganLayer], name: str) -> None:
-    """Errors: ConfigError with a few of the names that are missing, wrongly shaped or not finite."""
+    """Refuse missing, wrongly shaped and non-finite weights. Errors: ConfigError with a few of their names."""
     known = {key: shape for layer in layers for key, shape in layer.shapes.items()}
     thin = [layer.name for layer in layers if layer.kind in ("block", "attention") and layer.inputs % GROUPS]
     missing = [key for key in known if key not in state]
@@ -154,9 +154,9 @@ def _check(state: State, layers: Sequence[VqganLayer], name: str) -> None:
         (f"with channels that {GROUPS} groups do not divide", thin),
     )
     faults = [
-        f"{len(found)} {what} ({', '.join(found[:4])}{', ...' if len(found) > 4 else ''})"
-        for what, found in kinds
-        if found
+        f"{len(names)} {what} ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
+        for what, names in kinds
+        if names
     ]
     if faults:
         raise ConfigError(f"{name} are not a VQGAN in taming-transformers' naming: {'; '.join(faults)}")

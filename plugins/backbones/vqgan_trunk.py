@@ -113,14 +113,14 @@ class _VqganBuilder:
         return self.graph.op(
             "Conv",
             x,
-            self._stored(weight),
+            self._store(weight),
             self.graph.constant(np.asarray(self._state[f"{name}.bias"], np.float32)),
             kernel_shape=[kernel] * 2,
             strides=[stride] * 2,
             pads=list(pads or (kernel // 2,) * 4),
         )
 
-    def _stored(self, weight: NDArray[np.floating]) -> Value:
+    def _store(self, weight: NDArray[np.floating]) -> Value:
         if self._dtype == np.float32:
             return self.graph.constant(np.asarray(weight, np.float32))
         most = float(np.abs(weight).max())

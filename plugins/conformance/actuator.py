@@ -33,7 +33,7 @@ def check_actuator(make_bench: Callable[[], ActuatorBench]) -> None:
 
 
 def check_it_knows_its_channels(bench: ActuatorBench) -> None:
-    """It has a name and at least one channel, and is present."""
+    """The actuator has a name and at least one channel, and is present."""
     actuator = bench.open()
     require(isinstance(actuator, Actuator), f"{type(actuator).__name__} lacks a part of Actuator")
     require(bool(actuator.name), "it has no name")
@@ -52,8 +52,8 @@ def check_each_channel_switches_alone(bench: ActuatorBench) -> None:
         for channel in range(1, actuator.channels + 1):
             actuator.write(channel, is_on)
             expected[channel - 1] = is_on
-            found = list(bench.outputs())
-            require(found == expected, f"after channel {channel} {is_on}: {found}, expected {expected}")
+            levels = list(bench.outputs())
+            require(levels == expected, f"after channel {channel} {is_on}: {levels}, expected {expected}")
     actuator.close()
 
 

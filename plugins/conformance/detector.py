@@ -66,7 +66,7 @@ class DetectorCase:
     def score(self, features: Features, bank: Bank) -> ScoreMaps:
         """Map and score of each press by the graph, as in the gateway."""
         session = open_session(self.detector.head(self.grid, bank, self.chosen), 1, "head.onnx")
-        wanted = [one.name for one in session.get_inputs()]
+        wanted = [end.name for end in session.get_inputs()]
         feed = {name: features[name] if name in features else bank.arrays[name] for name in wanted}
         score_map, score = cast("list[NDArray[Any]]", session.run(["score_map", "score"], feed))
         return ScoreMaps(score_map, score)
@@ -78,7 +78,7 @@ def check_detector(detector: Detector, parameters: Any = None) -> None:
 
 
 def check_it_is_a_detector(case: DetectorCase) -> None:
-    """It has all members of `edge.core.detector.Detector`."""
+    """The detector has all members of `edge.core.detector.Detector`."""
     require(isinstance(case.detector, Detector), f"{type(case.detector).__name__} lacks a part of Detector")
 
 
@@ -91,12 +91,12 @@ def check_parameters(case: DetectorCase) -> None:
 
 
 def check_fit_can_be_repeated(case: DetectorCase) -> None:
-    """The same presses and seed give the same bank; features are not changed; progress is between 0 and 1."""
+    """Two fits of equal presses and seed give equal banks; features are not changed; progress is between 0 and 1."""
     features, seen = case.presses(PRESSES, 1), list[float]()
     before = {tap: maps.copy() for tap, maps in features.items()}
-    one, two = case.fit(features, progress=seen.append), case.fit(features)
-    same = all(np.array_equal(one.arrays[name], two.arrays[name]) for name in one.arrays)
-    require(one.arrays.keys() == two.arrays.keys() and same, "two fits of the same presses differ")
+    first, second = case.fit(features, progress=seen.append), case.fit(features)
+    same = all(np.array_equal(first.arrays[name], second.arrays[name]) for name in first.arrays)
+    require(first.arrays.keys() == second.arrays.keys() and same, "two fits of the same presses differ")
     require(all(np.array_equal(before[tap], features[tap]) for tap in before), "fit changes its features")
     require(all(0 <= fraction <= 1 for fraction in seen), f"progress of {seen}")
 
@@ -118,18 +118,16 @@ def check_head(case: DetectorCase) -> None:
     graph = case.detector.head(case.grid, bank, case.chosen)
     check_graph(graph)
     session = ort.InferenceSession(graph, providers=["CPUExecutionProvider"])
-    inputs, outputs = ({one.name for one in ends} for ends in (session.get_inputs(), session.get_outputs()))
+    inputs, outputs = ({end.name for end in ends} for ends in (session.get_inputs(), session.get_outputs()))
     require({"score_map", "score"} <= outputs, f"it gives {sorted(outputs)}")
     require(bool(inputs & case.grid.taps.keys()), f"it reads {sorted(inputs)} and no tap")
     require(inputs <= case.grid.taps.keys() | bank.arrays.keys(), f"it reads {sorted(inputs)}")
-    found = case.score(asked, bank)
+    maps = case.score(asked, bank)
+    require(str(maps.score_map.dtype) == str(maps.score.dtype) == "float32", "maps or scores are not float32")
+    require(maps.score_map.shape == (3, *case.frame), f"maps are {maps.score_map.shape}")
+    require(maps.score.shape == (3,), f"scores are {maps.score.shape}")
     require(
-        str(found.score_map.dtype) == str(found.score.dtype) == "float32", "maps or scores are not float32"
-    )
-    require(found.score_map.shape == (3, *case.frame), f"maps are {found.score_map.shape}")
-    require(found.score.shape == (3,), f"scores are {found.score.shape}")
-    require(
-        bool(np.isfinite(found.score_map).all() and np.isfinite(found.score).all()), "scores are not finite"
+        bool(np.isfinite(maps.score_map).all() and np.isfinite(maps.score).all()), "scores are not finite"
     )
 
 
@@ -144,9 +142,9 @@ def check_a_press_is_scored_by_itself(case: DetectorCase) -> None:
 def check_damage_scores_higher(case: DetectorCase) -> None:
     """A press with one abnormal cell scores above every nominal one."""
     train, asked = case.presses(PRESSES, 1), case.presses(3, 2)
-    found = case.score(with_damage(asked), case.fit(train)).score
+    damaged = case.score(with_damage(asked), case.fit(train)).score
     sound = case.score(asked, case.fit(train)).score
-    require(bool(found.min() > sound.max()), f"damaged presses score {found}, nominal ones {sound}")
+    require(bool(damaged.min() > sound.max()), f"damaged presses score {damaged}, nominal ones {sound}")
 
 
 def check_it_compares_places_if_it_says_so(case: DetectorCase) -> None:
@@ -154,8 +152,8 @@ def check_it_compares_places_if_it_says_so(case: DetectorCase) -> None:
     bank, asked = case.fit(case.presses(PRESSES, 1)), case.presses(3, 2)
     moved = {tap: np.roll(m, (m.shape[2] // 2, m.shape[3] // 2), (2, 3)) for tap, m in asked.items()}
     ratio = float(case.score(moved, bank).score.mean() / case.score(asked, bank).score.mean())
-    found = f"a moved press scores {ratio:.2f} of one in place, compares_places is {case.detector.compares_places}"
-    require((ratio > MOVED) == case.detector.compares_places, found)
+    message = f"a moved press scores {ratio:.2f} of one in place, compares_places is {case.detector.compares_places}"
+    require((ratio > MOVED) == case.detector.compares_places, message)
 
 
 def check_reference(case: DetectorCase) -> None:
@@ -172,28 +170,30 @@ def check_no_presses(case: DetectorCase) -> None:
 
 def check_one_press(case: DetectorCase) -> None:
     """A single press is a FitError, or gives finite scores."""
-    refused_or_finite(case, case.presses(1, 1))
+    require_refused_or_finite(case, case.presses(1, 1))
 
 
 def check_equal_presses(case: DetectorCase) -> None:
     """Presses without any difference are a FitError, or give finite scores."""
-    refused_or_finite(case, {tap: maps.repeat(PRESSES, axis=0) for tap, maps in case.presses(1, 1).items()})
+    require_refused_or_finite(
+        case, {tap: maps.repeat(PRESSES, axis=0) for tap, maps in case.presses(1, 1).items()}
+    )
 
 
 def check_features_that_are_not_finite(case: DetectorCase) -> None:
-    """One value that is not a number among the nominal presses is a FitError."""
+    """Fitting refuses a value that is not finite among the nominal presses: FitError."""
     for value in (np.nan, np.inf):
         presses = with_value(case, PRESSES, value)
         raises(FitError, f"a feature of {value}", partial(case.fit, presses))
 
 
 def check_a_press_that_is_not_finite_does_not_pass(case: DetectorCase) -> None:
-    """For a press with a NaN the map is not finite (then refused), or its score is not below a nominal one."""
+    """A press with a NaN gets a map that is not finite (then refused), or a score that is not below a nominal one."""
     bank = case.fit(case.presses(PRESSES, 1))
     sound = case.score(case.presses(1, 2), bank)
-    found = case.score(with_value(case, 1, np.nan), bank)
-    is_seen = not (np.isfinite(found.score_map).all() and np.isfinite(found.score).all())
-    require(bool(is_seen or found.score[0] > sound.score[0]), f"a press with a NaN scores {found.score[0]}")
+    maps = case.score(with_value(case, 1, np.nan), bank)
+    is_seen = not (np.isfinite(maps.score_map).all() and np.isfinite(maps.score).all())
+    require(bool(is_seen or maps.score[0] > sound.score[0]), f"a press with a NaN scores {maps.score[0]}")
 
 
 DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = (
@@ -214,16 +214,16 @@ DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = (
 )
 
 
-def compare(found: ScoreMaps, expected: ScoreMaps) -> None:
-    """Errors: AssertionError where map or score differ by more than PARITY of the largest value."""
+def compare(maps: ScoreMaps, expected: ScoreMaps) -> None:
+    """Refuse a map or score that differs by more than PARITY of the largest value. Errors: AssertionError."""
     for what in ("score_map", "score"):
-        one, other = getattr(found, what), getattr(expected, what)
-        error = float(np.abs(one - other).max()) / max(float(np.abs(other).max()), 1e-30)
+        values, reference = getattr(maps, what), getattr(expected, what)
+        error = float(np.abs(values - reference).max()) / max(float(np.abs(reference).max()), 1e-30)
         require(error < PARITY, f"{what} differs by {error:.2g} of its largest value")
 
 
 def with_damage(features: Features) -> Features:
-    """The same presses with one abnormal cell in the middle of every tap."""
+    """Copy the presses, with one abnormal cell in the middle of every tap."""
     changed = {tap: maps.copy() for tap, maps in features.items()}
     for maps in changed.values():
         maps[:, ::2, maps.shape[2] // 2, maps.shape[3] // 2] += np.float32(5 * maps.max())
@@ -238,10 +238,10 @@ def with_value(case: DetectorCase, n: int, value: float) -> Mapping[str, NDArray
     return features
 
 
-def refused_or_finite(case: DetectorCase, features: Features) -> None:
+def require_refused_or_finite(case: DetectorCase, features: Features) -> None:
     try:
         bank = case.fit(features)
     except FitError:
         return
-    found = case.score(case.presses(1, 2), bank)
-    require(bool(np.isfinite(found.score_map).all()), "a bank was fitted that gives no finite scores")
+    maps = case.score(case.presses(1, 2), bank)
+    require(bool(np.isfinite(maps.score_map).all()), "a bank was fitted that gives no finite scores")

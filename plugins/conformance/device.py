@@ -84,8 +84,8 @@ def check_the_deadline_is_kept(bench: DeviceBench) -> None:
 def check_a_frame_comes_once(bench: DeviceBench) -> None:
     """A repeated frame is left out, and counted if the device counts."""
     device = bench.open([picture(0), picture(0), picture(0), picture(1)])
-    found = [device.read(_soon(bench)).payload for _ in range(2)]
-    require(found == [picture(0), picture(1)], "a frame was delivered twice")
+    payloads = [device.read(_soon(bench)).payload for _ in range(2)]
+    require(payloads == [picture(0), picture(1)], "a frame was delivered twice")
     if isinstance(device, CountsStale):
         require(device.stale == 2, f"it counts {device.stale} repeated frames, expected 2")
     device.close()
@@ -101,7 +101,7 @@ def check_a_damaged_frame(bench: DeviceBench) -> None:
 
 
 def check_unplugged(bench: DeviceBench) -> None:
-    """Without its source every read is DeviceLost; closing is then harmless."""
+    """Every read without the source is DeviceLost; closing is then harmless."""
     device = bench.open([picture(seed) for seed in range(5)])
     device.read(_soon(bench))
     bench.unplug()
@@ -120,7 +120,7 @@ def check_closed_twice(bench: DeviceBench) -> None:
 
 
 def check_after_the_last_frame(bench: DeviceBench) -> None:
-    """After the last frame no frame is delivered again: every read is RecordingEnded or DeviceStalled."""
+    """No frame is delivered again after the last one: every read is RecordingEnded or DeviceStalled."""
     device = bench.open([picture(0)])
     device.read(_soon(bench))
     for _ in range(2):

@@ -9,7 +9,7 @@ CaseT = TypeVar("CaseT")
 
 
 def require(is_so: bool, found: str) -> None:
-    """Errors: AssertionError with what was found."""
+    """Raise AssertionError with what was found, unless it is so."""
     if not is_so:
         raise AssertionError(found)
 

@@ -58,8 +58,11 @@ def check_messages_arrive(bench: SinkBench) -> None:
     sent += [Message("gel", b'{"n":2}', retain=True)]
     for message in sent:
         sink.send(message)
-    found, expected = list(bench.received(3)), [(f"{ROOT}/{one.topic}", one.payload) for one in sent]
-    require(found == expected, f"the receiver has {found}, expected {expected}")
+    arrived, expected = (
+        list(bench.received(3)),
+        [(f"{ROOT}/{message.topic}", message.payload) for message in sent],
+    )
+    require(arrived == expected, f"the receiver has {arrived}, expected {expected}")
     sink.close()
 
 
@@ -81,13 +84,15 @@ def check_threads(bench: SinkBench) -> None:
     messages = [Message("result", b'{"n":%d}' % n) for n in range(40)]
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(sink.send, messages))
-    found = sorted(payload for _, payload in bench.received(40))
-    require(found == sorted(message.payload for message in messages), f"{len(set(found))} of 40 arrived")
+    payloads = sorted(payload for _, payload in bench.received(40))
+    require(
+        payloads == sorted(message.payload for message in messages), f"{len(set(payloads))} of 40 arrived"
+    )
     sink.close()
 
 
 def check_a_receiver_that_is_away(bench: SinkBench) -> None:
-    """Without a receiver sending is SinkUnavailable, and passes when it is back."""
+    """Sending without a receiver is SinkUnavailable, and passes when the receiver is back."""
     sink = bench.open(STATION)
     sink.send(Message("result", b'{"n":1}'))
     if bench.take_away():

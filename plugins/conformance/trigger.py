@@ -66,7 +66,7 @@ def check_each_change_comes_once(bench: TriggerBench) -> None:
 
 
 def check_the_deadline_is_kept(bench: TriggerBench) -> None:
-    """Without a change `read` returns at its deadline, not earlier."""
+    """`read` returns at its deadline, not earlier, when nothing changes."""
     trigger, deadline_ns = bench.open(), _soon(bench)
     require(trigger.read(deadline_ns) is None, "a change is seen, and there was none")
     require(bench.clock.monotonic_ns() >= deadline_ns, "it gave up before the deadline")
@@ -74,8 +74,10 @@ def check_the_deadline_is_kept(bench: TriggerBench) -> None:
 
 
 def check_unplugged(bench: TriggerBench) -> None:
-    """It is not present, and no read sees a press: each is silent or DeviceLost. Opening is DeviceNotFound or
-    DeviceLost."""
+    """An unplugged trigger is not present, and no read sees a press: each is silent or DeviceLost.
+
+    Opening is DeviceNotFound or DeviceLost.
+    """
     trigger = bench.open()
     bench.unplug()
     require(not trigger.is_present(), "it is unplugged, and says that it is present")

@@ -9,7 +9,7 @@ from edge.core.errors import ConfigError
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 from plugins.backbones.resnet import build_trunk
-from plugins.backbones.topology import expected_shapes, known_taps, topology
+from plugins.backbones.topology import list_shapes, list_taps, topology
 
 RESNET18 = random_state("resnet18", 3)
 
@@ -179,7 +179,7 @@ def test_unknown_topologies_are_refused() -> None:
 
 def test_wide_resnet_has_the_published_size() -> None:
     """wide_resnet50_2 to avgpool: 66.83 million weights, 24.86 million to layer3 (batch statistics not counted)."""
-    shapes = expected_shapes(topology("wide_resnet50_2"))
+    shapes = list_shapes(topology("wide_resnet50_2"))
     counted = {key: int(np.prod(shape)) for key, shape in shapes.items() if "running" not in key}
     assert round(sum(counted.values()) / 1e6, 2) == 66.83
     assert round(sum(n for key, n in counted.items() if not key.startswith("layer4")) / 1e6, 2) == 24.86
@@ -187,7 +187,7 @@ def test_wide_resnet_has_the_published_size() -> None:
 
 def test_taps_are_named_in_the_order_of_computation() -> None:
     """Blocks precede the stage that they end."""
-    taps = known_taps(topology("resnet18"))
+    taps = list_taps(topology("resnet18"))
     assert taps[2:5] == ("layer1.0", "layer1.1", "layer1")
     assert taps[-1] == "avgpool"
 

@@ -19,7 +19,7 @@ from edge.core.errors import BundleCorrupt, ConfigError
 from export.backbone import BackboneOptions, export_backbone
 from export.known_weights import ENCODERS
 from plugins.backbones import vit_trunk
-from plugins.backbones.input_steps import IMAGENET, InputSteps, applied, cubic_matrix, linear_matrix
+from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, cubic_matrix, linear_matrix
 
 OWN = BackboneOptions("own", taps=("block0", "block1"), frame=(32, 32))
 
@@ -150,7 +150,7 @@ def test_sparsh_reads_two_frames_without_the_free_gel(tmp_path: Path) -> None:
     export = export_backbone(sparsh(tmp_path), None, dataclasses.replace(options, background=gel))
     assert export.parity.results[0].shape == (2, 6, 224, 224)
     steps = dataclasses.replace(ENCODERS["sparsh"].steps or IMAGENET, background=gel)
-    np.testing.assert_allclose(applied(steps, gel[None]), 0.5)
+    np.testing.assert_allclose(apply_steps(steps, gel[None]), 0.5)
     with pytest.raises(ConfigError, match=r"the background is \(64, 64\), frames are \(32, 32\)"):
         export_backbone(sparsh(tmp_path), None, dataclasses.replace(options, background=gel, frame=(32, 32)))
 
@@ -245,7 +245,7 @@ def test_timm_computes_the_same(tmp_path: Path) -> None:
     frames = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)
     found = run(export_backbone(tmp_path / "timm.safetensors", None, options).trunk, frames)
     with torch.no_grad():
-        planes = torch.from_numpy(applied(IMAGENET, frames)).float()
+        planes = torch.from_numpy(apply_steps(IMAGENET, frames)).float()
         (block,) = network.forward_intermediates(planes, indices=[1], norm=False, intermediates_only=True)
         last = network.forward_features(planes)[:, 1:].transpose(1, 2).reshape(found["norm"].shape)
     for tap, expected in (("block1", block), ("norm", last)):

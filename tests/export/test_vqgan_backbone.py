@@ -17,7 +17,7 @@ from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone
 from export.known_weights import ENCODERS
 from export.onnx_values import run_values
-from plugins.backbones.input_steps import IMAGENET, InputSteps, applied
+from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps
 
 TAPS = ("level0", "level1", "mid", "latent")
 PLAIN = InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
@@ -97,7 +97,7 @@ def test_units_preprocessing_is_opencvs_resize() -> None:
 
     expected = cv2.resize(frames[0].astype(np.float32) / 255, (160, 128))
 
-    np.testing.assert_allclose(applied(steps, frames)[0].transpose(1, 2, 0), expected, atol=1e-5)
+    np.testing.assert_allclose(apply_steps(steps, frames)[0].transpose(1, 2, 0), expected, atol=1e-5)
     assert "resize 128x160 without antialiasing" in steps.words
 
 
