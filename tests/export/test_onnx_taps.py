@@ -15,7 +15,7 @@ from edge.cli import build
 from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone
 from export.onnx_trunk import named_taps
-from plugins.backbones.input_steps import IMAGENET, applied
+from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.onnx_builder import Graph
 
 FRAMES = np.random.default_rng(0).integers(0, 256, (3, 32, 32, 3), dtype=np.uint8)
@@ -64,7 +64,7 @@ def test_maps_stay_and_sequences_become_grids(saved: Path, tokens: int) -> None:
     saved.write_bytes(network(tokens=tokens))
     export = export_backbone(saved, None, dataclasses.replace(OWN, taps=taps(saved.read_bytes())))
     found = run(export.trunk, {"frames": FRAMES})
-    expected = run(saved.read_bytes(), {"image": applied(IMAGENET, FRAMES).astype(np.float32)})["sequence"]
+    expected = run(saved.read_bytes(), {"image": apply_steps(IMAGENET, FRAMES).astype(np.float32)})["sequence"]
     assert found.keys() == {"early", "tokens"}
     np.testing.assert_allclose(found["early"], found["tokens"], atol=1e-5)
     grid = expected[:, tokens:].transpose(0, 2, 1).reshape(3, 4, 4, 4)
