@@ -20,7 +20,7 @@ from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press_again import KnownScores
-from edge.model.press_again_facts import PRESS_AGAIN, known_facts
+from edge.model.press_again_facts import PRESS_AGAIN, score_facts
 
 __all__ = ["LimitStep"]
 
@@ -117,7 +117,7 @@ class LimitStep:
             tuple(float(score) for score, key in zip(scores, keys, strict=True) if key == piece)
             for piece in dict.fromkeys(keys)
         )
-        return {PRESS_AGAIN: known_facts(KnownScores(sound, groups), names)}
+        return {PRESS_AGAIN: score_facts(KnownScores(sound, groups), names)}
 
     def _black(self, bank: Bank) -> ScoredPresses | None:
         """A black frame, scored; None where the gateway refuses it for its colours."""

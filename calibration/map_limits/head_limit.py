@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.map_limits.map_limit import MapLimit
 from edge.core.detector import Bank
 from edge.core.errors import FitError
-from edge.model.onnx_extend import Operation, extended, opset_of
+from edge.model.onnx_extend import Operation, extend_head, opset_of
 from edge.model.onnx_validation import GraphRefused
 
 __all__ = ["ARRAYS", "bank_with", "can_extend", "head_with_limit", "limit_arrays", "limited_like"]
@@ -68,7 +68,7 @@ def bank_with(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
 
 
 def head_with_limit(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extended."""
+    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extend_head."""
     try:
         return _extended(head, arrays)
     except GraphRefused as error:
@@ -83,7 +83,7 @@ def limited_like(whole: Mapping[str, NDArray[Any]], head: bytes, bank: Bank) -> 
 
 def _extended(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
     shapes = {name: array.shape for name, array in arrays.items()}
-    return extended(head, {_MAP: _RAW_MAP, _SCORE: _RAW_SCORE}, shapes, list(_operations(arrays)))
+    return extend_head(head, {_MAP: _RAW_MAP, _SCORE: _RAW_SCORE}, shapes, list(_operations(arrays)))
 
 
 def _operations(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Operation]:

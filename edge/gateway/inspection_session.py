@@ -36,7 +36,7 @@ from edge.gateway.scar_watch import ScarWatch
 from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
-from edge.model.gel_facts import made_on
+from edge.model.gel_facts import read_origin
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
 
@@ -115,7 +115,9 @@ class InspectionSession:
         manifest = self._inspector.bundle.manifest
         part = PartPosition(manifest.part, manifest.position)
         digest = self._inspector.bundle.digest
-        return Mounted(self.gel.serial, self.gel.gel_id, part, digest, self.has_contact, made_on(manifest))
+        return Mounted(
+            self.gel.serial, self.gel.gel_id, part, digest, self.has_contact, read_origin(manifest)
+        )
 
     @property
     def contact_state(self) -> str:

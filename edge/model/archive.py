@@ -35,7 +35,7 @@ class Archive(Protocol):
     def where(self) -> str: ...
 
     def has(self, name: str) -> bool:
-        """Whether there is anything of that name."""
+        """Tell whether there is anything of that name."""
         ...
 
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:

@@ -79,25 +79,26 @@ class Graphs:
 
 @dataclass(frozen=True)
 class Bundle:
-    """A checked bundle in memory. bank: unpacked arrays, as the head's inputs need them.
-
-    `graphs.trunk` is None where the caller has this trunk open already. free_gel: the region without contact, uint8 (h,
-    w, 3), where tiles may be skipped. free_view: the whole gel without contact, as contact detection sees it, uint8
-    (120, 160, 3). digest: SHA-256 of the manifest, the bundle's identity in every published result. where: path, for
-    messages. signature: who made it, as far as that was checked. registration: how a press is brought to the bank's
-    pose; None where it is scored as it lies.
-    """
+    """A checked bundle in memory."""
 
     manifest: Manifest
     graphs: Graphs
+    """Without a trunk where the caller has it open already."""
     bank: Mapping[str, NDArray[Any]]
+    """Unpacked arrays, as the head's inputs need them."""
     golden: tuple[GoldenFrame, ...]
     digest: str
+    """SHA-256 of the manifest, the bundle's identity in every published result."""
     where: str
+    """Path, for messages."""
     free_gel: NDArray[np.uint8] | None = None
+    """The region without contact, (h, w, 3), where tiles may be skipped."""
     free_view: NDArray[np.uint8] | None = None
+    """The whole gel without contact, as contact detection sees it, (120, 160, 3)."""
     signature: SignatureFinding = UNSIGNED
+    """Who made it, as far as that was checked."""
     registration: PartInPose | None = None
+    """The part in the bank's pose; None for a bundle that scores presses without registration."""
 
     @classmethod
     def load(
@@ -119,7 +120,7 @@ class Bundle:
         signature = trust.check(archive, raw)
         manifest = parse_manifest(raw, archive.where)
         stores = [folder for folder in (trunks, Path(path).parent / "trunks") if folder is not None]
-        bundle = cls._checked(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
+        bundle = cls._assemble(manifest, hashlib.sha256(raw).hexdigest(), archive, stores, loaded)
         return replace(bundle, signature=signature)
 
     @classmethod
@@ -131,12 +132,12 @@ class Bundle:
         loaded: Container[str] = (),
     ) -> "Bundle":
         """The bundle of these files, with the same checks, so fit scores what a gateway will load."""
-        return cls._checked(
+        return cls._assemble(
             manifest, hashlib.sha256(files[MANIFEST]).hexdigest(), _Memory(files, where), (), loaded
         )
 
     @classmethod
-    def _checked(
+    def _assemble(
         cls, manifest: Manifest, digest: str, archive: Archive, stores: Sequence[Path], loaded: Container[str]
     ) -> "Bundle":
         graphs = Graphs(

@@ -80,7 +80,7 @@ CheckedFacts = Annotated[dict[str, Any], AfterValidator(_with_readable_card)]
 
 
 def detectability_lines(card: DetectabilityCard) -> list[str]:
-    """One sentence for each kind of damage."""
+    """Say in one sentence for each kind of damage what is detected of it."""
     return [f"{kind.kind}: {_sentence(kind)}" for kind in card.kinds]
 
 

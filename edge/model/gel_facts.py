@@ -5,14 +5,14 @@ from typing import Any, Final
 from edge.core.gel_proof import MadeOn
 from edge.model.manifest import Facts
 
-__all__ = ["GEL", "gel_facts", "made_on"]
+__all__ = ["GEL", "gel_facts", "read_origin"]
 
 GEL: Final = "gel"
 """The entry's name: `gel_id`, as in the gel ledger of the station."""
 
 
-def made_on(manifest: Facts) -> MadeOn:
-    """What the bundle says of its own gel."""
+def read_origin(manifest: Facts) -> MadeOn:
+    """Read what the bundle says of its own gel."""
     found = manifest.facts.get(GEL)
     gel_id = found.get("gel_id") if isinstance(found, dict) else None
     return MadeOn(manifest.provenance.created, gel_id if isinstance(gel_id, str) else None)

@@ -23,7 +23,7 @@ def licence_of(manifest: Manifest) -> str | None:
 
 
 def is_non_commercial(licence: str) -> bool:
-    """Whether a licence's name says that commercial use is not allowed, such as CC-BY-NC-4.0."""
+    """Tell whether a licence's name says that commercial use is not allowed, such as CC-BY-NC-4.0."""
     return _NON_COMMERCIAL.search(licence) is not None
 
 

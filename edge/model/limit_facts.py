@@ -31,9 +31,8 @@ backbone was named."""
 
 
 def backbone_sentence(facts: Mapping[str, Any]) -> str:
-    """For `fit`, `inspect` and the topic `info`; empty for a bundle that does not say."""
-    found = facts.get(BACKBONE_CHOICE)
-    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+    """Say why this backbone was chosen; empty for a bundle that does not."""
+    return _why(facts.get(BACKBONE_CHOICE))
 
 
 METHOD_CHOICE = "method_choice"
@@ -42,9 +41,8 @@ absent where the method was named."""
 
 
 def method_sentence(facts: Mapping[str, Any]) -> str:
-    """For `fit`, `inspect` and the topic `info`; empty for a bundle that does not say."""
-    found = facts.get(METHOD_CHOICE)
-    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+    """Say why this method was chosen; empty for a bundle that does not."""
+    return _why(facts.get(METHOD_CHOICE))
 
 
 AUGMENTATION = "augmentation"
@@ -52,15 +50,14 @@ AUGMENTATION = "augmentation"
 
 
 def augmentation_sentence(facts: Mapping[str, Any]) -> str:
-    """For `fit` and `inspect`; empty for a bundle that does not say."""
-    found = facts.get(AUGMENTATION)
-    return str(found.get("why", "")) if isinstance(found, Mapping) else ""
+    """Say why the bank has, or lacks, rendered copies; empty for a bundle that does not."""
+    return _why(facts.get(AUGMENTATION))
 
 
 def copies_of_each(facts: Mapping[str, Any]) -> int:
     """The copies of every nominal press in the bundle's bank, 0 for none."""
-    found = facts.get(AUGMENTATION)
-    return int(found.get("each", 0)) if isinstance(found, Mapping) else 0
+    entry = facts.get(AUGMENTATION)
+    return int(entry.get("each", 0)) if isinstance(entry, Mapping) else 0
 
 
 LIMIT = "limit"
@@ -68,11 +65,11 @@ LIMIT = "limit"
 
 
 def limit_sentence(facts: Mapping[str, Any]) -> str:
-    """For `fit` and `inspect`; empty for a bundle that does not say."""
-    found = facts.get(LIMIT)
-    if not isinstance(found, Mapping) or not {"kind", "why"} <= found.keys():
+    """Say which kind the limit is, and why; empty for a bundle that does not."""
+    entry = facts.get(LIMIT)
+    if not isinstance(entry, Mapping) or not {"kind", "why"} <= entry.keys():
         return ""
-    return f"{found['kind']}: {found['why']}"
+    return f"{entry['kind']}: {entry['why']}"
 
 
 MISSING = "missing_relief"
@@ -83,8 +80,12 @@ USUAL_CONTACT = "relief_expected"
 
 
 def missing_sentence(facts: Mapping[str, Any]) -> str:
-    """For `fit` and `inspect`; empty for a bundle that does not say."""
-    found = facts.get(MISSING)
-    if not isinstance(found, Mapping) or not {"is_checked", "why"} <= found.keys():
+    """Say whether presses are checked for missing relief, and why; empty for a bundle that does not."""
+    entry = facts.get(MISSING)
+    if not isinstance(entry, Mapping) or not {"is_checked", "why"} <= entry.keys():
         return ""
-    return f"{'checked' if found['is_checked'] else 'not checked'}: {found['why']}"
+    return f"{'checked' if entry['is_checked'] else 'not checked'}: {entry['why']}"
+
+
+def _why(choice: object) -> str:
+    return str(choice.get("why", "")) if isinstance(choice, Mapping) else ""

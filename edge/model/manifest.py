@@ -203,7 +203,7 @@ class ThresholdEntry(Entry):
 
     @property
     def is_floored(self) -> bool:
-        """Whether there were nominal presses of fewer pieces than the requested rate needs."""
+        """True where there were nominal presses of fewer pieces than the requested rate needs."""
         return self.alpha < self.alpha_floor
 
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from edge.model.onnx_validation import GraphRefused, fields
-from edge.model.protobuf import Field, message, written
+from edge.model.protobuf import Field, encode_field, message
 
-__all__ = ["Operation", "extended", "inputs_of", "opset_of"]
+__all__ = ["Operation", "extend_head", "inputs_of", "opset_of"]
 
 # onnx.proto3, ModelProto, GraphProto and the entries used here.
 _GRAPH, _OPSET, _OPSET_VERSION = 7, 8, 2
@@ -38,26 +38,26 @@ class Operation:
     is_kept: bool = False
 
 
-def extended(
+def extend_head(
     head: bytes,
     renamed: Mapping[str, str],
     inputs: Mapping[str, Sequence[int]],
     operations: Sequence[Operation],
     constants: Mapping[str, float] = MappingProxyType({}),
 ) -> bytes:
-    """The head with more operations.
+    """Append operations to the head.
 
     renamed: values of the head to their new names; an operation gives each of the old ones. inputs: name to shape of
     each further float32 input. constants: name to value of each further float32 constant, (1, 1). Errors: GraphRefused
     for bytes that are not a model, or nodes with subgraphs.
     """
-    more = b"".join(_appended(inputs, operations, constants))
+    more = b"".join(_encode_additions(inputs, operations, constants))
     parts = []
     for number, value in fields(memoryview(head)):
         if number == _GRAPH and isinstance(value, memoryview):
-            parts.append(written(number, b"".join(_renamed(value, renamed)) + more))
+            parts.append(encode_field(number, b"".join(_rename_values(value, renamed)) + more))
         else:
-            parts.append(written(number, value))
+            parts.append(encode_field(number, value))
     return b"".join(parts)
 
 
@@ -86,25 +86,25 @@ def inputs_of(head: bytes) -> list[str]:
     ]
 
 
-def _renamed(graph: memoryview, names: Mapping[str, str]) -> Iterator[bytes]:
-    """The fields of the graph; its declared outputs keep their names."""
+def _rename_values(graph: memoryview, names: Mapping[str, str]) -> Iterator[bytes]:
+    """Give the fields of the graph with new names of values; its declared outputs keep theirs."""
     for number, value in fields(graph):
         if number == _NODE and isinstance(value, memoryview):
-            yield written(number, _renamed_node(value, names))
+            yield encode_field(number, _rename_node(value, names))
         elif not (number == _VALUE_INFO and isinstance(value, memoryview) and _first_name(value) in names):
-            yield written(number, value)
+            yield encode_field(number, value)
 
 
-def _renamed_node(node: memoryview, names: Mapping[str, str]) -> bytes:
+def _rename_node(node: memoryview, names: Mapping[str, str]) -> bytes:
     parts = []
     for number, value in fields(node):
         if number == _NODE_ATTRIBUTE and isinstance(value, memoryview) and _has_subgraph(value):
             raise GraphRefused("it has a node with a graph of its own, which may read any value by name")
         if number in (_NODE_INPUT, _NODE_OUTPUT) and isinstance(value, memoryview):
             name = bytes(value).decode("utf-8", "replace")
-            parts.append(written(number, names.get(name, name)))
+            parts.append(encode_field(number, names.get(name, name)))
         else:
-            parts.append(written(number, value))
+            parts.append(encode_field(number, value))
     return b"".join(parts)
 
 
@@ -121,20 +121,20 @@ def _first_name(entry: memoryview) -> str:
     return next(found, b"").decode("utf-8", "replace")
 
 
-def _appended(
+def _encode_additions(
     inputs: Mapping[str, Sequence[int]], operations: Sequence[Operation], constants: Mapping[str, float]
 ) -> Iterator[bytes]:
     for name, shape in inputs.items():
-        yield written(_INPUT, _float_input(name, shape))
+        yield encode_field(_INPUT, _float_input(name, shape))
     for name, value in constants.items():
         content = (1, 1), (2, _FLOAT), (8, name), (9, struct.pack("<f", value))
-        yield written(_INITIALIZER, message(*content))
+        yield encode_field(_INITIALIZER, message(*content))
     for operation in operations:
         yield from _node(operation)
 
 
 def _float_input(name: str, shape: Sequence[int]) -> bytes:
-    dims = b"".join(written(1, message((1, size))) for size in shape)
+    dims = b"".join(encode_field(1, message((1, size))) for size in shape)
     return message((1, name), (2, message((1, message((1, _FLOAT), (2, dims))))))
 
 
@@ -144,11 +144,11 @@ def _node(operation: Operation) -> Iterator[bytes]:
         axes = f"{operation.output}_axes"
         inputs = (*inputs, axes)
         data = b"".join(axis.to_bytes(8, "little", signed=True) for axis in operation.axes)
-        yield written(_INITIALIZER, message((1, len(operation.axes)), (2, _INT64), (8, axes), (9, data)))
+        yield encode_field(_INITIALIZER, message((1, len(operation.axes)), (2, _INT64), (8, axes), (9, data)))
         content = [
             (_NODE_ATTRIBUTE, message((1, "keepdims"), (3, int(operation.is_kept)), (20, _INT_ATTRIBUTE)))
         ]
-    yield written(
+    yield encode_field(
         _NODE,
         message(
             *((_NODE_INPUT, name) for name in inputs),

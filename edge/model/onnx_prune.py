@@ -9,7 +9,7 @@ Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 from collections.abc import Iterable, Sequence
 
 from edge.model.onnx_validation import fields, output_names
-from edge.model.protobuf import written
+from edge.model.protobuf import encode_field
 
 __all__ = ["cut_trunk"]
 
@@ -43,7 +43,7 @@ def cut_trunk(graph: bytes, taps: Sequence[str]) -> bytes:
             if short is None:
                 return graph
             value = memoryview(short)
-        parts.append(written(number, value))
+        parts.append(encode_field(number, value))
     return b"".join(parts)
 
 
@@ -53,9 +53,9 @@ def _cut(graph: memoryview, kept: Sequence[str]) -> bytes | None:
     nodes = [value for number, value in content if number == _NODE and isinstance(value, memoryview)]
     if any(_has_subgraph(node) for node in nodes):
         return None
-    used, needed = _needed(nodes, kept)
+    used, needed = _trace_back(nodes, kept)
     return b"".join(
-        written(number, value)
+        encode_field(number, value)
         for number, value in content
         if not isinstance(value, memoryview) or _stays(number, value, used, needed, kept)
     )
@@ -73,8 +73,8 @@ def _stays(number: int, value: memoryview, used: set[int], needed: set[bytes], k
     return True
 
 
-def _needed(nodes: Sequence[memoryview], kept: Iterable[str]) -> tuple[set[int], set[bytes]]:
-    """The nodes (by identity) that these outputs need, and the names of every value that they read or give.
+def _trace_back(nodes: Sequence[memoryview], kept: Iterable[str]) -> tuple[set[int], set[bytes]]:
+    """Find the nodes (by identity) that these outputs need, and the names of every value that they read or give.
 
     Nodes are in the order of computation, as ONNX requires.
     """

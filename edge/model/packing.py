@@ -61,12 +61,14 @@ def _pack_float16(array: NDArray[np.float32]) -> Packed:
     top = float(np.abs(array).max(initial=0.0))
     exponent = math.frexp(top)[1] - HALF_TOP_EXPONENT if top > 0 else 0
     with np.errstate(under="ignore"):
-        return Packed(_doubled(array, -exponent).astype(np.float16), exponent=exponent)
+        return Packed(_scale_by_power(array, -exponent).astype(np.float16), exponent=exponent)
 
 
-def _doubled(array: NDArray[np.float32], times: int) -> NDArray[np.float32]:
-    """array * 2**times, exact except for subnormals; where a float32 holds the factor, a product is ten times faster
-    than ldexp."""
+def _scale_by_power(array: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    """Return array * 2**times, exact except for subnormals.
+
+    Where a float32 holds the factor, a product is ten times faster than ldexp.
+    """
     if abs(times) <= MAX_FLOAT32_EXPONENT:
         return array * np.float32(2.0**times)
     return np.ldexp(array, times)
@@ -91,7 +93,7 @@ def unpack(packed: Packed, packing: Packing) -> NDArray[Any]:
         return packed.data
     with np.errstate(under="ignore"):
         if packing == "float16":
-            return _doubled(packed.data.astype(np.float32), packed.exponent)
+            return _scale_by_power(packed.data.astype(np.float32), packed.exponent)
         if packed.scale is None:
             raise ValueError("int8 data need their scale")
         return packed.data * packed.scale[..., None]

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from edge.core.press_again import Costs, KnownScores, Plan, plan
 from edge.model.manifest import Manifest
 
-__all__ = ["DEFAULT_COSTS", "PRESS_AGAIN", "again_sentence", "known_facts", "plan_for"]
+__all__ = ["DEFAULT_COSTS", "PRESS_AGAIN", "again_sentence", "plan_for", "score_facts"]
 
 PRESS_AGAIN: Final = "press_again"
 """The entry's name among the manifest's facts."""
@@ -27,14 +27,14 @@ class _Entry(BaseModel):
     damaged: dict[str, tuple[float, ...]]
 
 
-def known_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
-    """For the manifest. names: of the kinds of damage, in order."""
+def score_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
+    """Give the manifest's entry. names: the kinds of damage, in the order of the scores."""
     damaged = dict(zip(names, known.damaged, strict=True))
     return _Entry(sound=known.sound, damaged=damaged).model_dump(mode="json")
 
 
 def plan_for(manifest: Manifest, costs: Costs) -> Plan:
-    """What one more press is expected to bring with this bundle; a bundle without such scores is `never`, no error."""
+    """Plan one more press with this bundle; without such scores the plan is `never`, no error."""
     found = manifest.facts.get(PRESS_AGAIN)
     if not isinstance(found, Mapping):
         return Plan("the bundle has no scores of damaged presses and of pieces pressed twice; fit it again")
@@ -50,7 +50,7 @@ def plan_for(manifest: Manifest, costs: Costs) -> Plan:
 
 
 def again_sentence(found: Plan) -> str:
-    """For `inspect`, `check` and the log."""
+    """Say for `inspect`, `check` and the log whether one more press pays."""
     if found.bound is None:
         return f"never: {found.why}"
     return (

@@ -9,7 +9,7 @@ GIVEN = "given by hand"
 
 
 def promise(limit: ThresholdEntry) -> str:
-    """One or two sentences for `fit`, `inspect`, `info` and the manifest's reader."""
+    """Say in one or two sentences which rate of false alarms the limit promises."""
     if not limit.n:
         is_given = limit.method == GIVEN
         return f"no rate is promised: the threshold {'was given' if is_given else f'is {limit.method}'}"
@@ -17,7 +17,7 @@ def promise(limit: ThresholdEntry) -> str:
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
-    whole = f"{_counted(limit)}: {rate} of {_whom(limit)} fail, on average over bundles"
+    whole = f"{_press_count(limit)}: {rate} of {_whom(limit)} fail, on average over bundles"
     return f"{whole}{_of_this_bundle(limit)}"
 
 
@@ -34,7 +34,7 @@ def _of_this_bundle(limit: ThresholdEntry) -> str:
     return ""
 
 
-def _counted(limit: ThresholdEntry) -> str:
+def _press_count(limit: ThresholdEntry) -> str:
     presses = f"{limit.n} presses"
     return presses if limit.pieces in (None, limit.n) else f"{presses} of {_pieces(limit.pieces)}"
 

@@ -5,7 +5,7 @@ Ref: protobuf encoding guide (wire types).
 
 from collections.abc import Iterator
 
-__all__ = ["Field", "message", "written"]
+__all__ = ["Field", "encode_field", "message"]
 
 _BYTES = 2  # wire type of a length-delimited field
 
@@ -15,11 +15,11 @@ Field = tuple[int, int | bytes | memoryview | str]
 
 def message(*content: Field) -> bytes:
     """The fields one after the other."""
-    return b"".join(written(number, value) for number, value in content)
+    return b"".join(encode_field(number, value) for number, value in content)
 
 
-def written(number: int, value: int | bytes | memoryview | str) -> bytes:
-    """One field."""
+def encode_field(number: int, value: int | bytes | memoryview | str) -> bytes:
+    """Encode one field of a message."""
     if isinstance(value, int):
         return _varint(number << 3) + _varint(value)
     data = value.encode() if isinstance(value, str) else bytes(value)

@@ -36,7 +36,7 @@ def registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry]
 def read_registration(
     archive: Archive, entry: RegistrationEntry | None, frame: tuple[int, int]
 ) -> PartInPose | None:
-    """As it was stored; None where there is none. frame: (h, w) of the region. Errors: BundleCorrupt."""
+    """Read the part in its pose; None for a bundle without one. frame: (h, w) of the region. Errors: BundleCorrupt."""
     if entry is None:
         return None
     try:

@@ -37,18 +37,17 @@ ORT_TYPES = {
 
 @dataclass(frozen=True)
 class Scored:
-    """One press, scored. score_map: float32 (h, w) of the region, raw; anomaly_score: raw; higher is more anomalous.
-
-    trunk_ms and head_ms: time in the two graphs; a single graph counts as head. For a batch, each frame's share.
-    registered: how the press was brought to the bank's pose, and registration_ms the time of that; None where it is
-    scored as it lies.
-    """
+    """One scored press; higher scores are more anomalous. Times are each frame's share of its batch."""
 
     score_map: NDArray[np.float32]
+    """(h, w) of the region, raw."""
     anomaly_score: float
+    """Raw."""
     trunk_ms: float
+    """Time in the trunk; 0 for a single graph, which counts as head."""
     head_ms: float
     registered: Registered | None = None
+    """The press in the bank's pose; None for a bundle without registration."""
     registration_ms: float = 0.0
 
 
@@ -82,22 +81,22 @@ class Scorer:
             graph = bundle.graphs.head or b""
         self._head_name = "detector.onnx" if self._trunk is None else "head.onnx"
         self._head = open_session(graph, threads, f"bundle {self._where}: {self._head_name}")
-        self._taps = self._checked_taps()
+        self._taps = self._check_taps()
         self._bank = {
             name: ort.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(bundle.bank[name]).reshape(shape))
-            for name, shape in self._checked_bank().items()
+            for name, shape in self._check_bank().items()
         }
-        self._tiled = self._opened_tiles(is_skipping)
-        self._pipe = self._opened_pipe()
+        self._tiled = self._open_tiles(is_skipping)
+        self._pipe = self._open_pipe()
         self._registrar = None if bundle.registration is None else Registrar(bundle.registration)
 
     @property
     def tiles_run(self) -> int:
-        """How often the trunk was run on a tile; 0 for a trunk without tiles."""
+        """The number of runs of the trunk on a tile; 0 for a trunk without tiles."""
         return 0 if self._tiled is None else self._tiled.runner.runs
 
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
-        """Score one press of the inspected region, as it lies. rgb: uint8 (h, w, 3).
+        """Score one press of the inspected region. rgb: uint8 (h, w, 3).
 
         A bundle with registration brings it to the bank's pose first; the map is then of the press again, and places
         that the bank does not know, or that have left the field, count neither for the score nor in the map. Errors:
@@ -192,8 +191,8 @@ class Scorer:
                 f"{found[row, column]:.6g}, expected {expected[row, column]:.6g}; fit again on this kind of machine"
             )
 
-    def _checked_taps(self) -> dict[str, tuple[int, int, int]]:
-        """The taps that the head reads, with their shapes; empty for a single graph."""
+    def _check_taps(self) -> dict[str, tuple[int, int, int]]:
+        """Return the taps that the head reads, with their shapes; empty for a single graph."""
         if self._trunk is None or self.bundle.grid is None:
             self._check_frames_input(self._head, self._head_name)
             return {}
@@ -220,8 +219,8 @@ class Scorer:
                 f"bundle {self._where}: {name} has inputs {found}, expected one, '{FRAMES}' uint8 (n, h, w, 3)"
             )
 
-    def _checked_bank(self) -> dict[str, tuple[int, ...]]:
-        """The bank arrays that the head reads, with their shapes."""
+    def _check_bank(self) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the bank arrays that the head reads."""
         outputs = {output.name for output in self._head.get_outputs()}
         if not {SCORE_MAP, SCORE} <= outputs:
             raise BundleCorrupt(
@@ -244,8 +243,8 @@ class Scorer:
                 )
         return {name: self.bundle.bank[name].shape for name in wanted}
 
-    def _opened_tiles(self, is_skipping: bool) -> "_Tiled | None":
-        """The trunk bound to one tile; None for a trunk without tiles."""
+    def _open_tiles(self, is_skipping: bool) -> "_Tiled | None":
+        """Bind the trunk to one tile; None for a trunk without tiles."""
         grid, entry = self.bundle.grid, self.bundle.manifest.grid
         if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
             return None
@@ -260,8 +259,8 @@ class Scorer:
                 f"bundle {self._where}: trunk.onnx does not run on tiles of {grid.tiles.size}: {error!s:.300}"
             ) from error
 
-    def _opened_pipe(self) -> "_Pipe":
-        """Buffers for one frame, tried on a grey frame, so a wrong shape is found before the first press."""
+    def _open_pipe(self) -> "_Pipe":
+        """Bind buffers for one frame and try a grey frame, so a wrong shape is found before the first press."""
         pipe = self._new_pipe(1)
         try:
             score_maps, scores, _, _ = pipe.run(np.full((1, *self.frame, 3), 128, np.uint8))
@@ -353,7 +352,7 @@ class _Pipe:
 
 
 def _fits(found: tuple[int, ...], wanted: list[Any]) -> bool:
-    """Whether a shape agrees with a graph input's, whose free sizes are names or None."""
+    """Tell whether a shape agrees with a graph input's, whose free sizes are names or None."""
     return len(found) == len(wanted) and all(
         not isinstance(size, int) or size == n for n, size in zip(found, wanted, strict=True)
     )

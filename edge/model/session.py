@@ -63,7 +63,7 @@ def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession
 
 @cache
 def saturates() -> bool:
-    """Whether onnxruntime lets the 16-bit sums of int8 products saturate here, as it does on x86 without VNNI.
+    """Tell whether onnxruntime lets the 16-bit sums of int8 products saturate here, as it does on x86 without VNNI.
 
     Tried on a convolution in which every product is near the maximum. Such a processor needs wider sums, with which an
     int8 trunk takes twice as long (measured: 5.1 to 10.6 ms on one core), so others do not use them.

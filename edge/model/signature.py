@@ -86,11 +86,11 @@ class Trust:
         signature and for an unreadable file, BundleMismatch where a trusted signature is required and there is none.
         """
         if not archive.has(SIGNATURE):
-            return self._accepted(archive, UNSIGNED)
-        file = _parsed(archive.read(SIGNATURE, _MAX_BYTES), archive.where)
+            return self._refuse_unsigned(archive, UNSIGNED)
+        file = _parse(archive.read(SIGNATURE, _MAX_BYTES), archive.where)
         if file.key not in self.keys:
             text = f"signed with key {file.key}, which is not among the trusted keys: not checked"
-            return self._accepted(archive, SignatureFinding(text, file.key))
+            return self._refuse_unsigned(archive, SignatureFinding(text, file.key))
         name, key = self.keys[file.key]
         if not _fits(key, base64.b64decode(file.signature), manifest):
             raise BundleCorrupt(
@@ -100,7 +100,7 @@ class Trust:
             )
         return SignatureFinding(f"signed by '{name}' ({file.key})", file.key, is_trusted=True)
 
-    def _accepted(self, archive: Archive, finding: SignatureFinding) -> SignatureFinding:
+    def _refuse_unsigned(self, archive: Archive, finding: SignatureFinding) -> SignatureFinding:
         if self.policy == "required":
             known = ", ".join(f"'{name}' ({key})" for key, (name, _) in self.keys.items()) or "none"
             raise BundleMismatch(
@@ -195,7 +195,7 @@ def _fits(key: "Ed25519PublicKey", signature: bytes, manifest: bytes) -> bool:
     return True
 
 
-def _parsed(raw: bytes, where: str) -> _SignatureFile:
+def _parse(raw: bytes, where: str) -> _SignatureFile:
     try:
         return _SignatureFile.model_validate_json(raw)
     except ValidationError as error:

@@ -138,8 +138,10 @@ def untouched_tiles(tiles: Tiles, touched: NDArray[np.bool_]) -> tuple[int, ...]
 
 
 def most_typical(frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Of frames of the free gel, uint8 (m, h, w, 3), the one nearest to their mean; it keeps the noise of a single
-    frame."""
+    """Return the frame of the free gel nearest to the mean; it keeps the noise of a single frame.
+
+    frames: uint8 (m, h, w, 3).
+    """
     blocks = np.stack([_blocks(frame) for frame in frames])
     distance = np.square(blocks - blocks.mean(axis=0)).sum(axis=(1, 2, 3))
     chosen: NDArray[np.uint8] = np.ascontiguousarray(frames[int(distance.argmin())])

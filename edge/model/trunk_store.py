@@ -10,7 +10,7 @@ from edge.model.archive import Archive, open_archive
 from edge.model.manifest import BackboneEntry, Manifest
 from edge.model.onnx_prune import cut_trunk
 from edge.model.onnx_validation import GraphRefused
-from edge.model.verified_files import read_verified, verified
+from edge.model.verified_files import read_verified, verify
 
 __all__ = ["read_trunk"]
 
@@ -31,7 +31,7 @@ def read_trunk(
         file = store / f"{entry.sha256}.onnx"
         if file.is_file():
             stored = entry.model_copy(update={"file": file.name})
-            return verified(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
+            return verify(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
     installed = _installed_trunk(manifest.backbone, tuple(manifest.grid.taps) if manifest.grid else ())
     if installed is not None:
         return installed

@@ -6,16 +6,16 @@ from edge.core.errors import BundleCorrupt
 from edge.model.archive import MAX_FILE_BYTES, Archive
 from edge.model.manifest import FileEntry
 
-__all__ = ["read_verified", "verified"]
+__all__ = ["read_verified", "verify"]
 
 
 def read_verified(archive: Archive, entry: FileEntry) -> bytes:
     """The bytes of that file. Errors: BundleCorrupt: missing, too large, or not the bytes that the manifest names."""
-    return verified(archive.read(entry.file, min(entry.size_bytes, MAX_FILE_BYTES)), entry, archive.where)
+    return verify(archive.read(entry.file, min(entry.size_bytes, MAX_FILE_BYTES)), entry, archive.where)
 
 
-def verified(data: bytes, entry: FileEntry, where: str) -> bytes:
-    """The same bytes. Errors: BundleCorrupt when they are not those that the manifest names."""
+def verify(data: bytes, entry: FileEntry, where: str) -> bytes:
+    """Return the bytes when they are those that the manifest names. Errors: BundleCorrupt."""
     found = hashlib.sha256(data).hexdigest()
     if found != entry.sha256:
         raise BundleCorrupt(

@@ -23,7 +23,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.bundle import Bundle, write_bundle
-from edge.model.gel_facts import made_on
+from edge.model.gel_facts import read_origin
 from edge.model.promise import promise
 from edge.model.scorer import Scorer
 
@@ -90,7 +90,7 @@ def test_bank_and_graphs_stay_and_the_rest_is_of_the_new_gel() -> None:
     assert manifest.colours != old().manifest.colours
     assert not np.array_equal(new().free_view, old().free_view)  # type: ignore[arg-type]
     assert manifest.revision == 5
-    assert made_on(manifest).gel_id == "G2"
+    assert read_origin(manifest).gel_id == "G2"
     assert manifest.facts["gel"]["carried_from"] == old().digest
 
 
@@ -196,8 +196,8 @@ def test_a_fit_may_name_its_gel() -> None:
     """A station then knows on which gel the bundle is proven; by default it does not."""
     named = fit_files(tiny_presses(6), tiny_config(gel_id="G7"), created="2026-01-01").manifest
 
-    assert made_on(named).gel_id == "G7"
-    assert made_on(old().manifest).gel_id is None
+    assert read_origin(named).gel_id == "G7"
+    assert read_origin(old().manifest).gel_id is None
 
 
 @pytest.fixture
@@ -228,7 +228,7 @@ def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: 
     assert done.code == 0, done.err
     assert "carried over to another gel" in done.out
     assert "5 presses: at best 17 % (1 in 6)" in done.out
-    assert made_on(Bundle.load(files / "new").manifest).gel_id == "G2"
+    assert read_origin(Bundle.load(files / "new").manifest).gel_id == "G2"
 
 
 def test_on_the_command_line_presses_of_another_size_are_refused(files: Path) -> None:

@@ -5,7 +5,7 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from edge.model.onnx_extend import Operation, extended, opset_of
+from edge.model.onnx_extend import Operation, extend_head, opset_of
 from edge.model.onnx_validation import GraphRefused, check_graph
 from plugins.onnx_builder import Graph
 
@@ -21,7 +21,7 @@ def doubling() -> bytes:
 
 def test_a_result_is_replaced_by_what_is_appended() -> None:
     """The old value has a new name for every node that reads it, and the output is the new one."""
-    more = extended(
+    more = extend_head(
         doubling(), {"y": "old_y"}, {"factor": (1, 1)}, [Operation("Mul", ("old_y", "factor"), "y")]
     )
     check_graph(more)
@@ -36,7 +36,9 @@ def test_a_result_is_replaced_by_what_is_appended() -> None:
 
 def test_a_reduction_has_its_axes() -> None:
     """Each press has its own largest value."""
-    more = extended(doubling(), {"score": "old"}, {}, [Operation("ReduceMax", ("x",), "score", axes=(1, 2))])
+    more = extend_head(
+        doubling(), {"score": "old"}, {}, [Operation("ReduceMax", ("x",), "score", axes=(1, 2))]
+    )
     x = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     assert ort.InferenceSession(more).run(["score"], {"x": x})[0] == pytest.approx([5, 11])
 
@@ -55,7 +57,7 @@ def test_a_graph_inside_a_node_is_refused() -> None:
     )
     model = onnx.helper.make_model(graph).SerializeToString()
     with pytest.raises(GraphRefused, match="a graph of its own"):
-        extended(model, {"y": "old"}, {}, [])
+        extend_head(model, {"y": "old"}, {}, [])
 
 
 def test_the_opset_is_read() -> None:
