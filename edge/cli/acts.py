@@ -25,9 +25,9 @@ def acts(
     from dataclasses import asdict
 
     from edge.store.acts import newest
-    from edge.store.database import opened_read_only
+    from edge.store.database import open_read_only
 
-    with opened_read_only(database_path(config, database), "reading the acts") as connection:
+    with open_read_only(database_path(config, database), "reading the acts") as connection:
         found = newest(connection, count)
     for act in found:
         typer.echo(json.dumps(asdict(act)) if as_json else _line(act))

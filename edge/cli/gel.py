@@ -34,9 +34,9 @@ def show(
 
     from edge.core.printable import printable
     from edge.store import gel_ledger, gel_proofs
-    from edge.store.database import opened_read_only
+    from edge.store.database import open_read_only
 
-    with opened_read_only(database_path(config, database), "reading the gel ledger") as connection:
+    with open_read_only(database_path(config, database), "reading the gel ledger") as connection:
         gels = gel_ledger.history(connection, serial, _gel_table(config, database).warn_fraction)
         used = gel_proofs.of_mounted(connection)
     if as_json:
@@ -46,7 +46,7 @@ def show(
     else:
         print("\n".join(_line(record) for record in gels))
         for key, part, proof in used:
-            if serial in (None, key.serial) and (text := proof.unproven(key.named(part), key.gel_id)):
+            if serial in (None, key.serial) and (text := proof.unproven(key.describe(part), key.gel_id)):
                 print(printable(text))
 
 
@@ -135,7 +135,7 @@ def _prove(store: "Store", key: "GelBundle", part: "PartPosition") -> bool:
         print(printable(str(error)))
         return False
     store.begin_act(act(outcome="done"), within_s=0)
-    print(printable(f"bundle {key.named(part)} is proven on gel {key.gel_id}: {proof.sentence}"))
+    print(printable(f"bundle {key.describe(part)} is proven on gel {key.gel_id}: {proof.sentence}"))
     return True
 
 

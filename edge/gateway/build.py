@@ -82,7 +82,7 @@ def build(
     closing.callback(lock.close)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
-    part = first_part(config.inspection, bundles, store.selected())
+    part = first_part(config.inspection, bundles, store.read_selected())
     commands = _commands(config, calls, store, clock)
     publisher = _publisher(config, clock, retained_state, commands, closing, lock)
     status = StationStatus(_announcer(config, publisher.announce, closing), clock)

@@ -90,7 +90,7 @@ class GelProofWatch:
         proof = self._store.write("reading how far the bundle is proven on this gel", change)
         before, self._sentence = (
             self._sentence,
-            proof.unproven(_key(mounted).named(mounted.part), mounted.gel_id),
+            proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id),
         )
         if before != self._sentence:
             self._status.gel_proof(self._sentence, self._unproven)

@@ -33,7 +33,7 @@ from edge.gateway.metrics import ADDRESS, served
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
-from edge.store.database import SCHEMA_VERSION, opened_read_only, schema_version
+from edge.store.database import SCHEMA_VERSION, open_read_only, schema_version
 from edge.store.integrity import quick_check
 
 __all__ = ["Finding", "Preflight", "preflight"]
@@ -130,7 +130,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found = Preflight(opener)
     found.open_bundles(config)
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
-        selected = _stored(config, bundles_in_use.selected)
+        selected = _stored(config, bundles_in_use.read_selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     if config.overview is not None:
@@ -163,7 +163,7 @@ def _stored(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
     """An answer of the database; None of a new one. One that cannot be read has its own finding."""
     with (
         contextlib.suppress(StoreError),
-        opened_read_only(config.store.path, "reading it", any_version=True) as connection,
+        open_read_only(config.store.path, "reading it", any_version=True) as connection,
     ):
         return ask(connection)
     return None
@@ -213,10 +213,12 @@ def _database(config: Config) -> str:
         return "new"
     if damage := quick_check(path, lambda: False):
         raise StoreError(f"{damage}; move it away to keep it for repair; a new one is made")
-    with opened_read_only(path, "reading the gel ledger", any_version=True) as connection:
+    with open_read_only(path, "reading the gel ledger", any_version=True) as connection:
         version = schema_version(connection)
         known = gel_ledger.history(connection, None, config.gel.warn_fraction) if version else []
-        gels = [gel_ledger.mounted(connection, serial, 1.0) for serial in sorted({g.serial for g in known})]
+        gels = [
+            gel_ledger.find_mounted(connection, serial, 1.0) for serial in sorted({g.serial for g in known})
+        ]
     words = [f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels if g is not None]
     if 0 < version < SCHEMA_VERSION:
         words.append(

@@ -13,8 +13,8 @@ GEL: Final = "gel"
 
 def read_origin(manifest: Facts) -> MadeOn:
     """Read what the bundle says of its own gel."""
-    found = manifest.facts.get(GEL)
-    gel_id = found.get("gel_id") if isinstance(found, dict) else None
+    gel = manifest.facts.get(GEL)
+    gel_id = gel.get("gel_id") if isinstance(gel, dict) else None
     return MadeOn(manifest.provenance.created, gel_id if isinstance(gel_id, str) else None)
 
 

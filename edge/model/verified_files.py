@@ -16,10 +16,10 @@ def read_verified(archive: Archive, entry: FileEntry) -> bytes:
 
 def verify(data: bytes, entry: FileEntry, where: str) -> bytes:
     """Return the bytes when they are those that the manifest names. Errors: BundleCorrupt."""
-    found = hashlib.sha256(data).hexdigest()
-    if found != entry.sha256:
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != entry.sha256:
         raise BundleCorrupt(
-            f"bundle {where}: {entry.file} has SHA-256 {found[:12]} ({len(data)} bytes), the manifest expects "
+            f"bundle {where}: {entry.file} has SHA-256 {digest[:12]} ({len(data)} bytes), the manifest expects "
             f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the complete bundle again"
         )
     return data

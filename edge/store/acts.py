@@ -65,7 +65,7 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
         ledger_chain.append(connection, "act", int(number or 0))
     _remove_old(connection, "= 'refused'", KEPT_REFUSALS)
     if removed := _remove_old(connection, "IS NOT 'refused'", KEPT_ACTS):
-        ledger_chain.acts_removed(connection, removed)
+        ledger_chain.note_removed_acts(connection, removed)
     return int(number or 0)
 
 
@@ -100,7 +100,7 @@ def finish(
 def earlier(
     connection: sqlite3.Connection, verb: str, request: str, signature: str | None, after_ns: int
 ) -> Act | None:
-    """The same request: by its signature at any time; by its transaction id since this running time, if it was done."""
+    """Find the same request: by signature at any time; by transaction id since this running time, if it was done."""
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM acts WHERE outcome IS NOT 'refused' AND "
         "((? IS NOT NULL AND signature = ?) OR (verb = ? AND request = ? AND running_ns >= ? "

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
-from edge.store.database import Database, opened_read_only, schema_version
+from edge.store.database import Database, open_read_only, schema_version
 from edge.store.schema import SCHEMA_VERSION
 
 __all__ = ["back_up", "backups_in", "migrate"]
@@ -60,7 +60,7 @@ def migrate(database: Path) -> tuple[int, Path | None]:
     Returns (version before, copy); the copy is None where nothing was to do. Errors: StoreError; the file is then as it
     was.
     """
-    with opened_read_only(database, "reading its version", any_version=True) as connection:
+    with open_read_only(database, "reading its version", any_version=True) as connection:
         before = schema_version(connection)
     if before in (0, SCHEMA_VERSION):  # 0: an empty file, which gets its tables at its first use
         return before, None
@@ -91,10 +91,10 @@ def _refuse_target(database: Path, target: Path) -> None:
 
 
 def _copy(database: Path, part: Path) -> None:
-    """Errors: StoreError for a damaged source or copy."""
+    """Copy the database and check the copy. Errors: StoreError for a damaged source or copy."""
     part.unlink(missing_ok=True)
     with (
-        opened_read_only(database, "reading it for a backup", any_version=True) as source,
+        open_read_only(database, "reading it for a backup", any_version=True) as source,
         closing(sqlite3.connect(part)) as copy,
     ):
         source.execute("COMMIT")  # the backup takes its own read lock

@@ -7,19 +7,19 @@ import sqlite3
 
 from edge.core.part_position import PartPosition
 
-__all__ = ["revision", "selected", "use"]
+__all__ = ["read_selected", "revision", "use"]
 
 
 def revision(connection: sqlite3.Connection, part: PartPosition) -> int | None:
-    """That of the newest bundle in use; None where none had one."""
+    """Read the revision of the newest bundle in use; None where no bundle had one."""
     row = connection.execute(
         "SELECT revision FROM bundles_in_use WHERE part = ? AND position = ?", part
     ).fetchone()
     return None if row is None or row[0] is None else int(row[0])
 
 
-def selected(connection: sqlite3.Connection) -> PartPosition | None:
-    """The position that was selected last."""
+def read_selected(connection: sqlite3.Connection) -> PartPosition | None:
+    """Read the position that was selected last."""
     row = connection.execute("SELECT part, position FROM selected").fetchone()
     return None if row is None else PartPosition(*row)
 

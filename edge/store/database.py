@@ -15,7 +15,7 @@ from edge.core.errors import StoreError
 from edge.store import ledger_chain
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
-__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "opened_read_only", "schema_version"]
+__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "open_read_only", "schema_version"]
 
 # "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
@@ -96,8 +96,8 @@ class Database:
 
 
 @contextmanager
-def opened_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iterator[sqlite3.Connection]:
-    """A connection that cannot write, also while a gateway runs: one state of the file from its first query on.
+def open_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iterator[sqlite3.Connection]:
+    """Open a connection that cannot write, also while a gateway runs; it sees the file in the state of its first query.
 
     any_version: older tables too. Errors: StoreError (not there, of another program or version, damaged).
     """

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.core.errors import ArchiveError
-from edge.store.database import opened_read_only
+from edge.store.database import open_read_only
 from edge.store.ledger_chain import head
 
 __all__ = ["KnownPress", "find_press", "presses_since"]
@@ -40,7 +40,7 @@ def find_press(database: Path, prefix: str) -> KnownPress:
         raise ArchiveError(f"'{prefix}' is the beginning of {ids}{more}; give more of the id")
     if not found:
         raise ArchiveError(
-            f"no press {prefix:.60} is in {_described(database)}; is it of another station, or older?"
+            f"no press {prefix:.60} is in {_describe(database)}; is it of another station, or older?"
         )
     return found[0]
 
@@ -51,7 +51,7 @@ def presses_since(database: Path, since_ns: int | None = None) -> Iterator[Known
 
 
 def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:
-    with opened_read_only(database, "reading what is archived") as connection:
+    with open_read_only(database, "reading what is archived") as connection:
         rows = connection.execute(
             f"SELECT {_COLUMNS} FROM presses WHERE {condition} ORDER BY number LIMIT ?", (*values, limit)
         )
@@ -59,9 +59,9 @@ def _presses(database: Path, condition: str, values: tuple[object, ...], limit: 
             yield KnownPress(*row)
 
 
-def _described(database: Path) -> str:
-    """The database in words: which ledger, and which presses it has."""
-    with opened_read_only(database, "reading what is archived") as connection:
+def _describe(database: Path) -> str:
+    """Describe the database: which ledger, and which presses it has."""
+    with open_read_only(database, "reading what is archived") as connection:
         ledger_id = head(connection).ledger_id
         presses, first, last = connection.execute(
             "SELECT count(*), min(press_id), max(press_id) FROM presses"

@@ -11,7 +11,7 @@ from edge.core.errors import StoreError
 from edge.core.gel import GelLife, GelState
 from edge.store import ledger_chain
 
-__all__ = ["GelRecord", "count_press", "history", "mount", "mounted", "set_wear"]
+__all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount", "set_wear"]
 
 _COLUMNS = (
     "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, "
@@ -43,7 +43,7 @@ class GelRecord:
 
     @property
     def can_be(self) -> bool:
-        """Whether this is a count of presses; a row that was changed by hand may hold another number."""
+        """True for a count of presses; a row that was changed by hand may hold another number."""
         return self.presses >= 0 and self.limit_presses >= 1
 
     @property
@@ -54,8 +54,8 @@ class GelRecord:
         return GelLife(self.presses, self.limit_presses, self.warn_fraction).state
 
 
-def mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:
-    """The gel mounted on this sensor, None for an unknown sensor. Errors: StoreError for a count that cannot be."""
+def find_mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:
+    """Find the gel mounted on this sensor; None for an unknown sensor. Errors: StoreError for an impossible count."""
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM gels WHERE serial = ? AND removed_ns IS NULL", (serial,)
     ).fetchone()

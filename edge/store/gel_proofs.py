@@ -20,8 +20,8 @@ class GelBundle(NamedTuple):
     gel_id: str
     bundle_id: str
 
-    def named(self, part: PartPosition) -> str:
-        """For messages."""
+    def describe(self, part: PartPosition) -> str:
+        """Name the bundle and its part in messages."""
         return f"{part} ({self.bundle_id[:8]})"
 
 
@@ -29,7 +29,7 @@ _OF = "serial = ? AND gel_id = ? AND bundle_id = ?"
 
 
 def find(connection: sqlite3.Connection, key: GelBundle) -> GelProof | None:
-    """None for a bundle that was not used on this gel."""
+    """Find the proof; None for a bundle that was not used on this gel."""
     row = connection.execute(
         f"SELECT proven, known_from, presses, alarms FROM gel_proofs WHERE {_OF}", key
     ).fetchone()
@@ -53,7 +53,7 @@ def see(
 
 
 def count(connection: sqlite3.Connection, key: GelBundle, *, is_alarm: bool) -> None:
-    """One more press of a sound part; nothing once it is proven."""
+    """Count one more press of a sound part; nothing once it is proven."""
     connection.execute(
         f"UPDATE gel_proofs SET presses = presses + 1, alarms = alarms + ? WHERE {_OF} AND proven IS NULL",
         (int(is_alarm), *key),
@@ -61,25 +61,27 @@ def count(connection: sqlite3.Connection, key: GelBundle, *, is_alarm: bool) -> 
 
 
 def prove(connection: sqlite3.Connection, key: GelBundle, part: PartPosition) -> GelProof:
-    """By the word of a person all presses on this gel were of sound parts: it is proven, if they are enough. Errors:
-    ValueError with what is missing."""
+    """Take a person's word that all presses on this gel were of sound parts, and prove the bundle if they are enough.
+
+    Errors: ValueError with what is missing.
+    """
     proof = find(connection, key)
     if proof is None:
         raise ValueError(
-            f"bundle {key.named(part)} was not used on gel {key.gel_id} yet; press sound parts first"
+            f"bundle {key.describe(part)} was not used on gel {key.gel_id} yet; press sound parts first"
         )
     if proof.proven is not None:
         raise ValueError(
-            f"bundle {key.named(part)} is proven on gel {key.gel_id} already: {proof.proven.value}"
+            f"bundle {key.describe(part)} is proven on gel {key.gel_id} already: {proof.proven.value}"
         )
     if proof.still_needed:
-        raise ValueError(str(proof.unproven(key.named(part), key.gel_id)))
+        raise ValueError(str(proof.unproven(key.describe(part), key.gel_id)))
     connection.execute(f"UPDATE gel_proofs SET proven = ? WHERE {_OF}", (Proven.PRESSES.value, *key))
     return GelProof(Proven.PRESSES, proof.known_from, proof.presses, proof.alarms)
 
 
 def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosition, GelProof]]:
-    """Every bundle that was used on a gel that is mounted now."""
+    """List every bundle that was used on a gel that is mounted now."""
     rows = connection.execute(
         "SELECT serial, gel_id, bundle_id, part, position, proven, known_from, gel_proofs.presses, alarms "
         "FROM gel_proofs JOIN gels USING (serial, gel_id) WHERE removed_ns IS NULL ORDER BY serial, part, position"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
-from edge.store.database import opened_read_only
+from edge.store.database import open_read_only
 
 __all__ = ["COLUMNS", "HistoryQuery", "HistoryRow", "read_history"]
 
@@ -68,7 +68,7 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
     condition, values = query.where()
     limit = -1 if query.newest is None else query.newest
     columns = ", ".join("running_ns / 1e9" if name == "running_s" else name for name in COLUMNS)
-    with opened_read_only(path, "reading the history") as connection:
+    with open_read_only(path, "reading the history") as connection:
         rows = connection.execute(
             f"SELECT {columns} FROM presses WHERE number IN (SELECT number FROM presses WHERE {condition} "
             "ORDER BY number DESC LIMIT ?) ORDER BY number",

@@ -42,7 +42,7 @@ def write_history(path: Path, rows: Iterable[HistoryRow]) -> int:
 
 
 def _write_csv(path: Path, rows: Iterable[HistoryRow]) -> int:
-    """With a row of column names. An empty cell is a missing value."""
+    """Write a row of column names, then the presses. An empty cell is a missing value."""
     number = 0
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

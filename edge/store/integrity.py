@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.store import ledger_check
-from edge.store.database import opened_read_only
+from edge.store.database import open_read_only
 from edge.store.finding import Finding
 from edge.store.ledger_chain import Head
 from edge.store.outbox import ROW_OVERHEAD_BYTES
@@ -34,7 +34,7 @@ def check_database(path: Path, held: Head | None = None) -> list[Finding]:
     StoreError for a file that cannot be read, is of another program, or has another version.
     """
     counts = PressCounts(path).read()  # before the database: a press that comes between makes it only newer
-    with opened_read_only(path, "checking") as connection:
+    with open_read_only(path, "checking") as connection:
         damages = list(_file(connection))
         # Rows of a damaged file say nothing that can be relied on.
         return damages or [
@@ -51,7 +51,7 @@ def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
 
     Errors: StoreError for a file that cannot be read; TimeoutError when it was ended.
     """
-    with opened_read_only(path, "checking", any_version=True) as connection:
+    with open_read_only(path, "checking", any_version=True) as connection:
         connection.set_progress_handler(is_over, ASKED_EVERY)
         try:
             (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
@@ -199,7 +199,7 @@ def _has_no_press(
 
 
 def _content(payload: bytes) -> dict[str, object] | None:
-    """None for what is no JSON object."""
+    """Parse a JSON object; None for anything else."""
     try:
         content = json.loads(payload)
     except ValueError:

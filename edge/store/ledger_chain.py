@@ -32,10 +32,10 @@ __all__ = [
     "append",
     "canonical",
     "cut",
+    "hash_link",
     "head",
-    "linked",
+    "read_row",
     "start",
-    "stored_row",
 ]
 
 NO_HASH: Final = bytes(32)
@@ -71,7 +71,7 @@ class Head:
 
     @classmethod
     def parse(cls, text: str) -> "Head":
-        """Errors: ValueError, one sentence."""
+        """Read a head from text. Errors: ValueError, one sentence."""
         parts = text.strip().split(".")
         if (
             len(parts) != 3
@@ -100,12 +100,12 @@ class Link:
 
 def append(connection: sqlite3.Connection, kind: str, ref: int | str) -> Head:
     """Chain this row as it is now. Errors: LookupError for a row that is not there."""
-    row = stored_row(connection, kind, ref)
+    row = read_row(connection, kind, ref)
     if row is None:
         raise LookupError(f"no {kind} {ref} is there to be chained")
     ledger_id, number, before = _newest(connection)
     content = hashlib.sha256(canonical(row)).digest()
-    made = linked(before, number + 1, kind, ref, content)
+    made = hash_link(before, number + 1, kind, ref, content)
     connection.execute(
         "INSERT INTO ledger_chain VALUES (?, ?, ?, ?, ?)", (number + 1, kind, ref, content, made)
     )
@@ -118,7 +118,7 @@ def append_gels(connection: sqlite3.Connection, serial: str) -> None:
         "SELECT json_array(serial, gel_id) FROM gels WHERE serial = ? ORDER BY installed_ns", (serial,)
     ).fetchall()
     for (ref,) in gels:
-        row = stored_row(connection, "gel", ref)
+        row = read_row(connection, "gel", ref)
         known = connection.execute(
             "SELECT content FROM ledger_chain WHERE kind = 'gel' AND ref = ? ORDER BY link DESC LIMIT 1",
             (ref,),
@@ -176,24 +176,24 @@ def cut(connection: sqlite3.Connection, presses_up_to: int) -> None:
             (presses_up_to, acts, *last),
         )
         for kind, ref in gone:
-            if kind != "act" and stored_row(connection, kind, ref) is not None:
+            if kind != "act" and read_row(connection, kind, ref) is not None:
                 append(connection, kind, ref)
     append(connection, "start", 1)
 
 
-def acts_removed(connection: sqlite3.Connection, up_to: int) -> None:
-    """The table of acts has lost rows up to this id; their links stay until the history of presses is cut."""
+def note_removed_acts(connection: sqlite3.Connection, up_to: int) -> None:
+    """Note that acts up to this id were removed; their links stay until the history of presses is cut."""
     connection.execute("UPDATE ledger_start SET acts_removed_up_to = max(acts_removed_up_to, ?)", (up_to,))
     append(connection, "start", 1)
 
 
-def linked(before: bytes, link: int, kind: str, ref: int | str, content: bytes) -> bytes:
-    """The hash of a link."""
+def hash_link(before: bytes, link: int, kind: str, ref: int | str, content: bytes) -> bytes:
+    """Hash a link."""
     return hashlib.sha256(before + content + f"{link} {kind} {ref}".encode()).digest()
 
 
-def stored_row(connection: sqlite3.Connection, kind: str, ref: int | str) -> dict[str, Any] | None:
-    """The columns of a chained row; None where it is not there."""
+def read_row(connection: sqlite3.Connection, kind: str, ref: int | str) -> dict[str, Any] | None:
+    """Read the columns of a chained row; None where it is not there."""
     cursor = connection.execute(KINDS[kind], (ref,))
     row = cursor.fetchone()
     return None if row is None else dict(zip((column[0] for column in cursor.description), row, strict=True))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from edge.store.finding import Finding
-from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, Link, canonical, linked, stored_row
+from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, Link, canonical, hash_link, read_row
 from edge.store.reference_presses import KEPT_REFERENCES
 
 __all__ = ["chain_findings"]
@@ -57,11 +57,11 @@ def chain_findings(connection: sqlite3.Connection, held: Head | None = None) -> 
         yield Finding(PART, f"{fault}; {ADVICE}")
     yield from _notes(start)
     if held is not None:
-        yield from _held(connection, start, held)
+        yield from _check_head(connection, start, held)
 
 
 def _faults(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
-    """In the order of the chain, then the rows that are not in it."""
+    """List the faults in the order of the chain, then the rows that are not in it."""
     newest: dict[tuple[str, int | str], int] = {
         (kind, ref): link
         for kind, ref, link in connection.execute(
@@ -80,7 +80,7 @@ def _faults(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
     ).fetchone()
     if written > number:
         yield f"links {number + 1} to {written}, the newest of the chain, were removed"
-    yield from _unchained(connection, start)
+    yield from _find_unchained(connection, start)
 
 
 def _of_link(
@@ -92,21 +92,21 @@ def _of_link(
     newest: dict[tuple[str, int | str], int],
 ) -> Iterator[str]:
     if link.link != number + 1:
-        yield f"links {number + 1} to {link.link - 1}, before that of {_named(link)}, were removed"
-    if link.kind not in KINDS or linked(before, link.link, link.kind, link.ref, link.content) != link.hash:
-        yield f"link {link.link}, of {_named(link)}, does not follow from the one before: it was changed or inserted"
+        yield f"links {number + 1} to {link.link - 1}, before that of {_describe(link)}, were removed"
+    if link.kind not in KINDS or hash_link(before, link.link, link.kind, link.ref, link.content) != link.hash:
+        yield f"link {link.link}, of {_describe(link)}, does not follow from the one before: it was changed or inserted"
         return
     if newest.get((link.kind, link.ref), link.link) != link.link:
         return
-    found = stored_row(connection, link.kind, link.ref)
+    found = read_row(connection, link.kind, link.ref)
     if found is None and not _is_retired(connection, start, link):
-        yield f"{_named(link)} was removed"
+        yield f"{_describe(link)} was removed"
     elif found is not None and hashlib.sha256(canonical(found)).digest() != link.content:
-        yield f"{_named(link)} was changed after it was written"
+        yield f"{_describe(link)} was changed after it was written"
 
 
 def _is_retired(connection: sqlite3.Connection, start: _Start, link: Link) -> bool:
-    """Whether the row went because only the newest are kept."""
+    """Tell whether the row went because only the newest are kept."""
     if not isinstance(link.ref, int):
         return False
     if link.kind == "reference":
@@ -115,8 +115,8 @@ def _is_retired(connection: sqlite3.Connection, start: _Start, link: Link) -> bo
     return link.kind == "act" and link.ref <= start.acts_removed_up_to
 
 
-def _unchained(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
-    """Rows without a link were inserted."""
+def _find_unchained(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
+    """Find rows without a link: they were inserted."""
     for table, kind in KIND_OF.items():
         press = connection.execute(
             f"SELECT number FROM {table} WHERE number > ? AND number NOT IN "
@@ -150,7 +150,7 @@ def _notes(start: _Start) -> Iterator[Finding]:
         )
 
 
-def _held(connection: sqlite3.Connection, start: _Start, held: Head) -> Iterator[Finding]:
+def _check_head(connection: sqlite3.Connection, start: _Start, held: Head) -> Iterator[Finding]:
     if held.ledger_id != start.ledger_id:
         yield Finding(
             PART,
@@ -175,7 +175,7 @@ def _held(connection: sqlite3.Connection, start: _Start, held: Head) -> Iterator
         )
 
 
-def _named(link: Link) -> str:
+def _describe(link: Link) -> str:
     if link.kind == "start":
         return "the row that says where the chain starts"
     return f"{_WORDS.get(link.kind, link.kind)} {link.ref}"

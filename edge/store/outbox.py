@@ -168,7 +168,7 @@ class Outbox:
         self._database = Database(path, is_durable=False)
 
     def register(self, sinks: Iterable[str], before: Mapping[str, str] | None = None) -> None:
-        """From now on a row leaves when all of these sinks acknowledged it.
+        """Name the sinks that must acknowledge a row, from now on, before it leaves.
 
         sinks: names that belong to a receiver, whatever its place in the configuration. before: names of version 0.2
         and earlier to present ones. What an absent sink has acknowledged is remembered: it may come back.

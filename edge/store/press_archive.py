@@ -31,15 +31,7 @@ Digest = str
 
 
 class ArchivedPress(BaseModel):
-    """What one verdict was made from.
-
-    station: site/line/station. touch: area and centroid, as `edge.core.contact.mask.Touch`. frame: the camera's bytes.
-    reference: the free gel, .npy float32 (h, w, 3). score_map: raw bytes, float32 little-endian of map_shape, row by
-    row. machine: JSON, see `edge.model.machine`. reason, error: as published.
-    asked_up_to: the bound, for a press that a second one was asked for. first_score: of the first press, for a second.
-    masked: places that were not judged, under scars or beyond the part, one bit each, row by row; is_too_blind: those
-    under scars were more than was accepted, and a pass was unsure.
-    """
+    """What one verdict was made from."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -47,6 +39,7 @@ class ArchivedPress(BaseModel):
     press_id: str
     time_ns: int
     station: str
+    """As site/line/station."""
     serial: str
     part: str
     position: str | None
@@ -54,20 +47,30 @@ class ArchivedPress(BaseModel):
     revision: int | None
     threads: int = Field(ge=1)
     machine: Digest
+    """JSON, see `edge.model.machine`."""
     frame: Digest
+    """The camera's bytes."""
     touch: tuple[float, float, float]
+    """Area and centroid, as `edge.core.contact.mask.Touch`."""
     reference: Digest | None
+    """The free gel, .npy float32 (h, w, 3)."""
     verdict: str
     reason: str | None
     error: str | None
+    """Reason and error, as published."""
     score: float | None
     threshold: float | None
     score_map: Digest | None
+    """Raw bytes, float32 little-endian of `map_shape`, row by row."""
     map_shape: tuple[int, int] | None
     asked_up_to: float | None = None
+    """The bound, for a press after which a second one was asked for."""
     first_score: float | None = None
+    """The score of the first press, for a second one."""
     masked: Digest | None = None
+    """Places that were not judged, under scars or beyond the part, one bit each, row by row."""
     is_too_blind: bool = False
+    """More lay under scars than was accepted, so a pass became unsure."""
 
     @property
     def objects(self) -> tuple[Digest, ...]:
@@ -117,7 +120,7 @@ class ArchiveFolder:
         return data
 
     def press_ids(self) -> list[str]:
-        """Those whose record is there, oldest first."""
+        """List the presses whose record is there, oldest first."""
         try:
             names = [entry.name for entry in os.scandir(self.folder / PRESSES) if entry.is_file()]
         except OSError:
@@ -150,7 +153,7 @@ class PressArchive:
 
     @property
     def is_on(self) -> bool:
-        """Whether presses are kept."""
+        """True where presses are kept."""
         return self._most_presses > 0
 
     def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
@@ -159,12 +162,12 @@ class PressArchive:
         self.fault = self._why_not()
         if self.fault is None:
             try:
-                return self._kept(press, objects)
+                return self._write_press(press, objects)
             except OSError as error:
                 self.fault = f"{self._folder} cannot be written: {error.strerror or error}"
         return None
 
-    def _kept(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes:
+    def _write_press(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes:
         if not self._is_open:
             self._open()
         for digest, data in objects.items():
@@ -182,7 +185,7 @@ class PressArchive:
         return len(self._presses) > self._most_presses or sum(self._sizes.values()) > self._most_bytes
 
     def _open(self) -> None:
-        """What is there already, without what belongs to no press: that is of a process that was killed."""
+        """Read what is there, and remove objects without a press: a killed process left them."""
         for name in (OBJECTS, PRESSES):
             (self._folder / name).mkdir(parents=True, exist_ok=True)
         for press_id, objects in _records(self._folder):

@@ -7,7 +7,7 @@ from edge.core.errors import StoreError
 from edge.store import ledger_chain
 from edge.store.press_record import PressRecord
 
-__all__ = ["KEPT_PRESSES", "History", "cut_history", "known_number"]
+__all__ = ["KEPT_PRESSES", "History", "cut_history", "find_number"]
 
 # Rows kept in the press history; about 350 bytes each with their links, so 350 MB. The ledger's counts do not depend on
 # them.
@@ -23,8 +23,8 @@ class History:
         return _insert(connection, press, gel_id, running_ns)
 
 
-def known_number(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
-    """The number of the press, where it is recorded already. Errors: StoreError when the id is another press's."""
+def find_number(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
+    """Find the number of a press that is recorded already. Errors: StoreError when the id is another press's."""
     row = connection.execute(
         f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?", (press.press_id,)
     ).fetchone()

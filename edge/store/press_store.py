@@ -23,7 +23,7 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.ledger_chain import KIND_OF
 from edge.store.outbox import Bounds
 from edge.store.press_counts import Count, PressCounts
-from edge.store.press_history import History, cut_history, known_number
+from edge.store.press_history import History, cut_history, find_number
 from edge.store.press_record import VERDICTS, PressRecord
 from edge.store.recovery import recover
 from edge.store.running_time import RunningTime
@@ -108,14 +108,16 @@ class Store:
         self._compare(press.serial, press.time_ns)
         table = into or History()
         with self._database.writing(f"recording press {press.press_id}") as connection:
-            known = known_number(connection, table.name, press)
+            known = find_number(connection, table.name, press)
             if known is not None:
-                return Recorded(self._mounted(connection, press.serial), known, ledger_chain.head(connection))
+                return Recorded(
+                    self._require_mounted(connection, press.serial), known, ledger_chain.head(connection)
+                )
             self._mount_first(connection, press.serial, press.time_ns)
             if press.wear_index is not None:
                 ledger.set_wear(connection, press.serial, press.wear_index)
             ledger.count_press(connection, press.serial, press.time_ns)
-            gel = self._mounted(connection, press.serial)
+            gel = self._require_mounted(connection, press.serial)
             running_ns = self._running.store(connection)
             number = table.insert(connection, press, gel.gel_id, running_ns)
             recorded = Recorded(gel, number, ledger_chain.append(connection, KIND_OF[table.name], number))
@@ -147,7 +149,7 @@ class Store:
         with self._database.writing(f"reading the gel of sensor {serial}") as connection:
             self._mount_first(connection, serial, time_ns)
             self._running.store_sometimes(connection)
-            gel, sequence = self._mounted(connection, serial), _newest_number(connection)
+            gel, sequence = self._require_mounted(connection, serial), _newest_number(connection)
         known = self._counts.read().get(serial)
         if known is None or (known.gel_id, known.presses) != (gel.gel_id, gel.presses):
             self._keep_count(gel, sequence)
@@ -176,7 +178,7 @@ class Store:
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
-            gel = self._mounted(connection, serial)
+            gel = self._require_mounted(connection, serial)
             sequence = _newest_number(connection)
             if act is not None:
                 act_table.begin(connection, act, self._running.store(connection))
@@ -189,7 +191,7 @@ class Store:
         """Presses of which nothing else is known: they wear the gel."""
         with self._database.writing(f"counting presses of sensor {serial}") as connection:
             ledger.count_press(connection, serial, time_ns, presses)
-            gel, sequence = self._mounted(connection, serial), _newest_number(connection)
+            gel, sequence = self._require_mounted(connection, serial), _newest_number(connection)
         self._keep_count(gel, sequence)
         return gel
 
@@ -229,14 +231,14 @@ class Store:
             return act_table.newest(connection, limit)
 
     def newest_revision(self, part: PartPosition) -> int | None:
-        """The revision of the newest bundle in use for this position; None where none had one."""
+        """Read the revision of the newest bundle in use for this position; None where no bundle had one."""
         with self._database.reading(f"reading the revision of {part}") as connection:
             return bundles_in_use.revision(connection, part)
 
-    def selected(self) -> PartPosition | None:
-        """The position that was selected last; None in a new database."""
+    def read_selected(self) -> PartPosition | None:
+        """Read the position that was selected last; None in a new database."""
         with self._database.reading("reading the selected part") as connection:
-            return bundles_in_use.selected(connection)
+            return bundles_in_use.read_selected(connection)
 
     def use_bundle(
         self,
@@ -279,7 +281,7 @@ class Store:
         self.close()
 
     def _compare(self, serial: str, time_ns: int) -> None:
-        """At the first use of a sensor, its count is compared with the second record."""
+        """Compare the sensor's count with the second record, at its first use."""
         if serial in self._compared:
             return
         with self._database.writing(f"comparing the counts of sensor {serial}") as connection:
@@ -288,14 +290,14 @@ class Store:
         self._compared.add(serial)
 
     def _mount_first(self, connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
-        if ledger.mounted(connection, serial, self._warn_fraction) is None:
+        if ledger.find_mounted(connection, serial, self._warn_fraction) is None:
             ledger.mount(connection, serial, None, self._limit_presses, "first seen", time_ns)
 
     def _keep_count(self, gel: GelRecord, sequence: int) -> None:
         self._counts.write(gel.serial, Count(gel.gel_id, gel.presses, gel.limit_presses, sequence))
 
-    def _mounted(self, connection: sqlite3.Connection, serial: str) -> GelRecord:
-        gel = ledger.mounted(connection, serial, self._warn_fraction)
+    def _require_mounted(self, connection: sqlite3.Connection, serial: str) -> GelRecord:
+        gel = ledger.find_mounted(connection, serial, self._warn_fraction)
         if gel is None:
             raise StoreError(
                 f"database {self.path} has no gel for sensor {serial}; run `gelgate gel replace`"

@@ -31,7 +31,7 @@ class ReferenceFolder:
         self.folder = folder
 
     def load(self, serial: str, gel_id: str, which: Which) -> Reference | None:
-        """The picture, or None when there is none or it cannot be read."""
+        """The picture; None when it is missing or cannot be read."""
         path = self._path(serial, gel_id, which)
         try:
             view = np.load(path, allow_pickle=False)
@@ -58,7 +58,7 @@ class ReferenceFolder:
             )
 
     def forget(self, serial: str, gel_id: str) -> None:
-        """What was kept of this gel proved to be no free gel; it is learnt again."""
+        """Forget the pictures of this gel, which proved to show no free gel; they are learnt again."""
         for which in ("first", "last"):
             try:
                 self._path(serial, gel_id, which).unlink(missing_ok=True)
@@ -71,7 +71,7 @@ class ReferenceFolder:
         return self.folder / as_name(serial) / f"{as_name(gel_id)}.{which}.npy"
 
     def _remove_old(self, serial: str) -> None:
-        """Of gels that were replaced long ago: nothing is compared with them any more."""
+        """Remove the pictures of gels that were replaced long ago: nothing is compared with them any more."""
         lasts = sorted(
             (self.folder / as_name(serial)).glob("*.last.npy"), key=lambda path: path.stat().st_mtime_ns
         )

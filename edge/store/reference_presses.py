@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
-from edge.store.database import opened_read_only
+from edge.store.database import open_read_only
 from edge.store.press_store import PressRecord, Store
 
 __all__ = [
@@ -101,7 +101,7 @@ def of_piece(connection: sqlite3.Connection, key: PieceKey) -> list[ReferencePre
 
 
 def newest_number(connection: sqlite3.Connection) -> int:
-    """That of the newest reference press of this database, 0 without one."""
+    """Read the number of the newest reference press of this database, 0 without one."""
     return int(connection.execute("SELECT coalesce(max(number), 0) FROM reference_presses").fetchone()[0])
 
 
@@ -128,7 +128,7 @@ def ask(connection: sqlite3.Connection, wish: ReferenceRequest) -> None:
 
 
 def take(store: Store) -> ReferenceRequest | None:
-    """What waits, and then it waits no more; without one, nothing is written. Errors: StoreError."""
+    """Take the waiting request out of the database; without one, nothing is written. Errors: StoreError."""
     doing = "reading what the command line asks for"
     return store.write(doing, take_request) if store.read(doing, _has_request) else None
 
@@ -138,7 +138,7 @@ def _has_request(connection: sqlite3.Connection) -> bool:
 
 
 def take_request(connection: sqlite3.Connection) -> ReferenceRequest | None:
-    """What waits, and then it waits no more."""
+    """Take the waiting request out of the table."""
     row = connection.execute(
         "DELETE FROM reference_request RETURNING request, who, piece, is_start, time_ns"
     ).fetchone()
@@ -153,7 +153,7 @@ def withdraw(connection: sqlite3.Connection, request: str) -> bool:
 
 def read_pieces(path: Path) -> dict[PieceKey, list[ReferencePress]]:
     """Every master piece with its presses, oldest first; also while a gateway runs. Errors: StoreError."""
-    with opened_read_only(path, "reading the reference presses") as connection:
+    with open_read_only(path, "reading the reference presses") as connection:
         keys = connection.execute(
             "SELECT DISTINCT serial, part, position, piece FROM reference_presses ORDER BY 1, 2, 3, 4"
         ).fetchall()

@@ -26,22 +26,22 @@ class RunningTime:
 
     def now_ns(self, connection: sqlite3.Connection) -> int:
         """Nanoseconds that gateways have run on this database, at least as many as at any call before."""
-        stored_ns = self._stored(connection)
+        stored_ns = self._read_stored(connection)
         if self._before_ns is None:
             self._before_ns = stored_ns
         return max(stored_ns, self._before_ns + self._monotonic_ns() - self._opened_ns)
 
     def store(self, connection: sqlite3.Connection) -> int:
-        """The same, and keep it."""
+        """Store the running time, and return it in nanoseconds."""
         now_ns = self.now_ns(connection)
         connection.execute("UPDATE running SET running_ns = ?", (now_ns,))
         return now_ns
 
     def store_sometimes(self, connection: sqlite3.Connection) -> None:
         """Keep it if that was not done for ten minutes."""
-        if self.now_ns(connection) - self._stored(connection) >= STORED_EVERY_NS:
+        if self.now_ns(connection) - self._read_stored(connection) >= STORED_EVERY_NS:
             self.store(connection)
 
     @staticmethod
-    def _stored(connection: sqlite3.Connection) -> int:
+    def _read_stored(connection: sqlite3.Connection) -> int:
         return int(connection.execute("SELECT running_ns FROM running").fetchone()[0])

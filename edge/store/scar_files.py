@@ -25,7 +25,7 @@ class ScarFolder:
         self._folder = folder
 
     def load(self, serial: str, gel_id: str) -> ScarRecord | None:
-        """The record, or None when there is none or it cannot be read."""
+        """The record; None when it is missing or cannot be read."""
         path = self._path(serial, gel_id)
         try:
             record = ScarRecord(np.load(path, allow_pickle=False)[:PLANES])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.store import ledger_chain
-from edge.store.database import opened_read_only
+from edge.store.database import open_read_only
 from edge.store.press_store import PressRecord
 
 __all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "plan_of", "read_study", "studies", "void"]
@@ -82,7 +82,7 @@ def begin_study(connection: sqlite3.Connection, study_id: str, plan: str, time_n
 
 
 def plan_of(connection: sqlite3.Connection, study_id: str) -> str | None:
-    """None for a study that is not in this database."""
+    """Read the plan of a study; None for one that is not in this database."""
     row = connection.execute("SELECT plan FROM studies WHERE study_id = ?", (study_id,)).fetchone()
     return None if row is None else str(row[0])
 
@@ -109,7 +109,7 @@ def void(connection: sqlite3.Connection, press_id: str) -> bool:
 
 def studies(path: Path) -> list[tuple[str, int, int]]:
     """Each study with when it began and the number of its presses that count, oldest first. Errors: StoreError."""
-    with opened_read_only(path, "reading the studies") as connection:
+    with open_read_only(path, "reading the studies") as connection:
         rows = connection.execute(
             "SELECT study_id, started_ns, (SELECT count(*) FROM study_presses AS p WHERE p.study_id = s.study_id AND "
             "NOT is_void) FROM studies AS s ORDER BY started_ns"
@@ -119,6 +119,6 @@ def studies(path: Path) -> list[tuple[str, int, int]]:
 
 def read_study(path: Path, study_id: str) -> tuple[str, list[StudyPress]] | None:
     """The plan and the presses; None for a study that is not there. Errors: StoreError."""
-    with opened_read_only(path, "reading the studies") as connection:
+    with open_read_only(path, "reading the studies") as connection:
         plan = plan_of(connection, study_id)
         return None if plan is None else (plan, of_study(connection, study_id))

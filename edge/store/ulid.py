@@ -23,5 +23,5 @@ def new_ulid(time_ns: int, random_bytes: Callable[[int], bytes] = os.urandom) ->
 
 
 def is_ulid(text: str) -> bool:
-    """Whether the text is a ULID in canonical form."""
+    """Tell whether the text is a ULID in canonical form."""
     return _FORM.fullmatch(text) is not None

@@ -376,4 +376,4 @@ def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
 
         assert station.loop.selection.part == PZ0
     with Store(config.parent / "gelgate.db") as store:
-        assert store.selected() == PZ0
+        assert store.read_selected() == PZ0

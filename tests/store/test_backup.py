@@ -12,7 +12,7 @@ import pytest
 from edge.core.errors import StoreError
 from edge.store import backup, database
 from edge.store.backup import back_up, backups_in, migrate
-from edge.store.database import opened_read_only, schema_version
+from edge.store.database import open_read_only, schema_version
 from edge.store.integrity import check_database
 from edge.store.press_store import MakeMessages, PressRecord, Store
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
@@ -131,5 +131,5 @@ def test_a_migration_that_fails_leaves_the_file_as_it_was(
 
 
 def schema_version_of(path: Path) -> int:
-    with opened_read_only(path, "", any_version=True) as connection:
+    with open_read_only(path, "", any_version=True) as connection:
         return schema_version(connection)

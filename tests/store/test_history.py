@@ -12,7 +12,7 @@ from recorded_presses import SERIAL, T0
 
 from edge.core.errors import StoreError
 from edge.store.backup import migrate
-from edge.store.database import APPLICATION_ID, opened_read_only
+from edge.store.database import APPLICATION_ID, open_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history
 from edge.store.history_files import write_history
 from edge.store.press_store import PressRecord, Store
@@ -79,7 +79,7 @@ def test_a_reader_cannot_write(six: Path) -> None:
     """A mistake in a question changes no row."""
     with (
         pytest.raises(StoreError, match="readonly database"),
-        opened_read_only(six, "asking") as connection,
+        open_read_only(six, "asking") as connection,
     ):
         connection.execute("DELETE FROM presses")
     assert len(numbers(six, HistoryQuery())) == 6

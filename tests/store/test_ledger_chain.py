@@ -172,17 +172,17 @@ def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(
 
 def forge(connection: sqlite3.Connection) -> None:
     """Compute every link again, as somebody with the program could."""
-    from edge.store.ledger_chain import canonical, linked, stored_row
+    from edge.store.ledger_chain import canonical, hash_link, read_row
 
     before = bytes(32)
     last = dict(connection.execute("SELECT kind || ref, max(link) FROM ledger_chain GROUP BY kind, ref"))
     for link, kind, ref, content in connection.execute(
         "SELECT link, kind, ref, content FROM ledger_chain ORDER BY link"
     ).fetchall():
-        row = stored_row(connection, kind, ref)
+        row = read_row(connection, kind, ref)
         if row is not None and last[f"{kind}{ref}"] == link:
             content = hashlib.sha256(canonical(row)).digest()
-        before = linked(before, link, kind, ref, content)
+        before = hash_link(before, link, kind, ref, content)
         connection.execute(
             "UPDATE ledger_chain SET content = ?, hash = ? WHERE link = ?", (content, before, link)
         )
