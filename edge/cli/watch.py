@@ -92,12 +92,12 @@ def _watch(
 def _validate(broker: "Broker", topics: str, count: int | None, timeout: float | None) -> None:
     """Print every fault. count: of messages that end it."""
     from edge.core.printable import printable
-    from edge.messaging.subscriber import received
+    from edge.messaging.subscriber import receive
     from edge.messaging.validation import StationsCheck
 
     check, faults = StationsCheck(), 0
     try:
-        for message in received(broker, topics, timeout, _tell):
+        for message in receive(broker, topics, timeout, _tell):
             for fault in check.see(message):
                 faults += 1
                 print(printable(fault), flush=True)

@@ -49,15 +49,15 @@ class AlarmPayload(Payload):
 
 def alarm_message(payload: AlarmPayload) -> Message:
     """A raised alarm, retained until it is cleared. Errors: ValueError for an id that is not in ALARMS."""
-    return Message(f"alarm/{_known_alarm(payload.alarm)}", payload.encode(), qos=1, retain=True)
+    return Message(f"alarm/{_check_alarm(payload.alarm)}", payload.encode(), qos=1, retain=True)
 
 
 def alarm_cleared(alarm: str) -> Message:
     """Removes the retained alarm from the broker. Errors: ValueError for an id that is not in ALARMS."""
-    return Message(f"alarm/{_known_alarm(alarm)}", b"", qos=1, retain=True)
+    return Message(f"alarm/{_check_alarm(alarm)}", b"", qos=1, retain=True)
 
 
-def _known_alarm(alarm: str) -> str:
+def _check_alarm(alarm: str) -> str:
     if alarm not in ALARMS:
         raise ValueError(f"alarm {alarm!r} is not known; known: {', '.join(ALARMS)}")
     return alarm

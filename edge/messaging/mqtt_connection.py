@@ -106,7 +106,7 @@ class Connection:
 
     @classmethod
     def speaks_5(cls, broker: Broker) -> bool:
-        """Whether the broker answers at level 5, tried with another client id; a refused login is an answer too."""
+        """Tell whether the broker answers at level 5; a refused login is an answer too. It tries with another client id."""
         trial = replace(broker, client_id=f"{broker.client_id}-level", timeout_s=_LEVEL_TRIAL_S)
         try:
             cls(trial, "5", None, None, lambda: None).close()
@@ -141,7 +141,7 @@ class Connection:
         self._establish()
 
     def _with(self, broker: Broker) -> Self:
-        """The same connection, with the time limits of this broker."""
+        """Take the time limits of this broker."""
         self.broker = broker
         return self
 
@@ -226,10 +226,10 @@ class Connection:
         if will is not None:
             properties = self._properties(will, PacketTypes.WILLMESSAGE)
             client.will_set(will.topic, will.payload, will.qos, will.retain, properties)
-        client.on_connect = self._connected
-        client.on_disconnect = self._disconnected
-        client.on_publish = self._published
-        client.on_subscribe = self._subscribed
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_publish = self._on_publish
+        client.on_subscribe = self._on_subscribe
         client.on_message = self._message
         return client
 
@@ -330,7 +330,7 @@ class Connection:
 
     # The callbacks, called by the library's thread, which never waits here.
 
-    def _connected(
+    def _on_connect(
         self,
         client: paho.Client,
         userdata: object,
@@ -343,7 +343,7 @@ class Connection:
             self._largest_packet = getattr(properties, "MaximumPacketSize", None)
             self._changed.notify_all()
 
-    def _disconnected(
+    def _on_disconnect(
         self,
         client: paho.Client,
         userdata: object,
@@ -364,12 +364,12 @@ class Connection:
         else:
             self._lose(str(reason))
 
-    def _published(
+    def _on_publish(
         self, client: paho.Client, userdata: object, mid: int, reason: ReasonCode, properties: Properties
     ) -> None:
         self._note(mid, reason)
 
-    def _subscribed(
+    def _on_subscribe(
         self,
         client: paho.Client,
         userdata: object,

@@ -71,7 +71,7 @@ class Payload(BaseModel):
 
 
 def as_replayed(message: Message) -> Message:
-    """The same message marked as sent late, where its payload has the mark; pictures stay as they are."""
+    """Mark a message as sent late, where its payload has the mark; pictures stay as they are."""
     if message.content_type != "application/json" or not message.payload:
         return message
     content = json.loads(message.payload)

@@ -91,7 +91,7 @@ class Publisher:
             self.wake()
 
     def counters(self) -> Mapping[str, SinkCounters]:
-        """Of every sink, with the faults that it reports now."""
+        """Give the counters of every sink, with the faults that it reports now."""
         return {
             name: replace(
                 worker.counters,
@@ -111,7 +111,7 @@ class Publisher:
         """
         self._stopping.set()
         self.wake()
-        _join(self._started(), drain_s)
+        _join(self._started_threads(), drain_s)
         # A send that still waits ends with SinkUnavailable when its sink is closed. Each is closed in its own thread:
         # one that never returns must not keep the others open.
         closers = [
@@ -120,8 +120,8 @@ class Publisher:
         ]
         for closer in closers:
             closer.start()
-        _join([*closers, *self._started()], CLOSE_S)
-        stuck = [thread.name for thread in (*closers, *self._started()) if thread.is_alive()]
+        _join([*closers, *self._started_threads()], CLOSE_S)
+        stuck = [thread.name for thread in (*closers, *self._started_threads()) if thread.is_alive()]
         if stuck:
             # They keep the lock until the process ends: another publisher would mix the order.
             log.error(
@@ -139,7 +139,7 @@ class Publisher:
         except Exception:
             log.exception("sink %s: a fault in its plugin while it was closed", name)
 
-    def _started(self) -> list[threading.Thread]:
+    def _started_threads(self) -> list[threading.Thread]:
         return [thread for thread in self._threads if thread.ident is not None]
 
     def _run(self, worker: SinkWorker) -> None:
@@ -150,7 +150,7 @@ class Publisher:
                 pause_s = worker.step()
             except Exception:
                 log.exception("sink %s: a fault in its plugin", worker.name)
-                pause_s = worker.broken()
+                pause_s = worker.count_exception()
             if is_last and pause_s > 0:
                 return
             if worker.counters.is_up:

@@ -38,20 +38,25 @@ OnChange = Callable[[str, bool, str], None]
 
 @dataclass(frozen=True)
 class SinkCounters:
-    """sent: acknowledged rows. replayed: those of them marked as late. failed: attempts that ended in an error.
-    refused: refusals so far. is_up: the last attempt succeeded. last_error: its sentence, or empty. last_refusal: that
-    of the last refused message, or empty. faults: what the sink itself reports. level: of its protocol, if it has
-    several."""
+    """What one sink did so far."""
 
     sent: int = 0
+    """Acknowledged rows."""
     replayed: int = 0
+    """Acknowledged rows that were marked as late."""
     failed: int = 0
+    """Attempts that ended in an error."""
     refused: int = 0
     is_up: bool = False
+    """The last attempt succeeded."""
     last_error: str = ""
+    """The sentence of the last error, or empty."""
     last_refusal: str = ""
+    """The sentence of the last refusal, or empty."""
     faults: tuple[str, ...] = ()
+    """What the sink itself reports."""
     level: str | None = None
+    """The level of its protocol, if it has several."""
 
 
 class SinkWorker:
@@ -110,14 +115,14 @@ class SinkWorker:
                     self._send(row)
                 self._passed = row.row_id
         except SinkError as error:
-            return self._failed(error)
+            return self._note_failure(error)
         except StoreError as error:
-            return self._unrecorded(error)
+            return self._note_unstored(error)
         return 0.0 if len(rows) == BATCH_ROWS or self._accepts_again else IDLE_S
 
-    def broken(self) -> float:
+    def count_exception(self) -> float:
         """Count an unexpected exception of `step`; returns the seconds to wait, as for any failure."""
-        return self._failed(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
+        return self._note_failure(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
 
     def _offer_refused(self) -> None:
         now_ns = self._clock.monotonic_ns()
@@ -162,7 +167,7 @@ class SinkWorker:
             self._retained_state.remember(row.message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)
         self._note_accepted(row)
-        self._recorded()
+        self._note_stored()
         self.counters = replace(
             self.counters,
             sent=self.counters.sent + 1,
@@ -196,21 +201,21 @@ class SinkWorker:
             self.counters = replace(self.counters, is_up=True, last_error="")
             self._change(True, f"sink {self.name} accepts messages")
 
-    def _recorded(self) -> None:
+    def _note_stored(self) -> None:
         self._backoff.succeeded()
         if self._is_store_failing:
             self._is_store_failing = False
             log.info("the acknowledgements of sink %s are stored again", self.name)
 
-    def _unrecorded(self, error: StoreError) -> float:
-        """The database refused, not the sink, so the current state is still sent. Logged once."""
+    def _note_unstored(self, error: StoreError) -> float:
+        """Count a failure of the database, not of the sink: the current state is still sent. Logged once."""
         self.counters = replace(self.counters, failed=self.counters.failed + 1, last_error=str(error))
         if not self._is_store_failing:
             self._is_store_failing = True
             log.error("the acknowledgements of sink %s cannot be stored: %s", self.name, error)
         return self._backoff.failed()
 
-    def _failed(self, error: SinkError) -> float:
+    def _note_failure(self, error: SinkError) -> float:
         is_news = self.counters.is_up or not self._has_changed
         self.counters = replace(
             self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)

@@ -25,7 +25,7 @@ __all__ = [
     "describe",
     "listening",
     "next_message",
-    "received",
+    "receive",
     "station_filter",
     "watch",
 ]
@@ -76,7 +76,7 @@ def watch(
     end = _End(None if timeout_s is None else time.monotonic() + timeout_s)
     known: OrderedDict[str, None] = OrderedDict()
     wanted, awaited = count, None
-    for message in _received(broker, topic_filter, end, tell):
+    for message in _receive(broker, topic_filter, end, tell):
         seen = _interpret(message, save, tell)
         if seen is None or (seen.kind == "result" and not _is_news(known, seen.content["press_id"])):
             continue
@@ -94,14 +94,14 @@ def watch(
                 end.not_after(time.monotonic() + LAST_PICTURE_S)
 
 
-def received(
+def receive(
     broker: Broker,
     topic_filter: str,
     timeout_s: float | None = None,
     tell: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Received]:
     """Every message, for `timeout_s` seconds, else for ever. tell, errors: as `watch`."""
-    return _received(
+    return _receive(
         broker, topic_filter, _End(None if timeout_s is None else time.monotonic() + timeout_s), tell
     )
 
@@ -137,7 +137,7 @@ class _End:
     def not_after(self, moment: float) -> None:
         self.at = moment if self.at is None else min(self.at, moment)
 
-    def left_s(self) -> float | None:
+    def seconds_left(self) -> float | None:
         return None if self.at is None else max(0.0, self.at - time.monotonic())
 
 
@@ -150,9 +150,7 @@ def _is_news(known: "OrderedDict[str, None]", press_id: str) -> bool:
     return True
 
 
-def _received(
-    broker: Broker, topic_filter: str, end: _End, tell: Callable[[str], None]
-) -> Iterator[Received]:
+def _receive(broker: Broker, topic_filter: str, end: _End, tell: Callable[[str], None]) -> Iterator[Received]:
     has_listened = False
     while True:
         try:
@@ -160,15 +158,15 @@ def _received(
                 if has_listened:
                     tell(f"listening to broker {broker} again")
                 has_listened = True
-                while (message := next_message(inbox, end.left_s())) is not None:
+                while (message := next_message(inbox, end.seconds_left())) is not None:
                     yield message
             return
         except SinkUnavailable as error:
             if not has_listened:
                 raise
             tell(f"{error}; trying again")
-            left_s = end.left_s()
-            if left_s is not None and left_s < RETURN_S:
+            seconds_left = end.seconds_left()
+            if seconds_left is not None and seconds_left < RETURN_S:
                 return
             time.sleep(RETURN_S)
 
@@ -219,7 +217,7 @@ def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]
 
 
 def _is_result(content: Mapping[str, Any]) -> bool:
-    """Whether `describe` can print it. Anybody may publish; a newer station may add fields."""
+    """Tell whether `describe` can print it. Anybody may publish; a newer station may add fields."""
     press_id, latency = content.get("press_id"), content.get("latency_ms") or {}
     total = latency.get("total") if isinstance(latency, dict) else ""
     numbers = (content.get("score"), content.get("threshold"), total)

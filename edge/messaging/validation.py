@@ -35,13 +35,13 @@ class DocumentCheck:
 
         self._document = document
         try:
-            channels = [self._resolved(reference) for reference in self._sent()]
+            channels = [self._resolve(reference) for reference in self._sending_channels()]
             self._channels = [
                 (
-                    _pattern(one["address"]),
-                    [self._described(self._resolved(m)) for m in one["messages"].values()],
+                    _pattern(channel["address"]),
+                    [self._make_check(self._resolve(m)) for m in channel["messages"].values()],
                 )
-                for one in channels
+                for channel in channels
             ]
         except (KeyError, TypeError, AttributeError, ValueError, SchemaError) as error:
             raise ValueError(
@@ -49,40 +49,40 @@ class DocumentCheck:
             ) from error
 
     def fault(self, topic: str, payload: bytes) -> str | None:
-        """What is wrong with a message, as one sentence; None if the document describes it."""
+        """Say in one sentence what is wrong with a message; None if the document describes it."""
         for pattern, messages in self._channels:
             if pattern.fullmatch(topic):
                 faults = [message.fault(payload) for message in messages]
                 return None if None in faults else faults[0]
         return "no channel of the document has this topic"
 
-    def _sent(self) -> Iterable[Mapping[str, Any]]:
-        """The channels on which the station sends, each once."""
+    def _sending_channels(self) -> Iterable[Mapping[str, Any]]:
+        """List the channels on which the station sends, each once."""
         operations = self._document["operations"].values()
         references = [one["channel"] for one in operations if one["action"] == "send"]
         references += [one["reply"]["channel"] for one in operations if "reply" in one]
         return {one["$ref"]: one for one in references}.values()
 
-    def _resolved(self, value: Mapping[str, Any]) -> Any:
-        found: Any = value
+    def _resolve(self, value: Mapping[str, Any]) -> Any:
+        resolved: Any = value
         for _ in range(MOST_REFERENCES):
-            if "$ref" not in found:
-                return found
-            found, path = self._document, str(found["$ref"]).removeprefix("#/").split("/")
+            if "$ref" not in resolved:
+                return resolved
+            resolved, path = self._document, str(resolved["$ref"]).removeprefix("#/").split("/")
             for level in path:
-                found = found[level]
+                resolved = resolved[level]
         raise ValueError("a reference leads to itself")
 
-    def _described(self, message: Mapping[str, Any]) -> "_Described":
+    def _make_check(self, message: Mapping[str, Any]) -> "_MessageCheck":
         from jsonschema import Draft7Validator
 
         schema = {"allOf": [message["payload"]], "components": self._document.get("components", {})}
         Draft7Validator.check_schema(schema)
-        return _Described(message.get("contentType"), Draft7Validator(schema))
+        return _MessageCheck(message.get("contentType"), Draft7Validator(schema))
 
 
 @dataclass(frozen=True)
-class _Described:
+class _MessageCheck:
     content_type: str | None
     validator: "Draft7Validator"
 

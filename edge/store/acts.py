@@ -25,19 +25,23 @@ _COLUMNS = "time_ns, who, verb, request, arguments, signature, outcome, sentence
 
 @dataclass(frozen=True)
 class Act:
-    """One request. time_ns: wall clock. who: through which receiver, signed or not, and the name that was claimed.
-    request: its transaction id. outcome: None while it is being done. sentence: why it failed or was refused.
-    before, after: what the act changes, as far as it is known."""
+    """One request."""
 
     time_ns: int
+    """Wall clock."""
     who: str
+    """Through which receiver, signed or not, and the name that was claimed."""
     verb: str
     request: str | None = None
+    """Its transaction id."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     signature: str | None = None
     outcome: Outcome | None = None
+    """None while it is being done."""
     sentence: str | None = None
+    """Why it failed or was refused."""
     before: Mapping[str, Any] | None = None
+    """What the act changes, as far as it is known."""
     after: Mapping[str, Any] | None = None
     act_id: int = 0
 

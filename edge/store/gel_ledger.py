@@ -21,25 +21,27 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class GelRecord:
-    """One gel on one sensor, as in the ledger.
-
-    serial: of the sensor. presses: contacts so far. limit_presses: contacts allowed; warn_fraction of them makes the
-    gel due. Times are wall-clock nanoseconds; `first_use_ns` and `last_use_ns` are None before the first press,
-    `removed_ns` is None while the gel is mounted. wear_index: optical wear of the untouched gel, 0 when new and 1 when
-    it should be replaced, None if never measured. note: by the person who mounted it.
-    """
+    """One gel on one sensor, as in the ledger. Times are wall-clock nanoseconds."""
 
     serial: str
+    """The sensor's."""
     gel_id: str
     presses: int
+    """Contacts so far."""
     limit_presses: int
+    """Contacts that are allowed."""
     warn_fraction: float
+    """The share of the allowed contacts at which the gel is due."""
     installed_ns: int
     first_use_ns: int | None = None
+    """None before the first press, as for the last use."""
     last_use_ns: int | None = None
     removed_ns: int | None = None
+    """None while the gel is mounted."""
     wear_index: float | None = None
+    """Optical wear of the untouched gel: 0 when new, 1 when it should be replaced; None if never measured."""
     note: str = ""
+    """By the person who mounted it."""
 
     @property
     def can_be(self) -> bool:

@@ -15,23 +15,25 @@ __all__ = ["COLUMNS", "HistoryQuery", "HistoryRow", "read_history"]
 
 @dataclass(frozen=True)
 class HistoryRow:
-    """One press. number: the `sequence` of its result. time_ns: wall clock, nanoseconds since 1970 UTC. running_s:
-    seconds that gateways had run on this database, which no step of the clock changes; None for a press of version 1.
-    score, threshold: raw, higher is more anomalous; None for a press without a score. cause: of a fail or unsure: part,
-    gel or unsure; None where it is not known."""
+    """One press of the history."""
 
     number: int
+    """The `sequence` of its result."""
     press_id: str
     time_ns: int
+    """Wall clock, nanoseconds since 1970 UTC."""
     running_s: float | None
+    """Seconds that gateways had run on this database; None for a press of version 1. No step of the clock changes it."""
     serial: str
     gel_id: str
     part: str
     position: str | None
     verdict: str
     score: float | None
+    """Raw, as the threshold; higher is more anomalous. None for a press without a score."""
     threshold: float | None
     cause: str | None = None
+    """The cause of a fail or unsure: part, gel or unsure; None where it is not known."""
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
-from edge.messaging.descriptions.payload_schemas import REFERENCE, published_schemas, request_schema
+from edge.messaging.descriptions.payload_schemas import REFERENCE, payload_schemas, request_schema
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
 from edge.messaging.topics import TOPICS, Topic
 
@@ -46,7 +46,7 @@ def document(station: DescribedStation) -> dict[str, Any]:
     """Plain JSON that meets the published schema of AsyncAPI 3.0.0."""
     published = [topic for topic in TOPICS if not topic.name.startswith("cmd/")]
     models = dict.fromkeys(topic.payload for topic in published if not isinstance(topic.payload, str))
-    schemas = published_schemas([*models, CommandResponse])
+    schemas = payload_schemas([*models, CommandResponse])
     requests = {_request_name(one): request_schema(CommandRequest, one.arguments) for one in station.commands}
     return {
         "asyncapi": "3.0.0",

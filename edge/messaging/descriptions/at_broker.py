@@ -43,7 +43,7 @@ def station_at(
 
 
 def _document(payload: bytes) -> Mapping[str, Any] | None:
-    """None for what is no AsyncAPI document; anybody may publish."""
+    """Parse an AsyncAPI document; None for anything else, as anybody may publish."""
     try:
         content = json.loads(payload)
     except (ValueError, RecursionError):

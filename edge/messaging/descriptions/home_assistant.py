@@ -63,12 +63,14 @@ def _components(root: str) -> dict[str, dict[str, Any]]:
             "image_topic": f"{root}/last/heatmap",
             "content_type": "image/png",
         },
-        "score_ratio": _measured(_sensor("Score / threshold", press, "value_json.score_ratio")),
+        "score_ratio": _as_measurement(_sensor("Score / threshold", press, "value_json.score_ratio")),
         "cause": {
             **_sensor("Cause", press, "value_json.cause or 'none'"),
             **_words(*(cause.value for cause in Cause), "none"),
         },
-        "blind_share": _measured(_sensor("Contact under scars of the gel", press, "value_json.blind_share")),
+        "blind_share": _as_measurement(
+            _sensor("Contact under scars of the gel", press, "value_json.blind_share")
+        ),
         "time": {**_sensor("Time of the last press", press, "value_json.time"), "device_class": "timestamp"},
         "state": {
             **_sensor("State", f"{root}/state", "value_json.state"),
@@ -88,18 +90,21 @@ def _components(root: str) -> dict[str, dict[str, Any]]:
             **_sensor("Presses on this gel", gel, "value_json.presses"),
             "state_class": "total_increasing",
         },
-        "gel_left": _measured(
+        "gel_left": _as_measurement(
             _sensor(
                 "Presses left on this gel", gel, "[0, value_json.limit_presses - value_json.presses] | max"
             )
         ),
         "latency": {
-            **_measured(_sensor("Frame to verdict, median", stats, "value_json.latency_ms_p50")),
+            **_as_measurement(_sensor("Frame to verdict, median", stats, "value_json.latency_ms_p50")),
             **_DIAGNOSTIC,
             "device_class": "duration",
             "unit_of_measurement": "ms",
         },
-        "unsent": {**_measured(_sensor("Unsent messages", stats, "value_json.outbox_rows")), **_DIAGNOSTIC},
+        "unsent": {
+            **_as_measurement(_sensor("Unsent messages", stats, "value_json.outbox_rows")),
+            **_DIAGNOSTIC,
+        },
     }
 
 
@@ -121,5 +126,5 @@ def _words(*words: str) -> dict[str, Any]:
     return {"device_class": "enum", "options": list(words)}
 
 
-def _measured(sensor: dict[str, Any]) -> dict[str, Any]:
+def _as_measurement(sensor: dict[str, Any]) -> dict[str, Any]:
     return {**sensor, "state_class": "measurement"}

@@ -7,15 +7,15 @@ from typing import Any, Final
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-__all__ = ["REFERENCE", "published_schemas", "request_schema"]
+__all__ = ["REFERENCE", "payload_schemas", "request_schema"]
 
 REFERENCE: Final = "#/components/schemas/{model}"
 
 _CLOSED: Final = ("additionalProperties", False)
 
 
-def published_schemas(models: Iterable[type[BaseModel]]) -> dict[str, Any]:
-    """Of payloads that a station publishes, by the model's name, with the definitions that they refer to.
+def payload_schemas(models: Iterable[type[BaseModel]]) -> dict[str, Any]:
+    """Make the schemas of payloads that a station publishes, by the model's name, with the definitions that they need.
 
     Every field is required, as it is always there. Fields that are not known are allowed: a later version adds some.
     """
@@ -24,14 +24,14 @@ def published_schemas(models: Iterable[type[BaseModel]]) -> dict[str, Any]:
 
 
 def request_schema(request: type[BaseModel], arguments: type[BaseModel]) -> dict[str, Any]:
-    """Of a request with the arguments of one verb. A field that is not known is refused, as the station does."""
+    """Make the schema of a request with the arguments of one verb. It refuses unknown fields, as the station does."""
     schema = _draft_07(request.model_json_schema(), keeps_closed=True)
     schema["properties"]["arguments"] = _draft_07(arguments.model_json_schema(), keeps_closed=True)
     return dict(schema)
 
 
 def _draft_07(schema: Any, *, keeps_closed: bool = False) -> Any:
-    """Without what only later drafts know, and without the defaults and titles that pydantic adds."""
+    """Remove what only later drafts know, and the defaults and titles that pydantic adds."""
     read = partial(_draft_07, keeps_closed=keeps_closed)
     if isinstance(schema, list):
         return [read(one) for one in schema]

@@ -21,12 +21,12 @@ class SparkplugNode:
 
     @classmethod
     def of(cls, root: str, group: str | None = None, node: str | None = None) -> Self:
-        """By default the site is the group, and `<line>-<station>` the node. root: of the station's topics."""
+        """Name the node; by default the site is the group, `<line>-<station>` the node. root: of the station's topics."""
         _, site, line, station = root.split("/")[:4]
         return cls(group or site, node or f"{line}-{station}")
 
     def topic(self, verb: str) -> str:
-        """Of one of its messages."""
+        """Give the topic of one of its messages."""
         return f"spBv1.0/{self.group}/{verb}/{self.name}"
 
     def __str__(self) -> str:

@@ -36,5 +36,5 @@ class DescribedStation:
 
     @property
     def id(self) -> str:
-        """Of letters, digits, `-` and `_` alone; two stations of a plant have different ones."""
+        """Letters, digits, `-` and `_` alone; two stations of a plant have different ones."""
         return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in self.root)
