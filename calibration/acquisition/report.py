@@ -8,7 +8,7 @@ from calibration.acquisition.coverage import LEAST, Coverage
 from calibration.acquisition.forecast import PAYS, ROUND
 from calibration.acquisition.stopping import EARLIEST, Standing
 from edge.core.binomial import trials_needed
-from edge.pictures.heatmap import coloured
+from edge.pictures.heatmap import paint_scores
 from edge.pictures.png import encode
 
 __all__ = ["coverage_png", "forecast_lines", "press_line", "promise_line", "signals", "summary_lines"]
@@ -153,7 +153,7 @@ def coverage_png(coverage: Coverage, rgb: NDArray[np.uint8]) -> bytes:
     """
     h, w = rgb.shape[:2]
     shares = coverage.by_place
-    colours = coloured(np.nan_to_num(_BRIGHT * shares).astype(np.float32))
+    colours = paint_scores(np.nan_to_num(_BRIGHT * shares).astype(np.float32))
     colours[np.isnan(shares)] = 128
     large = cv2.resize(colours, (w, h), interpolation=cv2.INTER_NEAREST)
     text = {

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.evaluate.scoring import Evaluation, ScoredPress
-from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores
+from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores
 
 __all__ = ["draw_sheet"]
 
@@ -61,7 +61,7 @@ def _legend(evaluation: Evaluation) -> U8:
     """The colour bar from 0 to FULL_SCALE thresholds, and the length of a millimetre-wide bar under the tiles."""
     strip = np.full((_LEGEND, _COLUMNS * 2 * _TILE, 3), 245, np.uint8)
     ramp = np.linspace(0.0, FULL_SCALE, 2 * _TILE, dtype=np.float32)
-    strip[8:24, 8 : 8 + 2 * _TILE] = coloured(np.repeat(ramp[None], 16, axis=0))
+    strip[8:24, 8 : 8 + 2 * _TILE] = paint_scores(np.repeat(ramp[None], 16, axis=0))
     for value in (0.0, 0.5, 1.0, 1.5, FULL_SCALE):
         x = 8 + round(value / FULL_SCALE * (2 * _TILE - 1))
         strip[8:28, x - 1 : x + 1] = _INK
@@ -88,7 +88,7 @@ def _heat(one: ScoredPress, evaluation: Evaluation) -> U8:
     """The colours of the published pictures; a threshold that is not positive is replaced by half the map's maximum."""
     limit = evaluation.threshold if evaluation.threshold > 0 else max(float(one.score_map.max()) / 2, 1e-9)
     relative = relative_scores(one.score_map, limit)
-    colours = coloured(relative)
+    colours = paint_scores(relative)
     draw_contour(colours, relative)
     return colours
 

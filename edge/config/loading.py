@@ -39,7 +39,7 @@ def load_config(path: Path, state_dir: Path | None = None) -> Config:
             f"configuration {path} cannot be read: {error}; `gelgate check --example` prints a correct one"
         ) from error
     faults: list[str] = []
-    config = _validated(Config, table, "", faults)
+    config = _validate(Config, table, "", faults)
     faults += _plugin_faults(table)
     faults += _equal_sinks(config) if config is not None and not faults else []
     if faults or config is None:
@@ -66,7 +66,7 @@ def _equal_sinks(config: Config) -> list[str]:
     ]
 
 
-def _validated(model: type[M], table: object, where: str, faults: list[str]) -> M | None:
+def _validate(model: type[M], table: object, where: str, faults: list[str]) -> M | None:
     try:
         return model.model_validate(table)
     except ValidationError as error:
@@ -77,17 +77,17 @@ def _validated(model: type[M], table: object, where: str, faults: list[str]) -> 
 def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
     """Faults in plugin names and options, of the tables that can be read."""
     faults: list[str] = []
-    for kind, where, plugin in _named_plugins(table):
+    for kind, where, plugin in _plugin_tables(table):
         try:
             model = registry.options(kind, str(plugin["plugin"]))
         except ConfigError as error:
             faults.append(f"'{where}.plugin': {error}")
             continue
-        _validated(model, plugin.get("options", {}), f"{where}.options", faults)
+        _validate(model, plugin.get("options", {}), f"{where}.options", faults)
     return faults
 
 
-def _named_plugins(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGroup, str, Mapping[str, Any]]]:
+def _plugin_tables(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGroup, str, Mapping[str, Any]]]:
     device = table.get("device")
     if isinstance(device, dict) and "plugin" in device:
         yield "devices", "device", device
@@ -105,7 +105,7 @@ _LISTS: Final[tuple[registry.PluginGroup, ...]] = ("sinks", "triggers", "actuato
 
 
 def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None) -> Config:
-    """The same configuration with every relative path, also in plugin options, taken from the folder of its file."""
+    """Take every relative path, also in plugin options, from the folder of the configuration's file."""
     table = config.inspection
     inspection = table.model_copy(
         update={
@@ -147,11 +147,11 @@ def _overview_from(folder: Path, table: OverviewTable | None) -> OverviewTable |
 
 def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:
     model = registry.options(kind, table.plugin)
-    return table.model_copy(update={"options": _rooted(folder, model, table.options)})
+    return table.model_copy(update={"options": _take_paths_from(folder, model, table.options)})
 
 
-def _rooted(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options with each path of the model taken from the folder, in nested tables too."""
+def _take_paths_from(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Take each path among the options from the folder, in nested tables too."""
     rooted = dict(options)
     for name, value in options.items():
         kinds = set(types_in(model.model_fields[name].annotation))
@@ -159,5 +159,5 @@ def _rooted(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) ->
         if Path in kinds and isinstance(value, str):
             rooted[name] = str(folder / value)
         elif inner is not None and isinstance(value, dict):
-            rooted[name] = _rooted(folder, inner, value)
+            rooted[name] = _take_paths_from(folder, inner, value)
     return rooted

@@ -16,8 +16,8 @@ from edge.extras import needs
 __all__ = ["OverviewTable"]
 
 
-def _with_part(pattern: str) -> str:
-    """Errors: ValueError for a pattern that is none, or has no group `part`."""
+def _check_pattern(pattern: str) -> str:
+    """Check the pattern. Errors: ValueError for one that is not valid, or has no group `part`."""
     try:
         groups = re.compile(pattern).groupindex
     except re.error as error:
@@ -37,7 +37,7 @@ class OverviewTable(PluginTable):
         "id is asked for",
     )
     apriltag_family: TagFamily = Field(default="36h11", description="the family of the AprilTags")
-    part_pattern: Annotated[str, AfterValidator(_with_part)] | None = Field(
+    part_pattern: Annotated[str, AfterValidator(_check_pattern)] | None = Field(
         default=None,
         description="regular expression of the complete text of a code; its group `part` is the part, by default all",
     )
@@ -82,8 +82,11 @@ class OverviewTable(PluginTable):
         return self
 
     def rules(self) -> OverviewRules:
-        """What a still must show. Errors: ConfigError for a picture of the empty station that cannot be read, and for a
-        kind of code whose reader is not installed."""
+        """Read what a still must show.
+
+        Errors: ConfigError for a picture of the empty station that cannot be read, and for a kind of code whose reader
+        is not installed.
+        """
         import cv2
         import numpy as np
 

@@ -85,7 +85,7 @@ class OutputTable(Table):
         return self
 
     def rule(self) -> OutputRule:
-        """For the driver."""
+        """Make the rule for the driver."""
         return OutputRule(
             self.channel,
             frozenset(self.when),

@@ -11,7 +11,7 @@ __all__ = ["MasterPieceTable", "ReferenceTable"]
 
 
 def _time_of_day(value: object) -> object:
-    """Errors: ValueError for what is no time such as 06:00."""
+    """Parse a time of day such as 06:00. Errors: ValueError for anything else."""
     if isinstance(value, datetime.time):
         return value
     try:

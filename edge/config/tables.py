@@ -156,7 +156,7 @@ class ContactTable(Table):
     )
 
     def settings(self, *, is_external: bool) -> ContactSettings:
-        """For `PressDetector`."""
+        """Make the settings of `PressDetector`."""
         return ContactSettings(is_external=is_external, **self.model_dump())
 
 
@@ -194,7 +194,7 @@ class GelTable(Table):
 
 
 def _database_file(path: Path) -> Path:
-    """Errors: ValueError for a name that SQLite reads as a database in memory, one for each connection."""
+    """Refuse a name that SQLite reads as a database in memory, one for each connection. Errors: ValueError."""
     if path.name.startswith(":") or path.name == "" or str(path).startswith("file:"):
         raise ValueError("a database is a file on a disk; name one, such as gelgate.db")
     return path

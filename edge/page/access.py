@@ -72,7 +72,7 @@ class Access:
 
 
 def change_refusal(headers: Mapping[str, str]) -> Refused | None:
-    """Why a change with these headers is refused: it comes from another page, or is no JSON. Names in lower case."""
+    """Say why a change with these headers is refused: from another page, or not JSON. Names in lower case."""
     origin, site = headers.get("origin"), headers.get("sec-fetch-site", "same-origin")
     own = headers.get("host", "").lower()
     if site not in ("same-origin", "none") or (origin is not None and _origin(origin) != own):
@@ -91,7 +91,7 @@ class AddressRates:
         self._rates: OrderedDict[str, Rate] = OrderedDict()
 
     def of(self, client: str) -> Rate:
-        """That of one address."""
+        """Give the rate of one address."""
         rate = self._rates.setdefault(client, Rate(self._per_minute, self._clock))
         while len(self._rates) > MOST_ADDRESSES:
             self._rates.popitem(last=False)
@@ -107,39 +107,39 @@ class TokenGate:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a token."""
+        """True where there is a token."""
         return self._digest is not None
 
     def refusal(self, client: str, authorization: str) -> Refused | None:
-        """authorization: the header, `Bearer <token>`. It is compared in constant time."""
+        """Say why this header, `Bearer <token>`, does not open. It is compared in constant time."""
         if self._wrong.of(client).is_exhausted:
             return Refused(
                 429, f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
             )
         kind, _, given = authorization.partition(" ")
         if self._digest is None:
-            return self._counted(client, 403, READ_ONLY)
+            return self._refuse(client, 403, READ_ONLY)
         if kind.lower() != "bearer" or not given.strip():
-            return self._counted(client, 401, "a change needs the token of this page")
+            return self._refuse(client, 401, "a change needs the token of this page")
         if not hmac.compare_digest(_digest(given.strip().encode()), self._digest):
-            return self._counted(client, 401, "this is not the token of this page")
+            return self._refuse(client, 401, "this is not the token of this page")
         return None
 
-    def _counted(self, client: str, status: int, sentence: str) -> Refused:
+    def _refuse(self, client: str, status: int, sentence: str) -> Refused:
         self._wrong.of(client).take()
         return Refused(status, sentence, is_recorded=True)
 
 
 def _digest(token: bytes) -> bytes:
-    """Of one length, so that the comparison does not tell that of the token."""
+    """Hash the token to one length, so that the comparison does not tell how long it is."""
     return hashlib.sha256(token).digest()
 
 
 def _plain(address: str) -> str:
-    """Without a zone, and IPv4 as IPv4 where a socket for both has it as IPv6."""
-    found = ip_address(address.partition("%")[0])
-    mapped = getattr(found, "ipv4_mapped", None)
-    return str(mapped or found)
+    """Remove the zone, and write IPv4 as IPv4 where a socket for both has it as IPv6."""
+    plain = ip_address(address.partition("%")[0])
+    mapped = getattr(plain, "ipv4_mapped", None)
+    return str(mapped or plain)
 
 
 def _address(text: str) -> object:

@@ -35,14 +35,14 @@ class Changes:
         self._clock = clock
         self._why_not = why_not
 
-    def described(self) -> dict[str, Any]:
-        """For the page: the verbs that it offers, or why there are none."""
+    def offer(self) -> dict[str, Any]:
+        """Tell the page which verbs it offers, or why it offers none."""
         if self._station is None or not self._gate.is_open:
             return {"verbs": [], "why_not": self._why_not}
         return {"verbs": sorted(self._station.verbs), "why_not": None}
 
     def refusal(self, client: str, headers: Mapping[str, str]) -> Refused | None:
-        """Why nothing is done for this request, from its headers alone. Their names are in lower case."""
+        """Say why nothing is done for this request, from its headers alone. Their names are in lower case."""
         if self._station is None:
             return Refused(403, self._why_not)
         refused = self._too_large(headers) or change_refusal(headers)
@@ -83,5 +83,5 @@ class Changes:
 
 
 def is_verb(text: str) -> bool:
-    """Whether this can be a verb."""
+    """Tell whether this can be a verb."""
     return _VERB.fullmatch(text) is not None

@@ -88,7 +88,7 @@ class BrokerStation:
 
     @property
     def root(self) -> str:
-        """Of the topics of the station that is shown. Errors: GelgateError before it is known."""
+        """The root of the shown station's topics. Errors: GelgateError before it is known."""
         if self._root is None:
             raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
         return self._root
@@ -102,7 +102,7 @@ class BrokerStation:
                 self._closing.wait(RETURN_S)
 
     def _note_away(self, why: str) -> None:
-        """In the log once, not with each attempt."""
+        """Log why the station is away, once and not with each attempt."""
         if why != self._why_away:
             log.warning("%s", why)
         self._why_away = why
@@ -123,7 +123,7 @@ class BrokerStation:
                 self._connection = None
 
     def _begin(self, connection: Connection) -> None:
-        """What is over since the last connection is not among the retained messages."""
+        """Begin with an empty status: the retained messages lack what is over since the last connection."""
         self._connection, self._why_away = connection, ""
         log.info("listening to broker %s", self._broker)
         self.shown.forget_status()
@@ -187,12 +187,12 @@ def page_requests(station: BrokerStation, secret: bytes, clock: Clock) -> PageRe
 def _do(station: BrokerStation, secret: bytes, clock: Clock, verb: str, payload: bytes) -> bytes:
     try:
         asked = CommandRequest.model_validate_json(payload)
-        return station.ask(verb, _signed(station.root, verb, asked, secret, clock.time_ns()))
+        return station.ask(verb, _sign(station.root, verb, asked, secret, clock.time_ns()))
     except (GelgateError, ValueError) as error:
         return _answer(clock, verb, str(error))
 
 
-def _signed(root: str, verb: str, asked: CommandRequest, secret: bytes, time_ns: int) -> bytes:
+def _sign(root: str, verb: str, asked: CommandRequest, secret: bytes, time_ns: int) -> bytes:
     by = f"{asked.by}, at a page"[:64] if asked.by else "page"
     text = signed_text(root, verb, asked.transaction, time_ns, by, asked.arguments)
     request = asked.model_copy(update={"by": by, "time_ns": time_ns, "signature": signature_of(secret, text)})

@@ -136,7 +136,7 @@ class HttpServer(ThreadingHTTPServer):
             connection.shutdown(SHUT_RDWR)
 
     def shutdown_request(self, request: Any) -> None:
-        """The end of a connection."""
+        """End a connection."""
         with self._lock:
             self._open.pop(request, None)
         super().shutdown_request(request)
@@ -161,11 +161,11 @@ class HttpHandler(BaseHTTPRequestHandler):
         super().handle_one_request()
 
     def parse_request(self) -> bool:
-        """Whether there is a request to be served; otherwise it is answered."""
+        """Tell whether there is a request to be served; otherwise answer it."""
         if not super().parse_request():
             return False
         reached, client = str(self.connection.getsockname()[0]), str(self.client_address[0])
-        refused = self._malformed() or self.access.refusal(client, reached, self.headers.get("Host", ""))
+        refused = self._malformation() or self.access.refusal(client, reached, self.headers.get("Host", ""))
         if refused is not None:
             self.close_connection = True
             self.say(refused.status, refused.sentence)
@@ -174,7 +174,7 @@ class HttpHandler(BaseHTTPRequestHandler):
             return True
         return False
 
-    def _malformed(self) -> Refused | None:
+    def _malformation(self) -> Refused | None:
         lengths = self.headers.get_all("Content-Length", [])
         if not self.path.startswith("/"):
             return Refused(400, "a request names a path that begins with '/', without the name of a server")
@@ -191,7 +191,7 @@ class HttpHandler(BaseHTTPRequestHandler):
         return None
 
     def _has_read_body(self) -> bool:
-        """Of one that is too large a part is enough, and the connection ends with the answer."""
+        """Read the body; a part of a too large one is enough, and the connection ends with the answer."""
         length = int(self.headers.get("Content-Length", "0"))
         if length > READ_OF_TOO_LARGE:
             self.close_connection = True
@@ -217,7 +217,7 @@ class HttpHandler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """As text: what is refused before it is read, such as another method."""
+        """Answer with text what is refused before it is read, such as another method."""
         self.close_connection = True
         self.say(code, message or "this request is not understood")
 

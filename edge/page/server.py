@@ -108,7 +108,7 @@ class _Handler(HttpHandler):
         self._json({**self._station(), "presses": self.shown.presses()})
 
     def _station(self) -> dict[str, Any]:
-        return {**self.shown.station(), "changes": self.changes.described()}
+        return {**self.shown.station(), "changes": self.changes.offer()}
 
     def _picture(self, path: str) -> None:
         press_id = path.removeprefix("/pictures/").removesuffix(".png")

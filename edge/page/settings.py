@@ -20,7 +20,7 @@ HostName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9]([A-Za-z0-9.-]
 
 
 def _own_address(text: str) -> str:
-    """Errors: ValueError."""
+    """Check an address of this machine. Errors: ValueError."""
     try:
         return str(ip_address(text))
     except ValueError:
@@ -30,7 +30,7 @@ def _own_address(text: str) -> str:
 
 
 def _network(text: str) -> str:
-    """Errors: ValueError."""
+    """Check an address or a network. Errors: ValueError."""
     try:
         return str(ip_network(text))
     except ValueError as error:
@@ -88,7 +88,7 @@ class PageSettings(BaseModel):
         return Access(tuple(map(ip_network, self.allow_from)), self.names)
 
     def token(self) -> bytes | None:
-        """None where there is none. Errors: ConfigError for one that cannot be read, or is too short."""
+        """Read the token, None without one. Errors: ConfigError for one that cannot be read, or is too short."""
         if self.token_file is not None:
             return read_secret(self.token_file, "token_file", SHORTEST_TOKEN)
         if self.token_variable is None:
@@ -102,7 +102,7 @@ class PageSettings(BaseModel):
         return token
 
     def warnings(self) -> list[str]:
-        """What is open to others. Errors: ConfigError for a token that cannot be used."""
+        """Say what is open to others. Errors: ConfigError for a token that cannot be used."""
         has_token = self.token() is not None
         if ip_address(self.bind).is_loopback:
             return []

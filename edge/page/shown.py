@@ -69,7 +69,7 @@ class Shown:
             self._note()
 
     def _see_last_picture(self, png: bytes) -> None:
-        """That of `last/press`, retained: a page that was opened later has it from there. The id is in the file."""
+        """Keep the retained picture of `last/press` for pages that are opened later. The id is in the file."""
         from edge.pictures.png import texts
 
         if png and len(png) <= LARGEST_PICTURE_BYTES:
@@ -98,14 +98,14 @@ class Shown:
             self._note()
 
     def set_away(self, away: str | None) -> None:
-        """Why nothing new comes; None when it does."""
+        """Say why nothing new comes; None when it does."""
         with self._changed:
             if away != self._away:
                 self._away = away
                 self._note()
 
     def forget_status(self) -> None:
-        """Before retained messages come again: what is over is not among them."""
+        """Forget the status before retained messages come again: what is over is not among them."""
         with self._changed:
             self._status, self._alarms = dict.fromkeys(_STATUS), {}
             self._note()
@@ -115,7 +115,7 @@ class Shown:
         self._changed.notify_all()
 
     def station(self) -> dict[str, Any]:
-        """What the station says of itself, and `version`, which rises with every change."""
+        """Give what the station says of itself, and `version`, which rises with every change."""
         with self._changed:
             return {
                 "version": self._version,

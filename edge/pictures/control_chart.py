@@ -59,13 +59,13 @@ def _strip(chart: Chart, top: int) -> str:
 
 
 def _kind(chart: Chart, number: int) -> str:
-    """Of the value with this number: out, said or point. Those of which the limits are made are points."""
+    """Name the kind of a value: out, said or point. Values of which the limits are made are points."""
     if chart.limits is None or number < chart.learn:
         return "point"
-    found = signals(chart.values[: number + 1], chart.limits)
-    if Signal.BEYOND_LIMIT in found:
+    said = signals(chart.values[: number + 1], chart.limits)
+    if Signal.BEYOND_LIMIT in said:
         return "out"
-    return "said" if found else "point"
+    return "said" if said else "point"
 
 
 def _level(y: float, value: float, kind: str) -> str:
@@ -76,7 +76,7 @@ def _level(y: float, value: float, kind: str) -> str:
 
 
 def _range(values: Sequence[float], limits: Limits | None) -> tuple[float, float]:
-    """What a strip shows: every value and both limits, with some room."""
+    """Give the range of a strip: every value and both limits, with some room."""
     shown = [*values, *([limits.low, limits.high] if limits is not None else [])]
     low, high = min(shown), max(shown)
     room = 0.05 * (high - low) or max(abs(high), 1.0) * 0.05

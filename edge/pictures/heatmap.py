@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL_SCALE", "coloured", "draw_contour", "relative_scores", "score_at"]
+__all__ = ["FULL_SCALE", "draw_contour", "paint_scores", "relative_scores", "score_at"]
 
 FULL_SCALE: Final = 2.0
 """Score / threshold at the upper end of the colours, also for higher scores. The threshold is in the middle."""
@@ -53,8 +53,8 @@ def score_at(relative: float, threshold: float) -> float:
     return threshold + (relative - 1) * _unit(threshold)
 
 
-def coloured(relative: NDArray[np.float32]) -> U8:
-    """Relative scores (h, w) as uint8 (h, w, 3) RGB: 0 and below is black, FULL_SCALE and above is pale yellow."""
+def paint_scores(relative: NDArray[np.float32]) -> U8:
+    """Colour relative scores (h, w) as uint8 (h, w, 3) RGB, from black (0) to pale yellow (FULL_SCALE and above)."""
     levels = np.rint(np.clip(relative / np.float32(FULL_SCALE), 0.0, 1.0) * np.float32(255.0))
     return np.asarray(cv2.applyColorMap(levels.astype(np.uint8), _COLOURS)[:, :, ::-1], np.uint8)
 

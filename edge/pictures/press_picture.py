@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.printable import score_texts
 from edge.pictures import png
-from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores, score_at
+from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
 
 __all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
 
@@ -101,7 +101,7 @@ def draw_press(
     relative = relative_scores(score_map, caption.threshold)
     width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel, largest_panel)
     relative = np.asarray(cv2.resize(relative, (width, height), interpolation=_how(rgb, width)), np.float32)
-    press, heat = _press_panel(rgb, width, height), coloured(relative)
+    press, heat = _press_panel(rgb, width, height), paint_scores(relative)
     for panel in (press, heat):
         draw_contour(panel, relative)
     _draw_scale_bar(press, caption.mm_per_pixel[0] * rgb.shape[1] / width)
@@ -155,7 +155,7 @@ def _draw_legend(area: U8, threshold: float) -> None:
     height = area.shape[0]
     top, bottom = 10, height - 10
     rise = np.linspace(FULL_SCALE, 0.0, bottom - top, dtype=np.float32)
-    area[top:bottom, :_BAR] = coloured(np.repeat(rise[:, None], _BAR, axis=1))
+    area[top:bottom, :_BAR] = paint_scores(np.repeat(rise[:, None], _BAR, axis=1))
     for value in (FULL_SCALE, 1.5, 0.5, 0.0):
         number = value if threshold > 0 else score_at(value, threshold)
         text = f"{number:.4g}{' or more' if value == FULL_SCALE else ''}"

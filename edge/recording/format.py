@@ -294,7 +294,7 @@ def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
 
 
 def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
-    """Where in the index the first `keep` lines end, in bytes."""
+    """Find where in the index the first `keep` lines end, in bytes."""
     found = _read_header(folder)
     if found != header:
         raise RecordingError(f"recording {folder} is of {found}, not of {header}; choose another folder")

@@ -169,7 +169,7 @@ def _common_size(images: Sequence[Path]) -> tuple[int, int]:
 
 
 def _darkness(payload: bytes) -> str | None:
-    """Why a picture is none of a lit sensor, or None; one that cannot be decoded is named elsewhere."""
+    """Say why a picture does not show a lit sensor, or None; one that cannot be decoded is named elsewhere."""
     import cv2
     import numpy as np
 

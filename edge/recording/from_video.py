@@ -28,8 +28,8 @@ class Film:
 
 
 def film_of(path: Path) -> Film:
-    """Errors: DatasetError for a file that is no film that the decoder can read."""
-    film = _opened(path)
+    """Read size, rate and length of a film. Errors: DatasetError for a file that the decoder cannot read."""
+    film = _open(path)
     try:
         size = (round(film.get(cv2.CAP_PROP_FRAME_WIDTH)), round(film.get(cv2.CAP_PROP_FRAME_HEIGHT)))
         fps = float(film.get(cv2.CAP_PROP_FPS))
@@ -50,7 +50,7 @@ def record_video(
     header = RecordingHeader(product, serial, size or film.size, film.fps, profile=profile)
     with RecordingWriter(out, header) as writer:
         for time_ns, bgr in _frames(film):
-            picture = bgr if size is None else _scaled(bgr, size)
+            picture = bgr if size is None else _scale(bgr, size)
             # The fastest compression: a recording is read far more often than it is kept.
             payload = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
             writer.add(payload, time_ns, {"source": film.path.name, "frame": len(writer)})
@@ -61,7 +61,7 @@ def record_video(
         return len(writer)
 
 
-def _opened(path: Path) -> Any:
+def _open(path: Path) -> Any:
     if not path.is_file():
         raise DatasetError(f"there is no film at {path}; check the path")
     film = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -72,7 +72,7 @@ def _opened(path: Path) -> Any:
 
 def _frames(film: Film) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Time since the film began and picture, BGR; a time that does not rise is put one nominal period on."""
-    capture = _opened(film.path)
+    capture = _open(film.path)
     last_ns, period_ns = -1, round(1e9 / film.fps)
     try:
         while (found := capture.read())[0]:
@@ -83,7 +83,7 @@ def _frames(film: Film) -> Iterator[tuple[int, NDArray[np.uint8]]]:
         capture.release()
 
 
-def _scaled(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def _scale(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     height, width = bgr.shape[:2]
     x, y = cut_to_aspect((width, height), size)
     left, top = round(width * x), round(height * y)

@@ -21,7 +21,7 @@ class SparkplugNode:
 
     @classmethod
     def of(cls, root: str, group: str | None = None, node: str | None = None) -> Self:
-        """Name the node; by default the site is the group, `<line>-<station>` the node. root: of the station's topics."""
+        """Name the node; by default the site is the group, `<line>-<station>` the node. root: of the topics."""
         _, site, line, station = root.split("/")[:4]
         return cls(group or site, node or f"{line}-{station}")
 
