@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.pictures.heatmap import FULL_SCALE, coloured
+from edge.pictures.heatmap import FULL_SCALE, paint_scores
 from edge.pictures.png import encode
 from export.stages import StageResult
 
@@ -85,7 +85,7 @@ def _pictures(
 
 
 def _map(share: NDArray[np.floating]) -> NDArray[np.uint8]:
-    return coloured(np.asarray(np.clip(np.nan_to_num(share), 0, 1) * FULL_SCALE, np.float32))
+    return paint_scores(np.asarray(np.clip(np.nan_to_num(share), 0, 1) * FULL_SCALE, np.float32))
 
 
 def _figure(rgb: NDArray[np.uint8], caption: str) -> str:

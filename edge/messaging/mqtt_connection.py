@@ -106,7 +106,7 @@ class Connection:
 
     @classmethod
     def speaks_5(cls, broker: Broker) -> bool:
-        """Tell whether the broker answers at level 5; a refused login is an answer too. Tried with another client id."""
+        """Tell whether the broker answers at level 5; a refused login is an answer too. Another client id tries it."""
         trial = replace(broker, client_id=f"{broker.client_id}-level", timeout_s=_LEVEL_TRIAL_S)
         try:
             cls(trial, "5", None, None, lambda: None).close()

@@ -23,7 +23,7 @@ class HistoryRow:
     time_ns: int
     """Wall clock, nanoseconds since 1970 UTC."""
     running_s: float | None
-    """Seconds that gateways had run on this database; None for a press of version 1. No step of the clock changes it."""
+    """Seconds that gateways had run on this database, whatever the clock did; None for a press of version 1."""
     serial: str
     gel_id: str
     part: str
