@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edge.pictures.heatmap import FULL_SCALE, coloured, draw_contour, relative_scores, score_at
+from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
 
 
 def lightness(rgb: np.ndarray) -> np.ndarray:
@@ -16,7 +16,7 @@ def test_the_colour_depends_on_score_over_threshold_alone() -> None:
     """Score 3 at threshold 2 looks like score 30 at threshold 20: presses of different parts compare."""
     scores = np.linspace(0, 4, 40 * 56, dtype=np.float32).reshape(40, 56)
 
-    one, other = coloured(relative_scores(scores, 2.0)), coloured(relative_scores(scores * 10, 20.0))
+    one, other = paint_scores(relative_scores(scores, 2.0)), coloured(relative_scores(scores * 10, 20.0))
 
     assert np.array_equal(one, other)
 
@@ -27,12 +27,12 @@ def test_the_same_score_has_the_same_colour_whatever_else_is_on_the_map() -> Non
     with_outlier = scores.copy()
     with_outlier[:4, :4] = 50.0
 
-    assert np.array_equal(coloured(with_outlier)[10:, 10:], coloured(scores)[10:, 10:])
+    assert np.array_equal(paint_scores(with_outlier)[10:, 10:], coloured(scores)[10:, 10:])
 
 
 def test_a_higher_score_is_never_darker() -> None:
     """From nothing to full scale the lightness rises: the colours order the scores in grey and to every eye."""
-    ramp = coloured(np.linspace(0, FULL_SCALE, 256, dtype=np.float32)[None])[0]
+    ramp = paint_scores(np.linspace(0, FULL_SCALE, 256, dtype=np.float32)[None])[0]
 
     assert (np.diff(lightness(ramp)) > -1e-3).all()
     assert lightness(ramp)[0] < 0.01
@@ -41,7 +41,7 @@ def test_a_higher_score_is_never_darker() -> None:
 
 def test_a_near_miss_below_the_threshold_can_be_seen() -> None:
     """0.8 of the threshold is at least five times as light as a calm 0.3."""
-    calm, near = lightness(coloured(np.array([[0.3, 0.8]], np.float32))[0])
+    calm, near = lightness(paint_scores(np.array([[0.3, 0.8]], np.float32))[0])
 
     assert near > 5 * calm
 
