@@ -17,7 +17,7 @@ from edge import cli
 from edge.core.errors import DatasetError, GelgateError
 from edge.model.bundle import write_bundle
 from edge.model.manifest import Provenance, ToleranceEntry
-from edge.pictures.heatmap import FULL_SCALE, coloured
+from edge.pictures.heatmap import FULL_SCALE, paint_scores
 
 
 def frame(path: Path, square: bool, rng: np.random.Generator) -> None:
@@ -141,7 +141,7 @@ def test_the_sheet_has_the_colours_of_the_published_pictures(tmp_path: Path, dat
     evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
     sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
 
-    expected = coloured(np.linspace(0, FULL_SCALE, 448, dtype=np.float32)[None])[0]
+    expected = paint_scores(np.linspace(0, FULL_SCALE, 448, dtype=np.float32)[None])[0]
     ramp = sheet[4 * 274 + 12, 8 : 8 + 448]
     ticks = (ramp != expected).any(axis=1)
     assert ticks.sum() <= 10  # five ticks of two pixels

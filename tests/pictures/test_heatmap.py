@@ -16,7 +16,7 @@ def test_the_colour_depends_on_score_over_threshold_alone() -> None:
     """Score 3 at threshold 2 looks like score 30 at threshold 20: presses of different parts compare."""
     scores = np.linspace(0, 4, 40 * 56, dtype=np.float32).reshape(40, 56)
 
-    one, other = paint_scores(relative_scores(scores, 2.0)), coloured(relative_scores(scores * 10, 20.0))
+    one, other = paint_scores(relative_scores(scores, 2.0)), paint_scores(relative_scores(scores * 10, 20.0))
 
     assert np.array_equal(one, other)
 
@@ -27,7 +27,7 @@ def test_the_same_score_has_the_same_colour_whatever_else_is_on_the_map() -> Non
     with_outlier = scores.copy()
     with_outlier[:4, :4] = 50.0
 
-    assert np.array_equal(paint_scores(with_outlier)[10:, 10:], coloured(scores)[10:, 10:])
+    assert np.array_equal(paint_scores(with_outlier)[10:, 10:], paint_scores(scores)[10:, 10:])
 
 
 def test_a_higher_score_is_never_darker() -> None:
