@@ -125,7 +125,7 @@ def test_the_installed_program_finds_its_manual(built: Path, tmp_path: Path) -> 
         ).stdout  # fmt: skip
 
     assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
-    assert "decisions/0001-flat-packages" in gelgate("docs")
+    assert "tutorials/first_part" in gelgate("docs")
 
 
 def test_the_wheel_carries_the_licence_and_says_which(built: Path) -> None:
