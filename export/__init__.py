@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
-    from export.bundle_stages import compared_with
+    from export.bundle_stages import compare_bundle
     from export.external_graph import WrapConfig, wrap_files
     from export.importers.api import (
         ImportedBundle,
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from export.merge import merge_bundle, merged_graph
     from export.openvino_model import write_openvino
     from export.parity import ParityReport, Stage, compare, order_stage
-    from export.precision import chosen, in_precision, measured
-    from export.single_graph import Adapted, GraphInput, adapted
+    from export.precision import choose_precision, in_precision, measure_precisions
+    from export.single_graph import Adapted, GraphInput, adapt
 
 __all__ = [
     "Adapted",
@@ -38,10 +38,10 @@ __all__ = [
     "ParityReport",
     "Stage",
     "WrapConfig",
-    "adapted",
-    "chosen",
+    "adapt",
+    "choose_precision",
     "compare",
-    "compared_with",
+    "compare_bundle",
     "export_backbone",
     "import_detector",
     "import_fapm",
@@ -50,7 +50,7 @@ __all__ = [
     "import_patchcore",
     "import_spade",
     "in_precision",
-    "measured",
+    "measure_precisions",
     "merge_bundle",
     "merged_graph",
     "order_stage",

@@ -20,7 +20,7 @@ from edge.model.licence import LICENCE
 from export.graph_file import read_graph
 from export.known_weights import Encoder, check_release, encoder
 from export.licence import stated_licence
-from export.onnx_trunk import graph_trunk, named_taps
+from export.onnx_trunk import graph_trunk, name_taps
 from export.onnx_values import first_conv_input, run_values
 from export.parity import ParityReport, Stage, compare
 from export.weights_file import file_sha256, is_onnx, read_checkpoint, read_weights
@@ -152,7 +152,7 @@ def _steps(options: BackboneOptions, known: Encoder | None) -> InputSteps:
 def _from_graph(
     source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
 ) -> BackboneExport:
-    taps = named_taps(options.taps)
+    taps = name_taps(options.taps)
     made = graph_trunk(
         read_graph(source),
         taps,
@@ -163,15 +163,15 @@ def _from_graph(
         facts=facts,
         where=str(source),
     )
-    return BackboneExport(made.trunk, made.taps, made.facts, _compared(made.stages, source, made.facts))
+    return BackboneExport(made.trunk, made.taps, made.facts, _compare(made.stages, source, made.facts))
 
 
 def _from_weights(
     source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
 ) -> BackboneExport:
-    state = _selected(read_weights(source), options.prefix, source)
+    state = _select(read_weights(source), options.prefix, source)
     if options.second is not None:
-        state = _continued(state, read_weights(options.second), options.second)
+        state = _append_blocks(state, read_weights(options.second), options.second)
     network = _vit if PATCHES in state else _vqgan if FIRST in state else _resnet
     return network(state, source, options, steps, facts)
 
@@ -192,25 +192,25 @@ def _resnet(
     frames = _probe(frame or (96, 96))
     planes = apply_steps(steps, frames)
     expected = forward(state, net.name, planes.astype(np.float32), taps)
-    return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
+    return _compare_taps(trunk, taps, planes, expected, frames, source, facts, options.weights)
 
 
 def _topology(state: State, stated: str | None, source: Path) -> Topology:
     """The ResNet whose weights these are. Errors: ConfigError where another one is stated, or none is known."""
-    found = recognised(state)
+    known = recognised(state)
     if stated is not None:
-        if found is not None and found.name != topology(stated).name:
+        if known is not None and known.name != topology(stated).name:
             raise ConfigError(
-                f"the weights in {source} are of a {found.name}, not a {stated}: --topology {found.name}"
+                f"the weights in {source} are of a {known.name}, not a {stated}: --topology {known.name}"
             )
         return topology(stated)
-    if found is None:
+    if known is None:
         raise ConfigError(
             f"the weights in {source} ({len(state)} names, such as {', '.join(sorted(state)[:3])}) are not of a "
             f"{', '.join(TOPOLOGIES)}, a vision transformer or a VQGAN; export the network to ONNX and name taps: "
             "gelgate export backbone NETWORK.onnx --taps NAME,NAME"
         )
-    return found
+    return known
 
 
 def _vit(
@@ -224,7 +224,7 @@ def _vit(
     trunk = build_vit_trunk(state, shape, taps, steps, options.frame, weights=options.weights, facts=facts)
     frames = _probe(options.frame)
     planes = apply_steps(steps, frames)
-    return _exported(
+    return _compare_taps(
         trunk, taps, planes, vit_forward(state, shape, planes, taps), frames, source, facts, options.weights
     )
 
@@ -242,10 +242,10 @@ def _vqgan(
     frames = _probe(options.frame)
     planes = apply_steps(steps, frames)
     expected = vqgan_forward(state, planes, taps)
-    return _exported(trunk, taps, planes, expected, frames, source, facts, options.weights)
+    return _compare_taps(trunk, taps, planes, expected, frames, source, facts, options.weights)
 
 
-def _exported(
+def _compare_taps(
     trunk: bytes,
     taps: Sequence[str],
     planes: NDArray[np.float64],
@@ -255,16 +255,16 @@ def _exported(
     facts: dict[str, str],
     weights: str,
 ) -> BackboneExport:
-    found = run_values(trunk, [first_conv_input(trunk), *taps], {"frames": frames}, "the trunk")
+    values = run_values(trunk, [first_conv_input(trunk), *taps], {"frames": frames}, "the trunk")
     tolerance = None if weights == "float32" else HALF_TOLERANCE
-    stages = [Stage("input", planes, found[0], "input")]
+    stages = [Stage("input", planes, values[0], "input")]
     stages += [
-        Stage(tap, expected[tap], f, tolerance=tolerance) for tap, f in zip(taps, found[1:], strict=True)
+        Stage(tap, expected[tap], f, tolerance=tolerance) for tap, f in zip(taps, values[1:], strict=True)
     ]
-    return BackboneExport(trunk, tuple(taps), facts, _compared(stages, source, facts))
+    return BackboneExport(trunk, tuple(taps), facts, _compare(stages, source, facts))
 
 
-def _compared(stages: Sequence[Stage], source: Path, facts: dict[str, str]) -> ParityReport:
+def _compare(stages: Sequence[Stage], source: Path, facts: dict[str, str]) -> ParityReport:
     return compare(stages, title=f"Trunk of {source.name}", facts=facts)
 
 
@@ -277,17 +277,17 @@ def _probe(frame: tuple[int, int]) -> NDArray[np.uint8]:
     return np.stack([noise[0], 0.7 * slope + 0.3 * noise[1]]).astype(np.uint8)
 
 
-def _selected(state: State, prefix: str | None, source: Path) -> State:
+def _select(state: State, prefix: str | None, source: Path) -> State:
     """The weights of one network, without the prefix of their names. Errors: ConfigError where there are several."""
     if prefix is None:
         ends = (PATCHES, "layer1.0.conv1.weight", FIRST)
-        found = sorted({key.removesuffix(end) for key in state for end in ends if key.endswith(end)})
-        if len(found) > 1:
+        prefixes = sorted({key.removesuffix(end) for key in state for end in ends if key.endswith(end)})
+        if len(prefixes) > 1:
             raise ConfigError(
-                f"{source} holds several networks, under {', '.join(found)}; choose one with --prefix, after "
+                f"{source} holds several networks, under {', '.join(prefixes)}; choose one with --prefix, after "
                 "self-supervised training the teacher's"
             )
-        prefix = found[0] if found else ""
+        prefix = prefixes[0] if prefixes else ""
     chosen = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     if not chosen:
         raise ConfigError(
@@ -300,7 +300,7 @@ def _beginnings(state: State) -> str:
     return ", ".join(sorted({key.partition(".")[0] for key in state})[:6])
 
 
-def _continued(state: State, second: State, file: Path) -> State:
+def _append_blocks(state: State, second: State, file: Path) -> State:
     """The first network with the blocks of the second after its own, as T3 stores encoder and trunk."""
     numbers = [int(key.split(".")[1]) for key in state if key.startswith("blocks.")]
     first = 1 + max(numbers, default=-1)

@@ -16,13 +16,13 @@ from edge.model.scorer import FRAMES, Scorer
 from export.onnx_values import first_conv_input, run_values
 from export.parity import Kind, ParityReport, Stage, compare, order_stage
 
-__all__ = ["bundle_stages", "compared_with", "read_stages"]
+__all__ = ["bundle_stages", "compare_bundle", "read_stages"]
 
 MOST_BYTES = 1 << 30
 KINDS: tuple[Kind, ...] = ("input", "descriptor", "distance", "map", "score")
 
 
-def compared_with(bundle: Bundle, file: Path) -> ParityReport:
+def compare_bundle(bundle: Bundle, file: Path) -> ParityReport:
     """Compare the stages in a file with the bundle's, in the order of the computation; with the order of the presses
     where scores are among them. Errors: ConfigError for a file or a stage that cannot be used."""
     given = read_stages(file)
@@ -41,13 +41,13 @@ def compared_with(bundle: Bundle, file: Path) -> ParityReport:
             f"{file}: 'map' is {given['map'].shape}, expected {maps}, a value for each pixel of 'frames'; resize the "
             "maps (cv2.resize), or leave 'map' out"
         )
-    found = bundle_stages(bundle, frames, tuple(given))
+    own = bundle_stages(bundle, frames, tuple(given))
     stages = [
         Stage(name, given[name], array, next((kind for kind in KINDS if kind == name), "tap"))
-        for name, array in found.items()
+        for name, array in own.items()
     ]
     if "score" in given and given["score"].shape == (len(frames),) and len(frames) > 1:
-        stages.append(order_stage(given["score"], found["score"]))
+        stages.append(order_stage(given["score"], own["score"]))
     return compare(
         stages, frames=frames, title=f"{bundle.where} and {file.name}", facts={"bundle": bundle.digest}
     )
@@ -61,16 +61,16 @@ def bundle_stages(
     names: `input`, taps, names of values inside the head, `map`, `score`. Errors: ConfigError for an unknown name, or a
     stage inside the network of a bundle with tiles.
     """
-    found: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     inner = [name for name in names if name not in ("map", "score")]
     if inner:
-        found |= _inside(bundle, frames, inner)
+        arrays |= _inside(bundle, frames, inner)
     scored = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
     last = {
-        "map": np.stack([one.score_map for one in scored]),
-        "score": np.array([one.anomaly_score for one in scored]),
+        "map": np.stack([press.score_map for press in scored]),
+        "score": np.array([press.anomaly_score for press in scored]),
     }
-    return found | {name: last[name] for name in last if name in names}
+    return arrays | {name: last[name] for name in last if name in names}
 
 
 def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict[str, NDArray[Any]]:
@@ -79,8 +79,8 @@ def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict
     if bundle.grid is not None and bundle.grid.tiles is not None:
         raise ConfigError("a bundle with tiles is compared by map and score; leave the other stages out")
     values = {"input": first_conv_input(network)} if "input" in names else {}
-    in_network = _known(network, names)
-    in_head = [name for name in _known(head, names) if name not in in_network] if head else []
+    in_network = _select_known(network, names)
+    in_head = [name for name in _select_known(head, names) if name not in in_network] if head else []
     unknown = [name for name in names if name not in (*values, *in_network, *in_head)]
     if unknown:
         raise ConfigError(
@@ -88,17 +88,17 @@ def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict
             f"({', '.join(bundle.grid.taps) if bundle.grid else 'none'}) and the names of values in its graphs"
         )
     values |= {name: name for name in in_network}
-    found: dict[str, NDArray[Any]] = {}
+    computed: dict[str, NDArray[Any]] = {}
     if values:
         arrays = run_values(network, list(values.values()), {FRAMES: frames}, "the trunk")
-        found = dict(zip(values, arrays, strict=True))
+        computed = dict(zip(values, arrays, strict=True))
     if head and in_head:
         feeds = {
             **_taps(bundle, network, frames),
             **{k: v for k, v in bundle.bank.items() if k in _inputs(head)},
         }
-        found |= dict(zip(in_head, run_values(head, in_head, feeds, "the head"), strict=True))
-    return found
+        computed |= dict(zip(in_head, run_values(head, in_head, feeds, "the head"), strict=True))
+    return computed
 
 
 def _taps(bundle: Bundle, network: bytes, frames: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
@@ -109,11 +109,11 @@ def _taps(bundle: Bundle, network: bytes, frames: NDArray[np.uint8]) -> dict[str
 def _inputs(graph: bytes) -> list[str]:
     import onnx
 
-    return [str(one.name) for one in onnx.load_from_string(graph).graph.input]
+    return [str(value.name) for value in onnx.load_from_string(graph).graph.input]
 
 
-def _known(graph: bytes | None, names: list[str]) -> list[str]:
-    """Of these names, those of values that nodes of the graph give, in the order of the computation."""
+def _select_known(graph: bytes | None, names: list[str]) -> list[str]:
+    """Select the names of values that nodes of the graph give, in the order of the computation."""
     import onnx
 
     given = [str(name) for node in onnx.load_from_string(graph or b"").graph.node for name in node.output]

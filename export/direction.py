@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.core.errors import FitError
 from edge.model.scorer import Scorer
 
-__all__ = ["direction_warnings", "painted"]
+__all__ = ["direction_warnings", "paint_square"]
 
 MOST_FRAMES = 8
 SATURATED_SHARE = 0.5
@@ -25,7 +25,7 @@ def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArra
     the nominal scores have one value, as scores that are limited to 0..1 do.
     """
     chosen = np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).astype(int)
-    change = np.array([scorer.score(painted(frames[k])).anomaly_score - scores[k] for k in chosen])
+    change = np.array([scorer.score(paint_square(frames[k])).anomaly_score - scores[k] for k in chosen])
     room = scorer.bundle.manifest.tolerance.around(float(np.abs(scores).max()))
     rising, falling, count = int((change > room).sum()), int((change < -room).sum()), len(change)
     if falling >= AGREEING_SHARE * count:
@@ -49,8 +49,8 @@ def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArra
     return said
 
 
-def painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The frame, uint8 (h, w, 3), with a square of a quarter of its side in the middle: half dark, half bright."""
+def paint_square(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Copy a frame, uint8 (h, w, 3), with a square of a quarter of its side in the middle: half dark, half bright."""
     h, w = rgb.shape[:2]
     frame, half = rgb.copy(), max(1, min(h, w) // 8)
     frame[h // 2 - half : h // 2, w // 2 - half : w // 2 + half] = 20

@@ -44,17 +44,17 @@ def check_release(sha256: str, declared: str | None, topology: str, file: str) -
 
     Errors: ConfigError where the file is another version or another network than stated.
     """
-    found = release_of(sha256)
-    if found is None:
+    release = release_of(sha256)
+    if release is None:
         return "unknown" if declared is None else f"{declared} (stated; the file's hash is not a known one)"
-    if declared not in (None, found.version):
+    if declared not in (None, release.version):
         raise ConfigError(
-            f"{file} are the {found.version} weights ({found.name}), {declared} was declared; features of the two "
-            f"differ: give the {declared} file, or declare {found.version}"
+            f"{file} are the {release.version} weights ({release.name}), {declared} was declared; features of the two "
+            f"differ: give the {declared} file, or declare {release.version}"
         )
-    if topology != found.topology:
-        raise ConfigError(f"{file} is {found.name}, not a {topology}; pass --topology {found.topology}")
-    return found.name
+    if topology != release.topology:
+        raise ConfigError(f"{file} is {release.name}, not a {topology}; pass --topology {release.topology}")
+    return release.name
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def merged_graph(bundle: Bundle) -> bytes:
 
 
 def _metadata(bundle: Bundle) -> dict[str, str]:
-    """What another runtime needs to know, as metadata of the file."""
+    """Tell another runtime what it needs to know, as metadata of the file."""
     manifest = bundle.manifest
     return {
         "gelgate_bundle": bundle.digest,
@@ -109,11 +109,11 @@ def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[st
     if bundle.free_gel is not None:
         # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
-        golden = tuple(_scored_again(frame, scorer) for frame in golden)
+        golden = tuple(_score_again(frame, scorer) for frame in golden)
     return bundle_files(facts, Graphs(detector=graph), golden=golden)
 
 
-def _scored_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
+def _score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
     scored = scorer.score_in_pose(frame.rgb)
     return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
@@ -124,12 +124,13 @@ def _largest_difference(bundle: Bundle, graph: bytes) -> float:
     pair, merged, worst = Scorer(bundle, is_skipping=False), Scorer(single), 0.0
     grey = np.full((*bundle.manifest.frame, 3), 128, np.uint8)
     for rgb in [grey, *(golden.rgb for golden in bundle.golden)]:
-        one, other = pair.score_in_pose(rgb), merged.score_in_pose(rgb)
+        first, second = pair.score_in_pose(rgb), merged.score_in_pose(rgb)
         scale = max(
-            float(np.abs(one.score_map).max()), abs(one.anomaly_score), float(np.finfo(np.float32).tiny)
+            float(np.abs(first.score_map).max()), abs(first.anomaly_score), float(np.finfo(np.float32).tiny)
         )
         apart = max(
-            float(np.abs(one.score_map - other.score_map).max()), abs(one.anomaly_score - other.anomaly_score)
+            float(np.abs(first.score_map - second.score_map).max()),
+            abs(first.anomaly_score - second.anomaly_score),
         )
         worst = max(worst, apart / scale)
     return worst

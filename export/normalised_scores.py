@@ -43,8 +43,8 @@ class Normalisation:
         """The raw score above which the graph's own label is anomalous."""
         return None if self.limit is None else self.threshold + (self.limit - 0.5) * self.spread
 
-    def applied(self, raw: NDArray[Any]) -> NDArray[np.float64]:
-        """What the graph gives for these raw values."""
+    def apply(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+        """Normalise raw values as the graph does."""
         return np.clip((raw.astype(np.float64) - self.threshold) / self.spread + 0.5, 0, 1)
 
 
@@ -54,27 +54,31 @@ def raw_scores(model: Any, labels: Mapping[str, str]) -> tuple[Any, dict[str, No
     labels: output to the name of its label. The normalised outputs stay, with `_normalised` behind their names. Without
     any normalisation the model is given as it is.
     """
-    found = {name: one for name, label in labels.items() if (one := _normalisation(model, name, label))}
-    if not found:
+    normalised = {
+        name: normalisation
+        for name, label in labels.items()
+        if (normalisation := _normalisation(model, name, label))
+    }
+    if not normalised:
         return model, {}
     changed = type(model)()
     changed.CopyFrom(model)
-    kept = {one.name: one for one in model.graph.output}
-    rename(changed, {name: name + SUFFIX for name in found})
-    rename(changed, {one.raw: name for name, one in found.items()})
-    changed.graph.output.extend(kept[name] for name in found)
-    return changed, found
+    kept = {output.name: output for output in model.graph.output}
+    rename(changed, {name: name + SUFFIX for name in normalised})
+    rename(changed, {normalisation.raw: name for name, normalisation in normalised.items()})
+    changed.graph.output.extend(kept[name] for name in normalised)
+    return changed, normalised
 
 
 def constants(model: Any) -> dict[str, NDArray[Any]]:
     """The stored tensors of a graph by name, those of Constant nodes included."""
     from onnx import numpy_helper
 
-    stored = {one.name: one for one in model.graph.initializer}
+    stored = {tensor.name: tensor for tensor in model.graph.initializer}
     for node in model.graph.node:
         if node.op_type == "Constant" and node.attribute:
             stored[node.output[0]] = node.attribute[0].t
-    return {name: numpy_helper.to_array(one) for name, one in stored.items()}
+    return {name: numpy_helper.to_array(tensor) for name, tensor in stored.items()}
 
 
 def _normalisation(model: Any, output: str, label: str) -> Normalisation | None:

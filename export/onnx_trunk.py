@@ -24,7 +24,7 @@ from export.onnx_values import (
 from export.parity import Stage
 from plugins.backbones.input_steps import InputSteps, apply_steps
 
-__all__ = ["GraphTrunk", "graph_trunk", "named_taps"]
+__all__ = ["GraphTrunk", "graph_trunk", "name_taps"]
 
 MOST_PREFIXES = 8
 """Class, distillation and register tokens together: DINOv2 with registers has five."""
@@ -40,7 +40,7 @@ class GraphTrunk:
     stages: tuple[Stage, ...]
 
 
-def named_taps(taps: Sequence[str]) -> dict[str, str]:
+def name_taps(taps: Sequence[str]) -> dict[str, str]:
     """`layer1=/blocks.3/Add_1_output_0` or a value's own name, to a name for each value. Errors: ConfigError."""
     pairs = [tap.partition("=")[::2] for tap in taps]
     named = {name.strip(): (value or name).strip() for name, value in pairs}
@@ -85,15 +85,15 @@ def graph_trunk(
     _end(merged, taps, grids, {tap: array.shape for tap, array in zip(taps, expected, strict=True)}, facts)
     trunk = bytes(merged.SerializeToString())
     front = f"front/{PIXELS}"
-    found = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
+    arrays = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
     shown = [_as_maps(array, *grids[tap]) for tap, array in zip(taps, expected, strict=True)]
-    stages = [Stage(tap, e, f) for tap, e, f in zip(taps, shown, found[1:], strict=True)]
-    return GraphTrunk(trunk, tuple(taps), facts, (Stage("input", pixels, found[0], "input"), *stages))
+    stages = [Stage(tap, e, f) for tap, e, f in zip(taps, shown, arrays[1:], strict=True)]
+    return GraphTrunk(trunk, tuple(taps), facts, (Stage("input", pixels, arrays[0], "input"), *stages))
 
 
 def _check_values(model: Any, taps: Mapping[str, str], where: str) -> None:
     known: list[str] = []
-    seen = {one.name for one in model.graph.input} - {one.name for one in model.graph.initializer}
+    seen = {value.name for value in model.graph.input} - {tensor.name for tensor in model.graph.initializer}
     for node in model.graph.node:  # in the order of computation; what depends on no input is a weight
         if seen.intersection(node.input):
             seen.update(node.output)

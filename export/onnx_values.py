@@ -19,6 +19,7 @@ from plugins.onnx_builder import Graph
 __all__ = [
     "PIXELS",
     "PictureInput",
+    "add_outputs",
     "drop_traces",
     "first_conv_input",
     "load_model",
@@ -30,7 +31,6 @@ __all__ = [
     "run_each",
     "run_values",
     "same_versions",
-    "tapped",
 ]
 
 Layout = Literal["nchw", "nhwc"]
@@ -67,20 +67,20 @@ def load_model(data: bytes, where: str) -> Any:
 
 def picture_input(model: Any, where: str) -> PictureInput:
     """The one input that is a picture. Errors: ConfigError with the inputs found."""
-    constants = {one.name for one in model.graph.initializer}
-    inputs = [one for one in model.graph.input if one.name not in constants]
-    found = ", ".join(f"{one.name} {_shape(one)}" for one in inputs) or "none"
+    constants = {tensor.name for tensor in model.graph.initializer}
+    inputs = [value for value in model.graph.input if value.name not in constants]
+    present = ", ".join(f"{value.name} {_shape(value)}" for value in inputs) or "none"
     if len(inputs) != 1:
-        raise ConfigError(f"{where} has the inputs {found}; one picture is expected")
+        raise ConfigError(f"{where} has the inputs {present}; one picture is expected")
     shape, kind = _shape(inputs[0]), inputs[0].type.tensor_type.elem_type
     if len(shape) != 4 or kind not in (1, 2):
         raise ConfigError(
-            f"{where} has the input {found} of type {kind}; a picture of four axes, float32 or uint8, is expected"
+            f"{where} has the input {present} of type {kind}; a picture of four axes, float32 or uint8, is expected"
         )
     threes = [axis for axis in (1, 3) if shape[axis] == 3]
     if len(threes) != 1:
         raise ConfigError(
-            f"{where} has the input {found}: its three colours are expected on axis 1 (n, 3, h, w) or 3 (n, h, w, 3)"
+            f"{where} has the input {present}: its three colours are expected on axis 1 (n, 3, h, w) or 3 (n, h, w, 3)"
         )
     layout: Layout = "nchw" if threes == [1] else "nhwc"
     h, w = (shape[2], shape[3]) if layout == "nchw" else (shape[1], shape[2])
@@ -133,7 +133,7 @@ def drop_traces(model: Any) -> None:
     """Remove what exporters note of their own run: stack traces with the folders and names of the machine."""
     graph = model.graph
     del model.metadata_props[:]
-    for one in (
+    for part in (
         model,
         graph,
         *graph.node,
@@ -142,9 +142,9 @@ def drop_traces(model: Any) -> None:
         *graph.input,
         *graph.output,
     ):
-        one.doc_string = ""
-        if one is not model:
-            del one.metadata_props[:]
+        part.doc_string = ""
+        if part is not model:
+            del part.metadata_props[:]
 
 
 def same_versions(first: Any, second: Any) -> tuple[Any, Any]:
@@ -170,7 +170,7 @@ def name_opset_once(model: Any) -> None:
 
 
 def _opset(model: Any) -> int:
-    return next(int(one.version) for one in model.opset_import if one.domain in ("", "ai.onnx"))
+    return next(int(opset.version) for opset in model.opset_import if opset.domain in ("", "ai.onnx"))
 
 
 def rename(model: Any, names: Mapping[str, str]) -> None:
@@ -184,13 +184,13 @@ def rename(model: Any, names: Mapping[str, str]) -> None:
 
 def prune(model: Any) -> None:
     """Remove the nodes and weights that no output needs. Nodes are in the order of computation, as ONNX requires."""
-    needed = {one.name for one in model.graph.output}
+    needed = {output.name for output in model.graph.output}
     kept = []
     for node in reversed(model.graph.node):
         if not needed.isdisjoint(node.output):
             kept.append(node)
             needed.update(_read_by(node))
-    weights = [one for one in model.graph.initializer if one.name in needed]
+    weights = [tensor for tensor in model.graph.initializer if tensor.name in needed]
     del model.graph.node[:], model.graph.initializer[:], model.graph.value_info[:]
     model.graph.node.extend(reversed(kept))
     model.graph.initializer.extend(weights)
@@ -202,16 +202,16 @@ def _read_by(node: Any) -> set[str]:
     for attribute in node.attribute:
         for graph in (attribute.g, *attribute.graphs):
             names |= {name for inner in graph.node for name in _read_by(inner)}
-            names |= {one.name for one in graph.output}
+            names |= {output.name for output in graph.output}
     return names
 
 
-def tapped(data: bytes, values: Sequence[str]) -> bytes:
-    """The graph with further values as outputs, of any type. Values that are outputs already stay single."""
+def add_outputs(data: bytes, values: Sequence[str]) -> bytes:
+    """Make further values of a graph its outputs, of any type. Values that are outputs already stay single."""
     import onnx
 
     model = onnx.load_from_string(data)
-    given = {one.name for one in model.graph.output}
+    given = {output.name for output in model.graph.output}
     for name in values:
         if name not in given:
             model.graph.output.append(onnx.ValueInfoProto(name=name))
@@ -222,9 +222,9 @@ def run_values(
     data: bytes, values: Sequence[str], feeds: Mapping[str, NDArray[Any]], where: str, threads: int = 2
 ) -> list[NDArray[Any]]:
     """These values of a graph for these inputs. Errors: ConfigError where the runtime refuses, BundleCorrupt."""
-    session = open_session(tapped(data, values), threads, where)
+    session = open_session(add_outputs(data, values), threads, where)
     try:
-        return [np.asarray(one) for one in session.run(list(values), dict(feeds))]
+        return [np.asarray(array) for array in session.run(list(values), dict(feeds))]
     except RUNTIME_ERRORS as error:
         raise ConfigError(f"{where} does not run: {str(error).strip().splitlines()[0]:.300}") from error
 
@@ -237,7 +237,7 @@ def run_each(
         return run_values(data, values, {name: batch}, where)
     if limit != 1:
         raise ConfigError(f"{where} takes {limit} frames at a time; export it for one, or for any number")
-    runs = [run_values(data, values, {name: one[None]}, where) for one in batch]
+    runs = [run_values(data, values, {name: frame[None]}, where) for frame in batch]
     return [np.concatenate(parts) for parts in zip(*runs, strict=True)]
 
 

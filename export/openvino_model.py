@@ -29,20 +29,20 @@ def write_openvino(bundle: Bundle, output: Path) -> ParityReport:
         raise ConfigError(f"an OpenVINO model is a file .xml with a file .bin next to it; found {output}")
     graph = bundle.graphs.detector or merged_graph(bundle)
     try:
-        model = _converted(openvino, graph, output)
+        model = _convert(openvino, graph, output)
     except (RuntimeError, ValueError) as error:
         words = str(error).strip().splitlines() or [type(error).__name__]
         raise ConfigError(
             f"OpenVINO {openvino.__version__} refuses bundle {bundle.where}: {words[0]:.300}"
         ) from error
-    report = _compared(openvino, model, bundle)
+    report = _compare(openvino, model, bundle)
     report.raise_if_different()
     _save(openvino, model, output)
     return report
 
 
-def _converted(openvino: Any, graph: bytes, output: Path) -> Any:
-    """The model for one frame at a time. The converter reads a file."""
+def _convert(openvino: Any, graph: bytes, output: Path) -> Any:
+    """Convert the model for a frame at a time. The converter reads a file."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -53,19 +53,19 @@ def _converted(openvino: Any, graph: bytes, output: Path) -> Any:
     return model
 
 
-def _compared(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
+def _compare(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
     frames = np.stack(
         [golden.rgb for golden in bundle.golden] or [np.full((*bundle.manifest.frame, 3), 128, np.uint8)]
     )
     expected = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
     compiled = openvino.Core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    found = [compiled(frame[None]) for frame in frames]
-    maps = np.concatenate([one["score_map"] for one in found])
-    scores = np.concatenate([one["score"] for one in found])
+    answers = [compiled(frame[None]) for frame in frames]
+    maps = np.concatenate([answer["score_map"] for answer in answers])
+    scores = np.concatenate([answer["score"] for answer in answers])
     return compare(
         [
-            Stage("map", np.stack([one.score_map for one in expected]), maps, "map"),
-            Stage("score", np.array([one.anomaly_score for one in expected]), scores, "score"),
+            Stage("map", np.stack([answer.score_map for answer in expected]), maps, "map"),
+            Stage("score", np.array([answer.anomaly_score for answer in expected]), scores, "score"),
         ],
         frames=frames,
         title=f"{bundle.where} and its OpenVINO model",

@@ -58,7 +58,7 @@ class ParityReport:
         return self.first_different is None
 
     def raise_if_different(self) -> None:
-        """Errors: BundleCorrupt, naming the first stage that differs, with its numbers."""
+        """Raise BundleCorrupt with the first stage that differs, and its numbers."""
         first = self.first_different
         if first is not None:
             before = [result.name for result in self.results[: self.results.index(first)]]
@@ -138,11 +138,11 @@ def _fault(expected: Array, found: Array, kind: Kind) -> str:
 
 def rank_correlation(a: Array, b: Array) -> float:
     """Spearman's rank correlation of two series (n,); equal values share their mean rank. 1 where both are constant."""
-    ranks = [_ranks(np.asarray(one, np.float64)) for one in (a, b)]
-    spread = [float(np.std(one)) for one in ranks]
+    ranks = [_ranks(np.asarray(values, np.float64)) for values in (a, b)]
+    spread = [float(np.std(values)) for values in ranks]
     if min(spread) == 0.0:
         return 1.0 if max(spread) == 0.0 else 0.0
-    centred = [one - one.mean() for one in ranks]
+    centred = [values - values.mean() for values in ranks]
     return float(np.mean(centred[0] * centred[1]) / (spread[0] * spread[1]))
 
 

@@ -30,15 +30,15 @@ def parity(
     research model computed them. The first stage that differs is named. Exit code 5 when one does."""
     from edge.core.errors import BundleError
     from edge.model.bundle import Bundle
-    from export.bundle_stages import compared_with
+    from export.bundle_stages import compare_bundle
 
-    found = compared_with(Bundle.load(bundle, trunks), stages)
-    for result in found.results:
+    comparison = compare_bundle(Bundle.load(bundle, trunks), stages)
+    for result in comparison.results:
         typer.echo(f"{'equal  ' if result.is_equal else 'DIFFERS'} {result.sentence()}")
     if report is not None:
-        typer.echo(f"report {found.write(report)}")
+        typer.echo(f"report {comparison.write(report)}")
     try:
-        found.raise_if_different()
+        comparison.raise_if_different()
     except BundleError as error:
         typer.echo(f"gelgate: {error}", err=True)
         raise typer.Exit(5) from error
@@ -64,8 +64,8 @@ def openvino(
     existing = [path for path in (output, output.with_suffix(".bin")) if path.exists()]
     if existing and not overwrite:
         raise ConfigError(f"{existing[0]} exists already; choose another name or pass --overwrite")
-    found = write_openvino(Bundle.load(bundle, trunks), output)
-    worst = max(result.difference for result in found.results)
+    comparison = write_openvino(Bundle.load(bundle, trunks), output)
+    worst = max(result.difference for result in comparison.results)
     typer.echo(
         f"{output} and {output.with_suffix('.bin').name} written; scores differ by at most {worst:.1e}"
     )

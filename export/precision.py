@@ -21,10 +21,18 @@ from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
 from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import saturates
-from export.direction import painted
-from export.quantise import halved, layers, quantised
+from export.direction import paint_square
+from export.quantise import halved, layers, quantise_graph
 
-__all__ = ["LIMIT", "Measured", "Precision", "Precisions", "chosen", "in_precision", "measured"]
+__all__ = [
+    "LIMIT",
+    "Measured",
+    "Precision",
+    "Precisions",
+    "choose_precision",
+    "in_precision",
+    "measure_precisions",
+]
 
 Precision = Literal["float32", "float16", "int8"]
 
@@ -64,7 +72,7 @@ class Measured:
     in_float: tuple[str, ...] = ()
 
     def card(self) -> dict[str, Any]:
-        """For the manifest: everything but the graph."""
+        """Give the manifest everything but the graph."""
         values = {key: value for key, value in asdict(self).items() if key not in ("graph", "precision")}
         return {key: round(v, 6) if isinstance(v, float) else v for key, v in values.items()}
 
@@ -80,14 +88,14 @@ class Precisions:
     faults: tuple[str, ...] = ()
 
     def of(self, precision: Precision) -> Measured:
-        """Errors: FitError with the reason where it could not be made."""
+        """Give a precision. Errors: FitError with the reason where it could not be made."""
         for result in self.results:
             if result.precision == precision:
                 return result
         raise FitError(f"this bundle has no {precision}: {'; '.join(self.faults) or 'it was not measured'}")
 
 
-def measured(
+def measure_precisions(
     bundle: Bundle,
     frames: NDArray[np.uint8],
     masked: Masked = ((), ()),
@@ -114,11 +122,13 @@ def measured(
     return Precisions(tuple(results), not saturates(), limit, tuple(faults))
 
 
-def chosen(precisions: Precisions) -> Measured:
-    """The precision for this machine: int8 if it is exact, within the limit and faster; float16 storage if the maps
-    stay the same; else float32."""
+def choose_precision(precisions: Precisions) -> Measured:
+    """Choose the precision for this machine.
+
+    int8 if it is exact, within the limit and faster; float16 storage if the maps stay the same; else float32.
+    """
     plain, half = precisions.of("float32"), precisions.of("float16")
-    whole = next((one for one in precisions.results if one.precision == "int8"), None)
+    whole = next((each for each in precisions.results if each.precision == "int8"), None)
     if (
         whole is not None
         and precisions.is_int8_exact
@@ -153,7 +163,7 @@ def in_precision(
     card: dict[str, Any] = {
         "chosen": choice.precision,
         "int8_exact_here": precisions.is_int8_exact,
-        **{one.precision: one.card() for one in precisions.results},
+        **{each.precision: each.card() for each in precisions.results},
     }
     fields = {name: getattr(manifest, name) for name in Facts.model_fields}
     facts = Facts(**{**fields, "threshold": threshold, "facts": {**manifest.facts, "precision": card}})
@@ -172,21 +182,21 @@ def _int8(
     """int8, with as many of the most sensitive layers in float as the limit needs."""
     some = frames[:: max(1, len(frames) // CALIBRATION_FRAMES)][:CALIBRATION_FRAMES]
     # Ranges of nominal frames alone would cut what damage shows: each is also given with a painted square.
-    both = np.concatenate([some, [painted(frame) for frame in some]])
-    best = comparison.of("int8", quantised(network, both))
+    both = np.concatenate([some, [paint_square(frame) for frame in some]])
+    best = comparison.of("int8", quantise_graph(network, both))
     if best.map_difference <= limit:
         return best
     names, alone = layers(network), []
     for number, name in enumerate(names):
-        graph = quantised(network, both[:ALONE_FRAMES], only=[name])
+        graph = quantise_graph(network, both[:ALONE_FRAMES], only=[name])
         alone.append(comparison.map_difference(graph, ALONE_FRAMES))
         report("int8", (number + 1) / len(names))
     worst_first = [names[k] for k in np.argsort(alone)[::-1]]
     count = 1
     while best.map_difference > limit and count < len(names):
         kept = worst_first[:count]
-        found = comparison.of("int8", quantised(network, both, in_float=kept), kept)
-        best = found if found.map_difference < best.map_difference else best
+        trial = comparison.of("int8", quantise_graph(network, both, in_float=kept), kept)
+        best = trial if trial.map_difference < best.map_difference else best
         count *= 2
     return best
 
@@ -198,34 +208,34 @@ class _Comparison:
         self._bundle, self._frames, self._masked, self._threads = bundle, frames, masked, threads
         self._plain = Scorer(bundle, threads, is_skipping=False)
         scored = [self._plain.score(frame) for frame in frames]
-        self._maps = np.stack([one.score_map for one in scored])
-        self._scores = np.array([one.anomaly_score for one in scored])
+        self._maps = np.stack([press.score_map for press in scored])
+        self._scores = np.array([press.anomaly_score for press in scored])
         self._aupro = self._aupro_of(self._plain)
         self._milliseconds: float | None = None
 
     def of(self, precision: Precision, graph: bytes, in_float: Sequence[str] = ()) -> Measured:
         scorer = self._scorer(graph)
         scored = [scorer.score(frame) for frame in self._frames]
-        scores = np.array([one.anomaly_score for one in scored])
-        found = self._aupro_of(scorer)
+        scores = np.array([press.anomaly_score for press in scored])
+        aupro = self._aupro_of(scorer)
         scale = abs(self._bundle.manifest.threshold.value) or float(np.abs(self._scores).max()) or 1.0
         return Measured(
             precision=precision,
             graph=graph,
-            map_difference=_relative(np.stack([one.score_map for one in scored]), self._maps),
+            map_difference=_relative(np.stack([press.score_map for press in scored]), self._maps),
             score_difference=float(np.abs(scores - self._scores).max()) / scale,
             rise=max(0.0, float((scores - self._scores).max())) if precision != "float32" else 0.0,
-            aupro_change=None if found is None or self._aupro is None else found - self._aupro,
+            aupro_change=None if aupro is None or self._aupro is None else aupro - self._aupro,
             milliseconds=self._time(scorer),
             bytes=len(graph),
             in_float=tuple(in_float),
         )
 
     def map_difference(self, graph: bytes, count: int) -> float:
-        """Over the first frames alone."""
+        """Compare the first frames alone."""
         scorer = self._scorer(graph)
         return _relative(
-            np.stack([scorer.score(one).score_map for one in self._frames[:count]]), self._maps[:count]
+            np.stack([scorer.score(frame).score_map for frame in self._frames[:count]]), self._maps[:count]
         )
 
     def _scorer(self, graph: bytes) -> Scorer:

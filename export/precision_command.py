@@ -43,7 +43,7 @@ def precision(
     from calibration.progress import Stages
     from edge.core.errors import ConfigError
     from edge.model.bundle import Bundle, write_bundle
-    from export.precision import Precision, chosen, in_precision, measured
+    from export.precision import Precision, choose_precision, in_precision, measure_precisions
 
     if wanted != "auto" and wanted not in get_args(Precision):
         raise ConfigError(f"--precision is auto, {', '.join(get_args(Precision))}; found '{wanted}'")
@@ -53,10 +53,10 @@ def precision(
     opened = Bundle.load(bundle, trunks)
     frames, masked = _frames(opened, sources)
     with Stages() as report:
-        found = measured(opened, frames, masked, limit=limit, threads=threads, report=report)
-    choice = chosen(found) if wanted == "auto" else found.of(wanted)  # type: ignore[arg-type]  # checked above
-    _print(found, choice)
-    write_bundle(output, in_precision(opened, found, choice, frames, threads)[1], overwrite=overwrite)
+        precisions = measure_precisions(opened, frames, masked, limit=limit, threads=threads, report=report)
+    choice = choose_precision(precisions) if wanted == "auto" else precisions.of(wanted)  # type: ignore[arg-type]  # checked above
+    _print(precisions, choice)
+    write_bundle(output, in_precision(opened, precisions, choice, frames, threads)[1], overwrite=overwrite)
     typer.echo(
         f"bundle {opened.manifest.part}/{opened.manifest.position} in {choice.precision} written to {output}"
     )
@@ -70,8 +70,8 @@ def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], 
 
     manifest, sensor, region = opened.manifest, opened.profile, opened.region
     given = any(map(is_dataset, sources))
-    found = found_sources(sources, manifest.part, manifest.position if given else None, sensor)
-    presses = nominal_presses(found, sensor, region, None, False)
+    nominal = found_sources(sources, manifest.part, manifest.position if given else None, sensor)
+    presses = nominal_presses(nominal, sensor, region, None, False)
     damaged = [
         press
         for source in filter(is_dataset, sources)
@@ -84,18 +84,20 @@ def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], 
     return presses.frames, (pictures, masks)
 
 
-def _print(found: "Precisions", choice: "Measured") -> None:
+def _print(precisions: "Precisions", choice: "Measured") -> None:
     """A row per precision, and why one was chosen."""
     typer.echo("precision  maps differ  score differs  AU-PRO change     ms       MB  layers in float")
-    for one in found.results:
-        change = "         -" if one.aupro_change is None else f"{one.aupro_change:+10.4f}"
+    for row in precisions.results:
+        change = "         -" if row.aupro_change is None else f"{row.aupro_change:+10.4f}"
         typer.echo(
-            f"{one.precision:<9}  {one.map_difference:11.2e}  {one.score_difference:13.2e}  {change:>13}  "
-            f"{one.milliseconds:5.1f}  {one.bytes / 1e6:7.2f}  {len(one.in_float)}"
+            f"{row.precision:<9}  {row.map_difference:11.2e}  {row.score_difference:13.2e}  {change:>13}  "
+            f"{row.milliseconds:5.1f}  {row.bytes / 1e6:7.2f}  {len(row.in_float)}"
         )
-    for fault in found.faults:
+    for fault in precisions.faults:
         typer.echo(f"no int8: {fault}")
-    probe = "computes int8 exactly" if found.is_int8_exact else "has no VNNI: int8 is slower here, or wrong"
+    probe = (
+        "computes int8 exactly" if precisions.is_int8_exact else "has no VNNI: int8 is slower here, or wrong"
+    )
     typer.echo(f"this machine {probe}; chosen: {choice.precision}")
-    if choice.precision == "int8" and not found.is_int8_exact:
+    if choice.precision == "int8" and not precisions.is_int8_exact:
         typer.echo("warning: int8 was asked for; use it only on a gateway with VNNI", err=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["halved", "layers", "quantised"]
+__all__ = ["halved", "layers", "quantise_graph"]
 
 LAYERS = ("Conv", "MatMul", "Gemm")
 """Operators with weights."""
@@ -53,13 +53,13 @@ def halved(data: bytes) -> bytes:
 
 def layers(data: bytes) -> list[str]:
     """The names of the layers with weights, in the order of computation."""
-    return [node.name for node in _prepared(data).graph.node if node.op_type in LAYERS]
+    return [node.name for node in _prepare(data).graph.node if node.op_type in LAYERS]
 
 
-def quantised(
+def quantise_graph(
     data: bytes, frames: NDArray[np.uint8], in_float: Sequence[str] = (), only: Sequence[str] = ()
 ) -> bytes:
-    """The graph in int8, with the same input and outputs.
+    """Quantise a graph to int8, with the same input and outputs.
 
     frames: uint8 (n, h, w, 3), nominal ones: ranges are those that they show. in_float: layers that stay in float.
     only: layers that are quantised, all others stay; empty: all. Errors: those of onnxruntime for a graph that it
@@ -75,7 +75,7 @@ def quantised(
         def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
             return {"frames": self._left.pop(0)[None]} if self._left else None
 
-    model = _prepared(data)
+    model = _prepare(data)
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "float.onnx", Path(folder) / "int8.onnx"
         onnx.save(model, source)
@@ -107,13 +107,13 @@ def _quiet() -> Iterator[None]:
         root.setLevel(before)
 
 
-def _prepared(data: bytes) -> Any:
+def _prepare(data: bytes) -> Any:
     """The model with a name for every node and its weights in float32, as the quantiser needs them."""
     import onnx
     from onnx import numpy_helper
 
     model = onnx.load_from_string(data)
-    stored = {one.name: one for one in model.graph.initializer}
+    stored = {tensor.name: tensor for tensor in model.graph.initializer}
     kept = []
     for number, node in enumerate(model.graph.node):
         node.name = node.name or f"{node.op_type}_{number}"
@@ -122,8 +122,8 @@ def _prepared(data: bytes) -> Any:
             model.graph.initializer.append(numpy_helper.from_array(array, node.output[0]))
         else:
             kept.append(node)
-    read = {name for node in kept for name in node.input} | {one.name for one in model.graph.output}
-    weights = [one for one in model.graph.initializer if one.name in read]
+    read = {name for node in kept for name in node.input} | {output.name for output in model.graph.output}
+    weights = [tensor for tensor in model.graph.initializer if tensor.name in read]
     del model.graph.node[:], model.graph.initializer[:]
     model.graph.node.extend(kept)
     model.graph.initializer.extend(weights)

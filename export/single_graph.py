@@ -32,7 +32,7 @@ from export.parity import ParityReport, Stage, compare, order_stage
 from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, linear_matrix
 from plugins.onnx_builder import Graph
 
-__all__ = ["Adapted", "GraphInput", "adapted"]
+__all__ = ["Adapted", "GraphInput", "adapt"]
 
 PLAIN = InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 ANOMALIB = frozenset({"anomaly_map", "pred_score"}), frozenset({"pred_label", "pred_score"})
@@ -68,7 +68,7 @@ class Adapted:
     parity: ParityReport | None
 
 
-def adapted(
+def adapt(
     data: bytes, frames: NDArray[np.uint8], given: GraphInput | None = None, where: str = "the graph"
 ) -> Adapted:
     """Adapt a graph to frames of one size. frames: nominal ones, uint8 (n, h, w, 3); at least one.
@@ -93,23 +93,23 @@ def adapted(
     chosen = _Outputs.of(outputs, given, where)
     sign = -1.0 if given.is_negated else 1.0
     body = read_frames(model, picture, steps, frame, high)
-    graph = _joined(body, chosen, _end(chosen, outputs, frame, sign))
+    graph = _join(body, chosen, _end(chosen, outputs, frame, sign))
     found = {
         "input": f"{picture.name}, {picture.layout}, {'uint8' if picture.is_bytes else 'float32'}, {why}",
         "preprocessing": steps.words,
         "outputs": f"map {chosen.map}, score {chosen.score or 'the largest value of the map'}",
-        **_said(normalised, sign),
+        **_describe_normalisation(normalised, sign),
     }
     expected = sign * chosen.maps(outputs, frame), sign * chosen.scores(outputs, sign)
     before = [_undone(one, outputs) for one in normalised.values()]
-    return Adapted(graph, found, _compared(graph, shown, pixels, expected, found, picture, where, before))
+    return Adapted(graph, found, _compare(graph, shown, pixels, expected, found, picture, where, before))
 
 
-def _said(normalised: Mapping[str, Normalisation], sign: float) -> dict[str, str]:
-    """What is stated of normalised outputs that are taken raw."""
+def _describe_normalisation(normalised: Mapping[str, Normalisation], sign: float) -> dict[str, str]:
+    """Say what is done with normalised outputs that are taken raw."""
     said = {}
     if normalised:
-        said["normalisation"] = f"left out: {'; '.join(one.words for one in normalised.values())}"
+        said["normalisation"] = f"left out: {'; '.join(n.words for n in normalised.values())}"
     own = normalised["pred_score"].own_threshold if "pred_score" in normalised else None
     if own is not None:
         value = f"{sign * own:.7g}"
@@ -120,12 +120,12 @@ def _said(normalised: Mapping[str, Normalisation], sign: float) -> dict[str, str
 def _undone(one: Normalisation, outputs: Mapping[str, NDArray[Any]]) -> Stage:
     """The original output against the raw one, normalised by the stated formula."""
     original = outputs[one.output + SUFFIX]
-    return Stage(f"normalised {one.output}", original, one.applied(outputs[one.output]), "score")
+    return Stage(f"normalised {one.output}", original, one.apply(outputs[one.output]), "score")
 
 
 def _meets_contract(model: Any) -> bool:
-    return [one.name for one in model.graph.input] == [FRAMES] and {SCORE_MAP, SCORE} <= {
-        one.name for one in model.graph.output
+    return [value.name for value in model.graph.input] == [FRAMES] and {SCORE_MAP, SCORE} <= {
+        value.name for value in model.graph.output
     }
 
 
@@ -134,7 +134,7 @@ def _scaling(
 ) -> tuple[InputSteps, float, str]:
     """The steps, the value of full brightness, and how they are known. Errors: ConfigError where they are not."""
     if given.scale or given.mean or given.std:
-        return _stated(given)
+        return _read_scale(given)
     if picture.is_bytes:
         return PLAIN, 255.0, "levels 0 to 255 (its type)"
     names = {output.name for output in model.graph.output}
@@ -153,7 +153,7 @@ def _scaling(
     )
 
 
-def _stated(given: GraphInput) -> tuple[InputSteps, float, str]:
+def _read_scale(given: GraphInput) -> tuple[InputSteps, float, str]:
     scales = {"0..1": (PLAIN, 1.0), "0..255": (PLAIN, 255.0), "imagenet": (IMAGENET, 1.0)}
     if given.scale is not None and given.scale not in scales:
         raise ConfigError(f"--input is {', '.join(scales)}; found '{given.scale}'")
@@ -183,7 +183,7 @@ def _normalisation(model: Any, start: str) -> float | None:
 
 
 def _pixels(frames: NDArray[np.uint8], steps: InputSteps, high: float, picture: PictureInput) -> NDArray[Any]:
-    """What the original graph is given for these frames."""
+    """Prepare these frames for the original graph."""
     planes = apply_steps(steps, frames) * high
     planes = planes if picture.layout == "nchw" else planes.transpose(0, 2, 3, 1)
     if picture.is_bytes:
@@ -200,7 +200,7 @@ class _Outputs:
 
     @classmethod
     def of(cls, outputs: Mapping[str, NDArray[Any]], given: GraphInput, where: str) -> "_Outputs":
-        """Errors: ConfigError where there is no map, or more than one that may be it."""
+        """Choose map and score. Errors: ConfigError where there is no map, or more than one that may be it."""
         listed = ", ".join(f"{name} {array.dtype} {array.shape}" for name, array in outputs.items())
         for name in filter(None, (given.map_output, given.score_output)):
             if name not in outputs:
@@ -258,14 +258,14 @@ def _is_score(array: NDArray[Any]) -> bool:
     return array.dtype.kind == "f" and array.ndim >= 1 and array.size == array.shape[0]
 
 
-def _joined(body: Any, chosen: _Outputs, ending: bytes) -> bytes:
-    """The graph behind its front, and the end, in one."""
+def _join(body: Any, chosen: _Outputs, ending: bytes) -> bytes:
+    """Join the graph behind its front with the end."""
     import onnx
     from onnx import compose
 
     kept = [name for name in (chosen.map, chosen.score) if name]
-    for one in [one for one in body.graph.output if one.name not in {f"model/{name}" for name in kept}]:
-        body.graph.output.remove(one)
+    for value in [v for v in body.graph.output if v.name not in {f"model/{name}" for name in kept}]:
+        body.graph.output.remove(value)
     body, end = same_versions(body, onnx.load_from_string(ending))
     merged = compose.merge_models(
         body, compose.add_prefix(end, "end/"), io_map=[(f"model/{name}", f"end/{name}") for name in kept]
@@ -300,7 +300,7 @@ def _end(chosen: _Outputs, outputs: Mapping[str, NDArray[Any]], frame: tuple[int
     return graph.serialise()
 
 
-def _compared(
+def _compare(
     graph: bytes,
     frames: NDArray[np.uint8],
     pixels: NDArray[Any],
@@ -311,14 +311,14 @@ def _compared(
     before: Sequence[Stage],
 ) -> ParityReport:
     values = [f"front/{PIXELS}", SCORE_MAP, SCORE]
-    found = run_each(graph, values, FRAMES, frames, picture.batch, where)
+    arrays = run_each(graph, values, FRAMES, frames, picture.batch, where)
     # Where frames are resized and rounded to bytes, either side may round a half the other way.
     level = 2 / 255 if picture.is_bytes else None
     stages = [
-        Stage("input", pixels, found[0], "input", level),
+        Stage("input", pixels, arrays[0], "input", level),
         *before,
-        Stage("map", expected[0], found[1], "map", level),
-        Stage("score", expected[1], found[2], "score", level),
-        order_stage(expected[1], found[2]),
+        Stage("map", expected[0], arrays[1], "map", level),
+        Stage("score", expected[1], arrays[2], "score", level),
+        order_stage(expected[1], arrays[2]),
     ]
     return compare(stages, frames=frames, title=f"{where} and its bundle", facts=facts)

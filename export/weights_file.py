@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from export.reading.foreign import described, float32
+from export.reading.foreign import describe, float32
 from export.reading.isolated import read_foreign
 from plugins.backbones.topology import State
 
@@ -61,7 +61,7 @@ def read_checkpoint(path: Path) -> State:
         }
     if not state:
         raise ConfigError(
-            f"{path} holds {described(loaded)} and no weights by name; save model.state_dict() with torch.save"
+            f"{path} holds {describe(loaded)} and no weights by name; save model.state_dict() with torch.save"
         )
     return state
 
@@ -94,7 +94,7 @@ def file_sha256(path: Path) -> str:
 
 
 def is_onnx(path: Path) -> bool:
-    """Whether a file parses as an ONNX model with a graph. It starts with its format's version, field 1."""
+    """Tell whether a file parses as an ONNX model with a graph. It starts with its format's version, field 1."""
     with path.open("rb") as file:
         if file.read(1) != b"\x08":
             return False
@@ -118,7 +118,7 @@ def _check_file(path: Path) -> None:
 
 
 def _array(entry: Mapping[str, Any]) -> NDArray[np.float32]:
-    """One tensor as float32. Errors: ValueError for a dtype that no weights have."""
+    """Read a tensor as float32. Errors: ValueError for a dtype that no weights have."""
     dtype, data, shape = entry["dtype"], bytes(entry["data"]), entry["shape"]
     if dtype == "BF16":
         # A bfloat16 is the upper half of a float32.

@@ -87,18 +87,18 @@ def wrap(
     stated = stated_licence(licence, f"the graph {graph}")
     sensor = chosen_profile(profile, sources)
     inspected = Region.parse(region, sensor.size)
-    found = found_sources(sources, part, position, sensor)
-    presses = nominal_presses(found, sensor, inspected, no_contact, resize)
-    given = _given(scale, mean, std, map_output, score_output, negate)
-    ready, facts = _adapted(graph, content, presses.frames, given, comparison)
+    material = found_sources(sources, part, position, sensor)
+    presses = nominal_presses(material, sensor, inspected, no_contact, resize)
+    given = _graph_input(scale, mean, std, map_output, score_output, negate)
+    ready, facts = _adapt(graph, content, presses.frames, given, comparison)
     facts = {"licence": stated, "graph": graph.name, **facts}
-    where = (found.part, found.position, sensor, inspected)
+    where = (material.part, material.position, sensor, inspected)
     config = WrapConfig(*where, method, alpha, threshold, threads, facts)
     typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
     make(partial(wrap_files, ready, presses, config), output, overwrite)
 
 
-def _given(
+def _graph_input(
     scale: str, mean: str, std: str, map_output: str, score_output: str, is_negated: bool
 ) -> "GraphInput":
     from export.single_graph import GraphInput
@@ -113,19 +113,19 @@ def _colours(option: str, text: str) -> tuple[float, float, float] | None:
     return three_numbers(option, text) if text else None
 
 
-def _adapted(
+def _adapt(
     graph: Path, content: bytes, frames: "NDArray[np.uint8]", given: "GraphInput", report: Path | None
 ) -> tuple[bytes, dict[str, str]]:
-    """The graph as the gateway runs it, and what was found of it. Errors: as `adapted`; BundleCorrupt."""
+    """The graph as the gateway runs it, and what was found of it. Errors: as `adapt`; BundleCorrupt."""
     from edge.extras import is_installed
-    from export.single_graph import GraphInput, adapted
+    from export.single_graph import GraphInput, adapt
 
     if not is_installed("onnx") and given == GraphInput() and report is None:
         return (
             content,
             {},
         )  # a graph that meets the contract needs no change; others are refused when they are opened
-    ready = adapted(content, frames, given, graph.name)
+    ready = adapt(content, frames, given, graph.name)
     if ready.parity is not None:
         if report is not None:
             ready.parity.write(report)

@@ -13,9 +13,9 @@ from edge.core.detector import Bank
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
-from export.importers.given_trunk import given_trunk
+from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps, patchcore_head
-from export.reading.foreign import Foreign, checked_array, described, float32
+from export.reading.foreign import Foreign, check_array, describe, float32
 from export.reading.isolated import read_foreign
 from plugins.detectors.common.descriptor import BINS, Descriptor
 
@@ -37,14 +37,14 @@ class AmazonPatchcore:
     name = "amazon_patchcore"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
+        """Say what the file is, None for other files."""
         table = file.table()
         if not {"backbone.name", "layers_to_extract_from"} <= set(table):
             return None
         layers = table["layers_to_extract_from"]
         fields = {
             "backbone": str(table["backbone.name"])[:60],
-            "layers": ", ".join(map(str, layers)) if isinstance(layers, list) else described(layers),
+            "layers": ", ".join(map(str, layers)) if isinstance(layers, list) else describe(layers),
             "index": _index(file.path).name,
         }
         return Recognised("PatchCore of amazon-science/patchcore-inspection", fields, ("--backbone",))
@@ -52,13 +52,13 @@ class AmazonPatchcore:
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Errors: as `Importer`."""
         table = file.table()
-        layers = _checked(file.path, table)
-        given = given_trunk(
+        layers = _read_layers(file.path, table)
+        given = cut_given_trunk(
             settings, file.path, layers, f"its index and the name {table.get('backbone.name')} alone"
         )
         descriptor = Descriptor(layers, layers[0], "binned", False)
         with read_foreign(_index(file.path)) as index:
-            rows = float32(checked_array(index.path, "rows", index.table().get("rows"), None, BINS))
+            rows = float32(check_array(index.path, "rows", index.table().get("rows"), None, BINS))
         mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
         head = patchcore_head(descriptor, given.grid, len(rows), 1, True, steps)
@@ -87,16 +87,16 @@ def _index(path: Path) -> Path:
     return path.with_name(path.name.replace(PARAMETERS, INDEX) if path.name.endswith(PARAMETERS) else INDEX)
 
 
-def _checked(path: Path, table: Mapping[Any, Any]) -> tuple[str, ...]:
-    """The layers. Errors: ConfigError for a setting that is computed in another way here."""
+def _read_layers(path: Path, table: Mapping[Any, Any]) -> tuple[str, ...]:
+    """Read the layers. Errors: ConfigError for a setting that is computed in another way here."""
     for name, expected in EXPECTED.items():
-        found = table.get(name, expected)
-        if type(found) is not int or found != expected:
-            raise ConfigError(f"{path}: '{name}' is {described(found)}, {expected} was expected")
+        value = table.get(name, expected)
+        if type(value) is not int or value != expected:
+            raise ConfigError(f"{path}: '{name}' is {describe(value)}, {expected} was expected")
     layers = table.get("layers_to_extract_from")
-    if not isinstance(layers, list) or not layers or not all(isinstance(one, str) for one in layers):
+    if not isinstance(layers, list) or not layers or not all(isinstance(layer, str) for layer in layers):
         raise ConfigError(
-            f"{path}: 'layers_to_extract_from' is {described(layers)}, names of layers were expected"
+            f"{path}: 'layers_to_extract_from' is {describe(layers)}, names of layers were expected"
         )
     if len(set(layers)) != len(layers):
         raise ConfigError(f"{path}: 'layers_to_extract_from' names a layer twice")

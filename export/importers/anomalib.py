@@ -17,7 +17,7 @@ from calibration.fitting.trunks import Trunk
 from edge.core.detector import Bank, Grid, Packing
 from edge.core.errors import ConfigError
 from edge.model.session import open_session
-from export.importers.anomalib_file import AnomalibFile, opened
+from export.importers.anomalib_file import AnomalibFile, read_anomalib
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import framed_trunk
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
@@ -41,26 +41,25 @@ class Anomalib:
     name = "anomalib"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
-        found = opened(file)
-        if found is None:
+        """Say what the file is, None for other files."""
+        model = read_anomalib(file)
+        if model is None:
             return None
         fields = {
-            "backbone": str(found.options.get("backbone", "not stated")),
-            "layers": found.layer_words,
-            "trained with": found.version,
+            "backbone": str(model.options.get("backbone", "not stated")),
+            "layers": model.layer_words,
+            "trained with": model.version,
         }
-        return Recognised(f"{NAMES[found.method]} of anomalib ({file.form})", fields, region="full")
+        return Recognised(f"{NAMES[model.method]} of anomalib ({file.form})", fields, region="full")
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Errors: as `Importer`."""
-        found = opened(file)
-        if found is None:
+        stored = read_anomalib(file)
+        if stored is None:
             raise ConfigError(
                 f"{file.path} is no PaDiM, PatchCore, DFM or DFKDE of anomalib; see `gelgate export detect`"
             )
-        model = _Model(found, settings)
-        return _METHODS[found.method](model)
+        return _METHODS[stored.method](_Model(stored, settings))
 
 
 anomalib = Anomalib()
@@ -125,7 +124,7 @@ class _Model:
     def finish(self, head: bytes, bank: Bank, facts: Mapping[str, Any], **rest: Any) -> Imported:
         """The parts with what all methods state."""
         threshold, words = self.found.threshold()
-        says = (words, *self._cropped(), *rest.pop("says", ()))
+        says = (words, *self._warn_of_crop(), *rest.pop("says", ()))
         return Imported(
             method=self.found.method,
             source=f"{NAMES[self.found.method]} of anomalib, {self.found.version}",
@@ -144,7 +143,7 @@ class _Model:
             **rest,
         )
 
-    def _cropped(self) -> tuple[str, ...]:
+    def _warn_of_crop(self) -> tuple[str, ...]:
         if self.framing.seen >= 0.999:
             return ()
         return (
@@ -220,13 +219,13 @@ def _dfm(model: _Model) -> Imported:
 
 
 def _dfkde(model: _Model) -> Imported:
-    found = model.found
-    (tap,) = found.layers
+    stored = model.found
+    (tap,) = stored.layers
     dataset = model.array("model.classifier.kde_model.dataset", None, None)
     vectors = model.array(
         "model.classifier.pca_model.singular_vectors", model.grid.taps[tap][0], dataset.shape[1]
     )
-    is_unit = found.option_value("feature_scaling_method", "scale") == "norm"
+    is_unit = stored.option_value("feature_scaling_method", "scale") == "norm"
     bandwidth = model.array(
         "model.classifier.kde_model.bw_transform", dataset.shape[1], dataset.shape[1]
     ).astype(np.float64)
@@ -240,8 +239,8 @@ def _dfkde(model: _Model) -> Imported:
         "dataset": dataset,
         "log_norm": np.array([np.log(max(norm, 1e-300)) - np.log(len(dataset))]),
     }
-    head = dfkde_head(found.layers, model.grid, (dataset.shape[1], len(dataset)), is_unit, model.framing)
-    threshold, words = found.probability_threshold()
+    head = dfkde_head(stored.layers, model.grid, (dataset.shape[1], len(dataset)), is_unit, model.framing)
+    threshold, words = stored.probability_threshold()
     says = (f"the score is the logit of anomalib's probability; the map is the score everywhere ({words})",)
     return model.finish(
         head, _bank(arrays, "vectors", model), {"rows": len(dataset)}, threshold=threshold, says=says

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from export.importers.framing import Framing
-from export.reading.foreign import Content, Foreign, Record, attributes, checked_array, described
+from export.reading.foreign import Content, Foreign, Record, attributes, check_array, describe
 
-__all__ = ["AnomalibFile", "opened"]
+__all__ = ["AnomalibFile", "read_anomalib"]
 
 BACKBONE = "model.feature_extractor.feature_extractor."
 # method -> an entry of its state that no other method has.
@@ -41,29 +41,29 @@ class AnomalibFile:
 
     def array(self, name: str, *shape: int | None) -> NDArray[Any]:
         """An array of the state. Errors: as `Foreign.array`."""
-        return checked_array(self.path, name, self.state.get(name), *shape)
+        return check_array(self.path, name, self.state.get(name), *shape)
 
     @property
     def layers(self) -> tuple[str, ...]:
-        """Errors: ConfigError."""
-        found = self._stored_layers
-        if not isinstance(found, list) or not found or not all(isinstance(one, str) for one in found):
-            raise ConfigError(f"{self.path}: 'layers' is {described(found)}, names of layers were expected")
-        if len(set(found)) != len(found):
-            raise ConfigError(f"{self.path}: 'layers' names a layer twice: {', '.join(found)}")
-        if self.method == "dfkde" and len(found) != 1:
-            raise ConfigError(f"{self.path}: DFKDE of {len(found)} layers; one was expected")
-        return tuple(found)
+        """The layers that the model compares. Errors: ConfigError."""
+        names = self._stored_layers
+        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+            raise ConfigError(f"{self.path}: 'layers' is {describe(names)}, names of layers were expected")
+        if len(set(names)) != len(names):
+            raise ConfigError(f"{self.path}: 'layers' names a layer twice: {', '.join(names)}")
+        if self.method == "dfkde" and len(names) != 1:
+            raise ConfigError(f"{self.path}: DFKDE of {len(names)} layers; one was expected")
+        return tuple(names)
 
     @property
     def layer_words(self) -> str:
         """The layers for people, whatever the file holds there."""
-        found = self._stored_layers
-        return ", ".join(map(str, found)) if isinstance(found, list) else described(found)
+        names = self._stored_layers
+        return ", ".join(map(str, names)) if isinstance(names, list) else describe(names)
 
     @property
     def _stored_layers(self) -> Content:
-        """As the file has them, or anomalib's defaults."""
+        """The layers as the file has them, or anomalib's defaults."""
         if self.method == "dfm":
             return [self.options.get("layer", "layer3")]
         usual = {"padim": ["layer1", "layer2", "layer3"], "patchcore": ["layer2", "layer3"]}
@@ -80,17 +80,17 @@ class AnomalibFile:
 
     def option_value(self, name: str, usual: str) -> str:
         """An option that may be a member of an enumeration."""
-        found = self.options.get(name, usual)
-        return str(found.args[0]) if isinstance(found, Record) and found.args else str(found)
+        value = self.options.get(name, usual)
+        return str(value.args[0]) if isinstance(value, Record) and value.args else str(value)
 
     def option_count(self, name: str, usual: int, most: int) -> int:
         """An option that counts something. Errors: ConfigError for anything but a number of 1 to `most`."""
-        found = self.options.get(name, usual)
-        if type(found) is not int or not 1 <= found <= most:
+        value = self.options.get(name, usual)
+        if type(value) is not int or not 1 <= value <= most:
             raise ConfigError(
-                f"{self.path}: '{name}' is {described(found)}, a number of 1 to {most} was expected"
+                f"{self.path}: '{name}' is {describe(value)}, a number of 1 to {most} was expected"
             )
-        return found
+        return value
 
     def plain_options(self) -> dict[str, Any]:
         """The options as JSON can hold them."""
@@ -99,15 +99,15 @@ class AnomalibFile:
             str(name): value
             for name, value in self.options.items()
             if isinstance(value, kinds)
-            or (isinstance(value, list) and all(isinstance(one, kinds) for one in value))
+            or (isinstance(value, list) and all(isinstance(item, kinds) for item in value))
         }
 
     @property
     def normalisation(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """mean and std of RGB in 0..1. Errors: ConfigError."""
-        for kind, found in self._steps():
+        for kind, fields in self._steps():
             if kind == "Normalize":
-                return self._three(found, "mean"), self._three(found, "std")
+                return self._three(fields, "mean"), self._three(fields, "std")
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 
     def framing(self, frame: tuple[int, int]) -> Framing:
@@ -115,13 +115,13 @@ class AnomalibFile:
         resize: tuple[int, int] | None = None
         crop: tuple[int, int] | None = None
         is_antialiased = True
-        for kind, found in self._steps():
+        for kind, fields in self._steps():
             if kind == "Resize":
-                self._require_bilinear(found)
-                resize = self._size(found, frame)
-                is_antialiased = found.get("antialias") is not False
+                self._require_bilinear(fields)
+                resize = self._size(fields, frame)
+                is_antialiased = fields.get("antialias") is not False
             elif kind in ("CenterCrop", "ExportableCenterCrop"):
-                crop = self._size(found, None)
+                crop = self._size(fields, None)
             elif kind != "Normalize":
                 raise ConfigError(
                     f"{self.path}: the pre-processor has a {kind}; Resize, CenterCrop and Normalize were expected"
@@ -130,7 +130,7 @@ class AnomalibFile:
 
     def preprocessing_words(self) -> str:
         """The steps in words."""
-        words = [f"{kind}{found.get('size', '')}" for kind, found in self._steps()]
+        words = [f"{kind}{fields.get('size', '')}" for kind, fields in self._steps()]
         return ", ".join(words) or "none"
 
     def _steps(self) -> Sequence[tuple[str, Mapping[Any, Content]]]:
@@ -151,7 +151,7 @@ class AnomalibFile:
             or not all(type(n) is int and 0 < n <= 4096 for n in size)
         ):
             raise ConfigError(
-                f"{self.path}: 'size' of the pre-processor is {described(size)}, height and width were expected"
+                f"{self.path}: 'size' of the pre-processor is {describe(size)}, height and width were expected"
             )
         if len(size) == 2:
             return size[0], size[1]
@@ -165,16 +165,16 @@ class AnomalibFile:
         kind = found.get("interpolation", "bilinear")
         kind = kind.args[0] if isinstance(kind, Record) and kind.args else kind
         if not isinstance(kind, str) or kind != "bilinear" or found.get("max_size") is not None:
-            words = kind if isinstance(kind, str) else described(kind)
+            words = kind if isinstance(kind, str) else describe(kind)
             raise ConfigError(f"{self.path}: the pre-processor resizes by '{words}', bilinear was expected")
 
-    def _three(self, found: Mapping[Any, Content], name: str) -> tuple[float, ...]:
-        values = checked_array(self.path, f"pre-processor {name}", found.get(name), 3).astype(np.float64)
+    def _three(self, fields: Mapping[Any, Content], name: str) -> tuple[float, ...]:
+        values = check_array(self.path, f"pre-processor {name}", fields.get(name), 3).astype(np.float64)
         if name == "std" and not (values > 0).all():
             raise ConfigError(
                 f"{self.path}: 'std' of the pre-processor is {values.tolist()}, positive numbers were expected"
             )
-        return tuple(float(one) for one in values)
+        return tuple(float(value) for value in values)
 
     def _number(self, name: str) -> float:
         value = self.state.get(f"post_processor.{name}")
@@ -205,7 +205,7 @@ class AnomalibFile:
         )
 
     def probability_threshold(self) -> tuple[float | None, str]:
-        """The same for a model whose raw score is a probability, as its logit."""
+        """Give the threshold of a model whose raw score is a probability, as its logit."""
         raw = self.raw_threshold()
         if math.isnan(raw):
             return None, "without a threshold"
@@ -215,8 +215,8 @@ class AnomalibFile:
         ), f"a threshold of {raw:.5g} is {math.log(inside / (1 - inside)):.5g}"
 
 
-def opened(file: Foreign) -> AnomalibFile | None:
-    """The file of one of the four methods, None for any other."""
+def read_anomalib(file: Foreign) -> AnomalibFile | None:
+    """Read the file of one of the four methods, None for any other."""
     if "state_dict" in file.table():
         return _checkpoint(file)
     module = file.table().get("model")
@@ -256,9 +256,9 @@ def _module(file: Foreign, module: Record) -> AnomalibFile | None:
     method = _method(state)
     if method is None:
         return None
-    found = attributes(module)
-    options = _pairs(found.get("_hparams"))
-    modules = _table(found.get("_modules"))
+    fields = attributes(module)
+    options = _pairs(fields.get("_hparams"))
+    modules = _table(fields.get("_modules"))
     before = attributes(modules.get("pre_processor"))
     before = {**before, **_table(before.get("_modules"))}
     after = attributes(modules.get("post_processor"))
@@ -287,17 +287,17 @@ def _collect(module: Record, prefix: str, state: dict[Any, Content], left: list[
     left[0] -= 1
     if left[0] < 0 or prefix.count(".") > 30:
         return
-    found = attributes(module)
+    fields = attributes(module)
     for kind in ("_parameters", "_buffers"):
-        arrays = found.get(kind)
+        arrays = fields.get(kind)
         if isinstance(arrays, dict):
             state.update(
                 {f"{prefix}{name}": value for name, value in arrays.items() if isinstance(value, np.ndarray)}
             )
-    inner = found.get("_modules")
-    for name, one in inner.items() if isinstance(inner, dict) else ():
-        if isinstance(one, Record):
-            _collect(one, f"{prefix}{name}.", state, left)
+    inner = fields.get("_modules")
+    for name, child in inner.items() if isinstance(inner, dict) else ():
+        if isinstance(child, Record):
+            _collect(child, f"{prefix}{name}.", state, left)
 
 
 def _pairs(value: Content) -> Mapping[Any, Content]:
@@ -307,9 +307,9 @@ def _pairs(value: Content) -> Mapping[Any, Content]:
         return items
     listed = items if isinstance(items, list) else []
     return {
-        one[0]: one[1]
-        for one in listed
-        if isinstance(one, list) and len(one) == 2 and isinstance(one[0], str)
+        pair[0]: pair[1]
+        for pair in listed
+        if isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
     }
 
 
@@ -318,16 +318,16 @@ def _transform(spec: Content, depth: int = 0) -> list[tuple[str, Mapping[Any, Co
     if depth > 8:
         return None
     if isinstance(spec, dict) and isinstance(spec.get("class_path"), str):
-        kind, found = spec["class_path"].rpartition(".")[2], spec.get("init_args")
+        kind, fields = spec["class_path"].rpartition(".")[2], spec.get("init_args")
     elif isinstance(spec, Record):
-        kind, found = spec.kind.rpartition(".")[2], attributes(spec)
+        kind, fields = spec.kind.rpartition(".")[2], attributes(spec)
     else:
         return None
-    table = found if isinstance(found, dict) else {}
+    table = fields if isinstance(fields, dict) else {}
     if kind != "Compose":
         return [(kind, table)]
     steps: list[tuple[str, Mapping[Any, Content]]] = []
     listed = table.get("transforms")
-    for one in listed if isinstance(listed, list) else [None]:
-        steps += _transform(one, depth + 1) or [("step of an unknown kind", {})]
+    for step in listed if isinstance(listed, list) else [None]:
+        steps += _transform(step, depth + 1) or [("step of an unknown kind", {})]
     return steps

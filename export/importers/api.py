@@ -116,13 +116,13 @@ def import_detector(
         raise ConfigError(f"{target} exists already; choose another name or allow it to be replaced")
     licence = stated_licence(options.licence, f"{source} and of its weights")
     sensor = known_profile(options.profile)
-    with read_foreign(source) as found:
-        importer, what = _importer(found, options.importer)
+    with read_foreign(source) as foreign:
+        importer, what = _importer(foreign, options.importer)
         region = Region.parse(options.region or what.region, sensor.size)
-        model = importer.imported(found, _settings(options, region, sensor))
+        model = importer.imported(foreign, _settings(options, region, sensor))
         if method is not None and model.method != method:
             raise ConfigError(f"{source} is {what.what}, {method} was expected; use import_{model.method}")
-        given = _given(presses, sensor, region)
+        given = _collect_presses(presses, sensor, region)
         config = ImportConfig(
             options.part,
             options.position,
@@ -137,7 +137,7 @@ def import_detector(
         fitted, losses = import_files(model, given, config, source, created=created, report=report)
         write_bundle(target, fitted.files, overwrite=overwrite)
         return ImportedBundle(
-            target, what, model, losses, found.isolation, fitted.manifest.provenance.warnings
+            target, what, model, losses, foreign.isolation, fitted.manifest.provenance.warnings
         )
 
 
@@ -172,10 +172,10 @@ def import_inreach(file: str | Path, presses: Any, output: str | Path, **options
 def _importer(file: Foreign, name: str | None) -> tuple[Importer, Recognised]:
     if name is None:
         return importer_of(file)
-    for one in importers():
-        what = one.recognised(file) if one.name == name else None
+    for candidate in importers():
+        what = candidate.recognised(file) if candidate.name == name else None
         if what is not None:
-            return one, what
+            return candidate, what
     raise ConfigError(
         f"the importer '{name}' does not know {file.path}; see `gelgate export detect {file.path}`"
     )
@@ -193,18 +193,18 @@ def _settings(options: ImportOptions, region: Region, sensor: SensorProfile) -> 
 
 def _channels(path: Path) -> Any:
     """The numbers of a file of channels. Errors: ConfigError."""
-    with read_foreign(path) as found:
-        content = found.content
+    with read_foreign(path) as foreign:
+        content = foreign.content
         if isinstance(content, dict) and len(content) == 1:
             content = next(iter(content.values()))
         return np.array(content) if isinstance(content, np.ndarray) else content
 
 
-def _given(presses: Any, sensor: SensorProfile, region: Region) -> NominalPresses:
+def _collect_presses(presses: Any, sensor: SensorProfile, region: Region) -> NominalPresses:
     if isinstance(presses, NominalPresses):
         return presses
     if callable(presses):
         read: NominalPresses = presses(sensor, region)
         return read
     paths = [presses] if isinstance(presses, str | Path) else list(presses)
-    return read_presses([Path(one) for one in paths], sensor, region)
+    return read_presses([Path(path) for path in paths], sensor, region)

@@ -78,13 +78,13 @@ def detect(file: File) -> None:
     from export.importers.finding import importer_of
     from export.reading.isolated import read_foreign
 
-    with read_foreign(file) as found:
-        importer, what = importer_of(found)
+    with read_foreign(file) as foreign:
+        importer, what = importer_of(foreign)
         typer.echo(f"{file}: {what.what}; importer {importer.name}")
         for name, value in what.fields.items():
             typer.echo(f"  {name}: {value}")
-        typer.echo(f"  {found.isolation}")
-        needs = "".join(f" {one}" for one in what.needs)
+        typer.echo(f"  {foreign.isolation}")
+        needs = "".join(f" {option}" for option in what.needs)
         typer.echo(f"  gelgate export import {file} SOURCE... -o BUNDLE --part NAME --licence NAME{needs}")
 
 
@@ -155,7 +155,7 @@ def _summary(made: "ImportedBundle") -> None:
 
 
 def _threshold(text: str) -> float | Literal["presses", "model"]:
-    """Errors: ConfigError."""
+    """Read the option of the threshold. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     if text == "presses":

@@ -59,14 +59,14 @@ class Settings:
 
     def value(self, name: str, kind: type[Any], usual: Any) -> Any:
         """A further setting by name, or the usual one. Errors: ConfigError for another type."""
-        found = self.values.get(name, usual)
-        if kind is tuple and isinstance(found, list) and all(isinstance(one, str) for one in found):
-            found = tuple(found)
-        if kind is float and isinstance(found, int) and not isinstance(found, bool):
-            return float(found)
-        if found is not usual and type(found) is not kind:
-            raise ConfigError(f"--set {name}={found} is not a {kind.__name__}")
-        return found
+        setting = self.values.get(name, usual)
+        if kind is tuple and isinstance(setting, list) and all(isinstance(item, str) for item in setting):
+            setting = tuple(setting)
+        if kind is float and isinstance(setting, int) and not isinstance(setting, bool):
+            return float(setting)
+        if setting is not usual and type(setting) is not kind:
+            raise ConfigError(f"--set {name}={setting} is not a {kind.__name__}")
+        return setting
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Importer(Protocol):
         ...
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None where it is none of this importer's."""
+        """Say what the file is, None for a file of another kind."""
         ...
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:

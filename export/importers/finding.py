@@ -3,14 +3,14 @@
 from edge import registry
 from edge.core.errors import ConfigError
 from export.importers.contract import Importer, Recognised
-from export.reading.foreign import Foreign, described
+from export.reading.foreign import Foreign, describe
 
 __all__ = ["importer_of", "importers"]
 
 
 def importers() -> list[Importer]:
     """Every installed importer, by name. Errors: ConfigError for an object that is none."""
-    return [_checked(name) for name in registry.names("importers")]
+    return [_load(name) for name in registry.names("importers")]
 
 
 def importer_of(file: Foreign) -> tuple[Importer, Recognised]:
@@ -19,24 +19,24 @@ def importer_of(file: Foreign) -> tuple[Importer, Recognised]:
     Errors: ConfigError with what the file holds where none does, or where several do.
     """
     known = importers()
-    found = [(one, what) for one in known if (what := one.recognised(file)) is not None]
-    if not found:
+    fitting = [(each, what) for each in known if (what := each.recognised(file)) is not None]
+    if not fitting:
         raise ConfigError(
-            f"{file.path} is a {file.form} that holds {described(file.content)}; no importer knows it. Known are "
-            f"{', '.join(one.name for one in known)}; weights of a backbone come in by `gelgate export backbone`"
+            f"{file.path} is a {file.form} that holds {describe(file.content)}; no importer knows it. Known are "
+            f"{', '.join(each.name for each in known)}; weights of a backbone come in by `gelgate export backbone`"
         )
-    if len(found) > 1:
-        names = ", ".join(one.name for one, _ in found)
+    if len(fitting) > 1:
+        names = ", ".join(importer.name for importer, _ in fitting)
         raise ConfigError(
             f"{file.path} is recognised by several importers ({names}); name one with --importer"
         )
-    return found[0]
+    return fitting[0]
 
 
-def _checked(name: str) -> Importer:
-    found = registry.importer(name)
-    if not isinstance(found, Importer):
+def _load(name: str) -> Importer:
+    importer = registry.importer(name)
+    if not isinstance(importer, Importer):
         raise ConfigError(
-            f"the importer '{name}' is a {type(found).__name__} without recognised and imported; correct its package"
+            f"the importer '{name}' is a {type(importer).__name__} without recognised and imported; correct its package"
         )
-    return found
+    return importer

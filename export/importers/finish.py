@@ -82,7 +82,7 @@ class Losses:
     bytes_unpacked: int
 
     def words(self) -> str:
-        """One sentence."""
+        """Say it in a sentence."""
         first = (
             ""
             if self.reduction is None
@@ -134,7 +134,7 @@ class _Import:
         self.graphs = Graphs(trunk=model.trunk.graph, head=model.head)
 
     def run(self) -> tuple[Fitted, Losses]:
-        bare = self._fitted(self._facts(*placeholders(), None), ())
+        bare = self._make_files(self._facts(*placeholders(), None), ())
         scorer = Scorer(bare.bundle(), self.config.threads)
         scores = self._scores(scorer)
         losses = self._losses(scorer)
@@ -151,7 +151,7 @@ class _Import:
         facts = facts.model_copy(
             update={"cost": cost_card(scorer, self.presses.frames, self.config.threads, {})}
         )
-        fitted = self._fitted(facts, golden)
+        fitted = self._make_files(facts, golden)
         Scorer(fitted.bundle(), self.config.threads).check_golden()
         return fitted, losses
 
@@ -163,8 +163,8 @@ class _Import:
         return scores
 
     def _losses(self, scorer: Scorer) -> Losses:
-        """Errors: BundleCorrupt where packing changes maps or scores too much."""
-        stored = sum(self._stored_bytes(name) for name in self.model.bank.arrays)
+        """Measure what the smaller bank costs. Errors: BundleCorrupt where packing changes maps or scores too much."""
+        stored = sum(self._count_bytes(name) for name in self.model.bank.arrays)
         used = sum(array.nbytes for array in self.model.bank.arrays.values())
         if not self.model.bank.packing:
             return Losses(self._reduction(), 0.0, 0.0, 1.0, stored, used)
@@ -172,8 +172,8 @@ class _Import:
         files = bundle_files(
             self._facts(*placeholders(), None), self.graphs, whole.bank, (), backbone=self.model.trunk.id
         )
-        full = self._compared(Scorer(Fitted(*files).bundle(), self.config.threads))
-        packed = self._compared(scorer)
+        full = self._score_presses(Scorer(Fitted(*files).bundle(), self.config.threads))
+        packed = self._score_presses(scorer)
         stages = [
             Stage("map of the packed bank", full.score_map, packed.score_map, "map", PACKED_MOST),
             Stage("score of the packed bank", full.score, packed.score, "score", PACKED_MOST),
@@ -188,15 +188,15 @@ class _Import:
         order = rank_correlation(full.score, packed.score)
         return Losses(self._reduction(), of_score, of_map, order, stored, used)
 
-    def _compared(self, scorer: Scorer) -> ScoreMaps:
-        """Maps and scores of the presses that are compared."""
+    def _score_presses(self, scorer: Scorer) -> ScoreMaps:
+        """Score the presses that are compared."""
         scored = [scorer.score(frame) for frame in self.presses.frames[:COMPARED_PRESSES]]
         return ScoreMaps(
-            np.stack([one.score_map for one in scored]).astype(np.float64),
-            np.array([one.anomaly_score for one in scored]),
+            np.stack([press.score_map for press in scored]).astype(np.float64),
+            np.array([press.anomaly_score for press in scored]),
         )
 
-    def _stored_bytes(self, name: str) -> int:
+    def _count_bytes(self, name: str) -> int:
         packed = pack(self.model.bank.arrays[name], self.model.bank.packing.get(name, "none"))
         return packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes)
 
@@ -221,7 +221,7 @@ class _Import:
             return given_threshold(self.model.threshold, config.alpha)
         return given_threshold(config.threshold, config.alpha)
 
-    def _fitted(self, facts: Facts, golden: Any) -> Fitted:
+    def _make_files(self, facts: Facts, golden: Any) -> Fitted:
         files = bundle_files(
             facts,
             self.graphs,
@@ -242,7 +242,7 @@ class _Import:
             facts={
                 "backbone": dict(model.trunk.facts),
                 LICENCE: config.licence,
-                "imported": self._imported(losses),
+                "imported": self._describe_import(losses),
                 "warnings": [],
             },
             profile=ProfileEntry.of(config.profile),
@@ -255,10 +255,10 @@ class _Import:
             provenance=provenance(self.created, self.presses, None, self.warnings),
         )
 
-    def _imported(self, losses: Losses | None) -> Mapping[str, Any]:
-        found: dict[str, Any] = {"source": self.model.source, "file": self.source.name, **self.model.facts}
-        found["says"] = list(self.model.says)
+    def _describe_import(self, losses: Losses | None) -> Mapping[str, Any]:
+        facts: dict[str, Any] = {"source": self.model.source, "file": self.source.name, **self.model.facts}
+        facts["says"] = list(self.model.says)
         if losses is not None:
-            found["losses"] = losses.words()
-            found["file_sha256"] = file_sha256(self.source)
-        return found
+            facts["losses"] = losses.words()
+            facts["file_sha256"] = file_sha256(self.source)
+        return facts

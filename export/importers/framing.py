@@ -43,7 +43,7 @@ class Framing:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the model sees the frame as it is."""
+        """True where the model sees the frame without resize and crop."""
         return self.size == self.frame and (self.resize or self.frame) == self.frame
 
     @property
@@ -53,13 +53,13 @@ class Framing:
         return self.size[0] * self.size[1] / (resized[0] * resized[1])
 
     def matrix(self, axis: int) -> NDArray[np.float64]:
-        """One axis from frame to input: (input pixels, frame pixels)."""
+        """Map one axis from frame to input: (input pixels, frame pixels)."""
         resized = (self.resize or self.frame)[axis]
         first, count = self._first(axis), self.size[axis]
         return resizing_matrix(self.frame[axis], resized, self.is_antialiased)[first : first + count]
 
     def back(self, axis: int) -> NDArray[np.float64]:
-        """One axis of a map of the input drawn in the frame: (frame pixels, input pixels). Beyond the crop the map's
+        """Draw one axis of a map of the input in the frame: (frame pixels, input pixels). Beyond the crop the map's
         border is repeated."""
         pixels, count = self.frame[axis], self.size[axis]
         resized = (self.resize or self.frame)[axis]
@@ -76,7 +76,7 @@ class Framing:
 
 
 def resizing_matrix(pixels: int, onto: int, is_antialiased: bool) -> NDArray[np.float64]:
-    """One axis of a bilinear resize, (onto, pixels); each row sums to 1. Antialiased: the triangle widens with the
+    """Resize one axis bilinearly, (onto, pixels); each row sums to 1. Antialiased: the triangle widens with the
     scale where the picture shrinks."""
     scale = pixels / onto
     if not is_antialiased or scale <= 1:

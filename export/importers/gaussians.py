@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from export.reading.foreign import float32
 
-__all__ = ["Reduced", "distances_both_ways", "reduced"]
+__all__ = ["Reduced", "distances_both_ways", "reduce_matrices"]
 
 # A direction whose squared distance would change by less than this part counts as ridge: far below what a score shows.
 CUT = 1e-3
@@ -52,10 +52,10 @@ class Reduced:
         )
 
 
-def reduced(
+def reduce_matrices(
     dense: Dense, count: int, is_inverse: bool, rank: int | None, ridge: float | None, path: Path, name: str
 ) -> Reduced:
-    """The thin form of `count` symmetric matrices (d, d), ridge included.
+    """Find the thin form of `count` symmetric matrices (d, d), ridge included.
 
     dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
     diagonal; None finds it. Errors: ConfigError for matrices that are no covariances.
@@ -74,7 +74,7 @@ def reduced(
         order = order[:, :keep]
         values.append(np.take_along_axis(spread, order, axis=1))
         rows.append(float32(np.take_along_axis(vectors, order[:, None, :], axis=2).swapaxes(1, 2)))
-    return Reduced(_padded(rows), _padded_weights(values, bottom), bottom, needed, loss)
+    return Reduced(_pad(rows), _pad_weights(values, bottom), bottom, needed, loss)
 
 
 def _spectrum(
@@ -96,7 +96,7 @@ def _spectrum(
 
 
 def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDArray[np.float64]:
-    """How far from 1 an eigenvalue over the ridge may be and still count as ridge, (m, 1)."""
+    """Limit how far from 1 an eigenvalue over the ridge may be and still count as ridge, (m, 1)."""
     condition = spread.max(axis=1, keepdims=True) / ridge
     digit = np.finfo(dtype if dtype.kind == "f" else np.float64).epsneg
     return np.asarray(np.maximum(CUT, ROUNDINGS * digit * condition), np.float64)
@@ -114,15 +114,15 @@ def _ridge(dense: Dense, count: int, is_inverse: bool) -> float:
     return float(np.nanmedian(np.where(spread <= limits, spread, np.nan)))
 
 
-def _padded(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+def _pad(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     """Blocks of different ranks as one array, with directions of zeros."""
-    rank = max(one.shape[1] for one in rows)
-    return np.concatenate([np.pad(one, ((0, 0), (0, rank - one.shape[1]), (0, 0))) for one in rows])
+    rank = max(block.shape[1] for block in rows)
+    return np.concatenate([np.pad(block, ((0, 0), (0, rank - block.shape[1]), (0, 0))) for block in rows])
 
 
-def _padded_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.float32]:
-    rank = max(one.shape[1] for one in values)
-    padded = [np.pad(one, ((0, 0), (0, rank - one.shape[1])), constant_values=ridge) for one in values]
+def _pad_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.float32]:
+    rank = max(block.shape[1] for block in values)
+    padded = [np.pad(block, ((0, 0), (0, rank - block.shape[1])), constant_values=ridge) for block in values]
     return (1 / np.concatenate(padded)).astype(np.float32)
 
 

@@ -13,7 +13,7 @@ from edge.model.onnx_validation import GraphRefused
 from edge.model.session import open_session
 from export.importers.contract import Settings
 
-__all__ = ["Given", "given_trunk"]
+__all__ = ["Given", "cut_given_trunk"]
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Given:
     grid: Grid
 
 
-def given_trunk(settings: Settings, path: Path, taps: Sequence[str], why: str) -> Given:
-    """Errors: ConfigError where no trunk was given or it lacks a tap."""
+def cut_given_trunk(settings: Settings, path: Path, taps: Sequence[str], why: str) -> Given:
+    """Cut the trunk at these taps. Errors: ConfigError where no trunk was given or it lacks a tap."""
     trunk = settings.given_trunk(path, why)
     try:
         graph = cut_trunk(trunk.graph, tuple(taps))

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Grid, Nominal, Packing
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings
-from export.importers.given_trunk import Given, given_trunk
-from export.reading.foreign import Foreign, checked_array, float32
+from export.importers.given_trunk import Given, cut_given_trunk
+from export.reading.foreign import Foreign, check_array, float32
 from plugins.detectors.common.descriptor import BINS
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
@@ -35,7 +35,7 @@ POINTS = ("nominal_points", "points", "rows", "patches")
 PLACE_WEIGHT = 5.0
 
 
-def _packed(settings: Settings, *names: str) -> dict[str, Packing]:
+def _choose_packing(settings: Settings, *names: str) -> dict[str, Packing]:
     return {} if settings.packing == "none" else dict.fromkeys(names, settings.packing)
 
 
@@ -45,7 +45,7 @@ class SpadeFeatures:
     name = "spade_features"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
+        """Say what the file is, None for other files."""
         layers = _layers(file.table())
         if not layers:
             return None
@@ -60,14 +60,14 @@ class SpadeFeatures:
         if not layers:
             raise ConfigError(f"{file.path} holds no features by layer; see `gelgate export detect`")
         taps = (*layers, "avgpool") if "avgpool" in file.table() else layers
-        given = given_trunk(settings, file.path, taps, "features of presses alone")
+        given = cut_given_trunk(settings, file.path, taps, "features of presses alone")
         features = {tap: _features(file.path, tap, file.table()[tap], given.grid) for tap in taps}
-        counts = {tap: len(found) for tap, found in features.items()}
+        counts = {tap: len(maps) for tap, maps in features.items()}
         if len(set(counts.values())) != 1:
             raise ConfigError(
                 f"{file.path}: the layers have different numbers of presses: {counts}; one number was expected"
             )
-        is_normalised = _normalised(file.path, settings, features[layers[0]])
+        is_normalised = _is_unit_length(file.path, settings, features[layers[0]])
         k = settings.value("neighbours", int, 5)
         parameters = spade.parameters(
             "paper",
@@ -95,7 +95,7 @@ class FapmPickle:
     name = "fapm_pickle"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
+        """Say what the file is, None for other files."""
         if not all(key in file.table() for key in FAPM_KEYS):
             return None
         fields = {key: str(np.shape(file.table()[key])) for key in FAPM_KEYS}
@@ -104,7 +104,7 @@ class FapmPickle:
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Settings: `layers`, `neighbours`. Errors: as `Importer`."""
         fine, coarse = settings.value("layers", tuple, ("layer2", "layer3"))
-        given = given_trunk(settings, file.path, (fine, coarse), "prototypes alone")
+        given = cut_given_trunk(settings, file.path, (fine, coarse), "prototypes alone")
         arrays: dict[str, NDArray[Any]] = {}
         kinds = set()
         for tap, end, side in ((fine, "f", 4), (coarse, "c", 2)):
@@ -117,7 +117,7 @@ class FapmPickle:
             "paper", layers=(fine, coarse), banks=kinds.pop(), neighbours=settings.value("neighbours", int, 4)
         )
         names = [name for name in arrays if name.endswith(("_near", "_far"))]
-        bank = Bank(arrays, _packed(settings, *names))
+        bank = Bank(arrays, _choose_packing(settings, *names))
         says = ("coarse distances are added in the release's order of rows (fusion=rows)",)
         return _imported(
             "fapm",
@@ -136,7 +136,7 @@ class InreachPoints:
     name = "inreach_points"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
+        """Say what the file is, None for other files."""
         points = _points(file)
         if points is None:
             return None
@@ -151,18 +151,18 @@ class InreachPoints:
             raise ConfigError(
                 f"{file.path} holds no points of {BINS} or {BINS + 2} numbers; see `gelgate export detect`"
             )
-        points = float32(checked_array(file.path, "nominal points", points, None, points.shape[1]))
+        points = float32(check_array(file.path, "nominal points", points, None, points.shape[1]))
         weight = settings.value("position_weight", float, PLACE_WEIGHT if points.shape[1] > BINS else 0.0)
         if (weight > 0) != (points.shape[1] > BINS):
             raise ConfigError(
                 f"{file.path}: points of {points.shape[1]} numbers and position_weight={weight} do not fit together"
             )
         parameters = inreach.parameters("paper", position_weight=weight, packing=settings.packing)
-        given = given_trunk(settings, file.path, parameters.taps, "nominal points alone")
+        given = cut_given_trunk(settings, file.path, parameters.taps, "nominal points alone")
         mean = points[:, :BINS].mean(axis=0, dtype=np.float64).astype(np.float32)
         rows = points.copy()
         rows[:, :BINS] -= mean
-        bank = Bank({"bank": rows, "mean": mean}, _packed(settings, "bank"))
+        bank = Bank({"bank": rows, "mean": mean}, _choose_packing(settings, "bank"))
         head = inreach.head(given.grid, bank, parameters)
         return _imported(
             "inreach",
@@ -204,21 +204,21 @@ def _features(path: Path, tap: str, value: Any, grid: Grid) -> NDArray[np.float3
     """A layer's features (n, c, h, w), from one array or a list of arrays. Errors: ConfigError."""
     c, h, w = grid.taps[tap]
     if isinstance(value, list):
-        if not value or not all(isinstance(one, np.ndarray) for one in value):
+        if not value or not all(isinstance(part, np.ndarray) for part in value):
             raise ConfigError(
                 f"{path}: '{tap}' is a list without arrays, one array of features per press was expected"
             )
-        parts = [one[None] if one.ndim == 3 else one for one in value]
-        if len({one.shape[1:] for one in parts}) != 1:
+        parts = [part[None] if part.ndim == 3 else part for part in value]
+        if len({part.shape[1:] for part in parts}) != 1:
             raise ConfigError(f"{path}: '{tap}' has presses of different shapes; one shape was expected")
         value = np.concatenate(parts)
     if tap == "avgpool" and value.ndim == 2:
         value = value[:, :, None, None]
-    return float32(checked_array(path, tap, value, None, c, h, w))
+    return float32(check_array(path, tap, value, None, c, h, w))
 
 
-def _normalised(path: Path, settings: Settings, features: NDArray[np.float32]) -> bool:
-    """Whether descriptors are divided by their length. Errors: ConfigError where nothing says so."""
+def _is_unit_length(path: Path, settings: Settings, features: NDArray[np.float32]) -> bool:
+    """Tell whether descriptors are divided by their length. Errors: ConfigError where nothing says so."""
     lengths = np.sqrt(np.einsum("nchw,nchw->nhw", features, features))
     if "is_normalised" in settings.values:
         return bool(settings.value("is_normalised", bool, False))
@@ -250,21 +250,21 @@ def _prototypes(
     kind, places = "", []
     for name, members in (("near", ~selector), ("far", selector)):
         field = f"final_{name}_core_{end}"
-        found = file.array(field)
+        core = file.array(field)
         if (
-            found.ndim not in (3, 4)
-            or found.shape[0] != CELLS * CELLS
-            or found.shape[-1] != c
-            or (found.ndim == 4 and found.shape[1] != side * side)
+            core.ndim not in (3, 4)
+            or core.shape[0] != CELLS * CELLS
+            or core.shape[-1] != c
+            or (core.ndim == 4 and core.shape[1] != side * side)
         ):
             raise ConfigError(
-                f"{file.path}: '{field}' is {found.shape}, ({CELLS * CELLS}, any, {c}) or "
+                f"{file.path}: '{field}' is {core.shape}, ({CELLS * CELLS}, any, {c}) or "
                 f"({CELLS * CELLS}, {side * side}, any, {c}) was expected"
             )
-        kind = "cell" if found.ndim == 3 else "location"
+        kind = "cell" if core.ndim == 3 else "location"
         if not members.any():
             continue
-        rows = float32(found[members]).reshape(-1, *found.shape[-2:])
+        rows = float32(core[members]).reshape(-1, *core.shape[-2:])
         mean = rows.mean(axis=1, dtype=np.float64).astype(np.float32)
         where = _places(side, w)[members].reshape(len(rows), -1)
         arrays[f"{tap}_{name}"], arrays[f"{tap}_{name}_mean"] = rows - mean[:, None], mean
@@ -279,22 +279,22 @@ def _places(side: int, width: int) -> NDArray[np.int64]:
     cell, inside = np.arange(CELLS), np.arange(side)
     rows = cell[:, None, None, None] * side + inside[None, None, :, None]
     columns = cell[None, :, None, None] * side + inside[None, None, None, :]
-    found: NDArray[np.int64] = (rows * width + columns).reshape(CELLS * CELLS, side * side).astype(np.int64)
-    return found
+    places: NDArray[np.int64] = (rows * width + columns).reshape(CELLS * CELLS, side * side).astype(np.int64)
+    return places
 
 
 def _points(file: Foreign) -> NDArray[Any] | None:
     content = file.content
-    found = (
+    points = (
         content
         if isinstance(content, np.ndarray)
         else next((file.table()[n] for n in POINTS if n in file.table()), None)
     )
     if (
-        isinstance(found, list)
-        and found
-        and all(isinstance(one, np.ndarray) and one.ndim == 1 for one in found)
+        isinstance(points, list)
+        and points
+        and all(isinstance(point, np.ndarray) and point.ndim == 1 for point in points)
     ):
-        found = np.stack(found) if len({one.shape for one in found}) == 1 else None
-    is_bank = isinstance(found, np.ndarray) and found.ndim == 2 and found.shape[1] in (BINS, BINS + 2)
-    return np.asarray(found) if is_bank else None
+        points = np.stack(points) if len({point.shape for point in points}) == 1 else None
+    is_bank = isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] in (BINS, BINS + 2)
+    return np.asarray(points) if is_bank else None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Packing
 from edge.core.errors import ConfigError
-from export.importers.gaussians import Reduced, distances_both_ways, reduced
+from export.importers.gaussians import Reduced, distances_both_ways, reduce_matrices
 from export.importers.heads import MapSteps, padim_head
 from export.reading.foreign import float32
 from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
@@ -53,7 +53,7 @@ class PadimParts:
 def padim_parts(
     given: Gaussians, grid: Grid, steps: MapSteps, rank: int | None, packing: Packing
 ) -> PadimParts:
-    """Errors: ConfigError for channels or cells that the taps do not have, or matrices that are no covariances."""
+    """Make the parts of a PaDiM bundle. Errors: ConfigError for channels, cells or matrices that do not fit."""
     order, embedding = _embedding(given, grid)
     if given.mean.shape[0] != embedding.count:
         raise ConfigError(
@@ -64,7 +64,9 @@ def padim_parts(
     def dense(part: slice) -> NDArray[Any]:
         return np.asarray(given.dense(part))[:, order][:, :, order]
 
-    thin = reduced(dense, embedding.count, given.is_inverse, rank, given.ridge, given.path, given.name)
+    thin = reduce_matrices(
+        dense, embedding.count, given.is_inverse, rank, given.ridge, given.path, given.name
+    )
     mean = float32(given.mean[:, order])
     arrays = {**embedding.arrays, "mean": mean, "basis": thin.basis, "weights": thin.weights}
     packed: dict[str, Packing] = {} if packing == "none" else {"basis": packing}
@@ -91,7 +93,13 @@ def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embeddi
         arrays[f"channels_{tap}"] = chosen[(chosen >= first) & (chosen < first + count)] - first
         first += count
     choice = EmbeddingChoice(
-        given.layers, given.layers[0], "random", len(chosen), False, False, tuple(int(one) for one in chosen)
+        given.layers,
+        given.layers[0],
+        "random",
+        len(chosen),
+        False,
+        False,
+        tuple(int(channel) for channel in chosen),
     )
     return order, Embedding(choice, grid, arrays)
 

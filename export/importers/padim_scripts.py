@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
-from export.importers.given_trunk import given_trunk
+from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps
 from export.importers.padim_parts import Gaussians, padim_parts
-from export.reading.foreign import Foreign, checked_array
+from export.reading.foreign import Foreign, check_array
 
-__all__ = ["drawn_channels", "padim_pickle"]
+__all__ = ["draw_channels", "padim_pickle"]
 
 LAYERS = ("layer1", "layer2", "layer3")
 SIGMA_PX = 4.0
@@ -36,7 +36,7 @@ class PadimPickle:
     name = "padim_pickle"
 
     def recognised(self, file: Foreign) -> Recognised | None:
-        """What the file is, None for other files."""
+        """Say what the file is, None for other files."""
         parts = _parts(file)
         if parts is None:
             return None
@@ -52,12 +52,12 @@ class PadimPickle:
             raise ConfigError(
                 f"{file.path} holds no mean and covariance of PaDiM; see `gelgate export detect`"
             )
-        mean = checked_array(file.path, "mean", parts[0], None, None)
-        cov = checked_array(file.path, "covariance", parts[1], None, None, None)
+        mean = check_array(file.path, "mean", parts[0], None, None)
+        cov = check_array(file.path, "covariance", parts[1], None, None, None)
         d, places = mean.shape
         dense = _dense(file.path, cov, d, places, _ridge_again(file.path, settings))
         layers = tuple(settings.value("layers", tuple, LAYERS))
-        given = given_trunk(settings, file.path, layers, "means and covariances alone")
+        given = cut_given_trunk(settings, file.path, layers, "means and covariances alone")
         total = sum(given.grid.taps[tap][0] for tap in layers)
         channels, words = _channels(file.path, parts[2], settings, d, total)
         gaussians = Gaussians(file.path, "covariance", layers, channels, mean.T, dense, is_inverse=False)
@@ -89,17 +89,17 @@ def _parts(file: Foreign) -> tuple[Any, Any, Any] | None:
     """Mean, covariance and channels or None, of a list or a table."""
     content, table = file.content, file.table()
     if isinstance(content, list) and len(content) in (2, 3):
-        found = (*content, None)[:3]
+        parts = (*content, None)[:3]
     else:
-        found = tuple(
+        parts = tuple(
             next((table[name] for name in names if name in table), None)
             for names in (MEANS, COVARIANCES, CHANNELS)
         )
-    mean, cov = found[:2]
+    mean, cov = parts[:2]
     is_padim = (
         isinstance(mean, np.ndarray) and isinstance(cov, np.ndarray) and mean.ndim == 2 and cov.ndim == 3
     )
-    return (found[0], found[1], found[2]) if is_padim else None
+    return (parts[0], parts[1], parts[2]) if is_padim else None
 
 
 def _dense(path: Path, cov: NDArray[Any], d: int, places: int, again: float) -> Any:
@@ -112,8 +112,8 @@ def _dense(path: Path, cov: NDArray[Any], d: int, places: int, again: float) -> 
     ridge = again * np.eye(d)
 
     def dense(part: slice) -> NDArray[Any]:
-        one = cov[:, :, part].transpose(2, 0, 1) if is_last else cov[part]
-        return np.asarray(one, np.float64) + ridge
+        matrices = cov[:, :, part].transpose(2, 0, 1) if is_last else cov[part]
+        return np.asarray(matrices, np.float64) + ridge
 
     return dense
 
@@ -127,8 +127,8 @@ def _ridge_again(path: Path, settings: Settings) -> float:
     return again
 
 
-def drawn_channels(total: int, count: int, seed: int = PORT_SEED) -> NDArray[np.int64]:
-    """The channels that the port draws: Python's `sample(range(total), count)` after `seed(1024)`."""
+def draw_channels(total: int, count: int, seed: int = PORT_SEED) -> NDArray[np.int64]:
+    """Draw channels as the port does: Python's `sample(range(total), count)` after `seed(1024)`."""
     return np.array(random.Random(seed).sample(range(total), count), np.int64)
 
 
@@ -137,14 +137,14 @@ def _channels(
 ) -> tuple[NDArray[np.int64], str]:
     given = settings.values.get("channels")
     if given is not None:
-        return checked_array(path, "channels", given, count).astype(np.int64), "channels as given"
+        return check_array(path, "channels", given, count).astype(np.int64), "channels as given"
     if stored is not None:
-        return checked_array(path, "channels", stored, count).astype(np.int64), "channels as stored"
+        return check_array(path, "channels", stored, count).astype(np.int64), "channels as stored"
     if count > total:
         raise ConfigError(
             f"{path}: 'mean' has {count} channels, the taps have {total}; name the trunk of the training"
         )
-    return drawn_channels(total, count), (
+    return draw_channels(total, count), (
         f"the file does not store its channels: taken are the port's, random.seed({PORT_SEED}) and "
         f"sample(range({total}), {count}); other ones by --channels FILE"
     )

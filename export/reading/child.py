@@ -18,7 +18,7 @@ import numpy as np
 from export.reading.files import read_here
 from export.reading.foreign import Content, Record
 
-__all__ = ["decoded", "encoded", "main"]
+__all__ = ["decode", "encode", "main"]
 
 CLONE_NEWUSER, CLONE_NEWNET = 0x10000000, 0x40000000
 # Events of the interpreter (PEP 578) that reading a file needs no more once its code is loaded.
@@ -45,7 +45,7 @@ def main(file: Path, out: Path, memory_bytes: int, cpu_s: int, disk_bytes: int) 
     sys.addaudithook(_refuse)
     try:
         form, content = read_here(file)
-        written = {"form": form, "isolation": isolation, "values": encoded(content, out)}
+        written = {"form": form, "isolation": isolation, "values": encode(content, out)}
     except MemoryError:
         written = {"error": f"reading it needs more than the {memory_bytes >> 20} MiB allowed"}
     except OSError as error:
@@ -83,21 +83,21 @@ def _words(error: Exception) -> str:
     return f"it cannot be read ({type(error).__name__}: {text[:200]})"
 
 
-def encoded(content: Content, out: Path) -> list[list[Any]]:
-    """The values as one list in which containers refer to others by their number; arrays are written as files."""
+def encode(content: Content, out: Path) -> list[list[Any]]:
+    """List the values, where containers refer to others by their number; arrays are written as files."""
     numbers: dict[int, int] = {}
-    found: list[Any] = []
+    values: list[Any] = []
 
     def number(value: Content) -> int:
         if id(value) not in numbers or not isinstance(value, dict | list | Record | np.ndarray):
-            numbers[id(value)] = len(found)
-            found.append(value)
+            numbers[id(value)] = len(values)
+            values.append(value)
         return numbers[id(value)]
 
     number(content)
     rows: list[list[Any]] = []
-    while len(rows) < len(found):
-        rows.append(_row(found[len(rows)], len(rows), number, out))
+    while len(rows) < len(values):
+        rows.append(_row(values[len(rows)], len(rows), number, out))
     return rows
 
 
@@ -108,20 +108,20 @@ def _row(value: Content, at: int, number: Any, out: Path) -> list[Any]:
     if isinstance(value, Record):
         return ["r", value.kind, number(value.args), number(value.state)]
     if isinstance(value, dict):
-        return ["d", [[key, number(one)] for key, one in value.items()]]
+        return ["d", [[key, number(item)] for key, item in value.items()]]
     if isinstance(value, list):
-        return ["l", [number(one) for one in value]]
+        return ["l", [number(item) for item in value]]
     return ["f", repr(value)] if isinstance(value, float) else ["v", value]
 
 
-def decoded(rows: list[list[Any]], out: Path) -> Content:
-    """The inverse of `encoded`. Arrays are mapped from their files, read-only."""
+def decode(rows: list[list[Any]], out: Path) -> Content:
+    """Read back what `encode` gives. Arrays are mapped from their files, read-only."""
     values = [_empty(row, at, out) for at, row in enumerate(rows)]
     for row, value in zip(rows, values, strict=True):
         if row[0] == "d":
-            value.update({key: values[one] for key, one in row[1]})
+            value.update({key: values[at] for key, at in row[1]})
         elif row[0] == "l":
-            value.extend(values[one] for one in row[1])
+            value.extend(values[at] for at in row[1])
         elif row[0] == "r":
             value.args, value.state = values[row[2]], values[row[3]]
     return values[0]

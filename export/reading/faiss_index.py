@@ -18,7 +18,7 @@ MOST_WIDTH = 65_536
 
 
 def is_faiss(start: bytes) -> bool:
-    """Whether a file begins as an index of faiss."""
+    """Tell whether a file begins as an index of faiss."""
     return start[:2] in (b"Ix", b"Iv", b"IH", b"IB")
 
 

@@ -21,7 +21,7 @@ MOST_BYTES = 8 << 30
 
 
 def form_of(start: bytes, name: str = "") -> str:
-    """What a file is, in words, by its first bytes; empty where they are of no known kind."""
+    """Say what a file is, by its first bytes; empty where they are of no known kind."""
     if is_archive(start):
         return "NumPy archive" if name.endswith(".npz") else "PyTorch archive"
     if is_stream(start):
@@ -38,7 +38,7 @@ def form_of(start: bytes, name: str = "") -> str:
 
 
 def read_here(path: Path) -> tuple[str, Content]:
-    """What the file is, and its content. Errors: ValueError in words; any error on foreign bytes."""
+    """Read what the file is, and its content. Errors: ValueError in words; any error on foreign bytes."""
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise ValueError(f"it has {size >> 20} MiB, {MOST_BYTES >> 20} MiB are allowed")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 
-__all__ = ["Content", "Foreign", "Record", "attributes", "checked_array", "described", "float32"]
+__all__ = ["Content", "Foreign", "Record", "attributes", "check_array", "describe", "float32"]
 
 # Squares of larger numbers overflow float32, in which a gateway scores.
 LARGEST = 1e15
@@ -51,21 +51,21 @@ class Foreign:
 
         Errors: ConfigError that names the file, the field, what was found and what was expected.
         """
-        return checked_array(self.path, name, self.table().get(name), *shape)
+        return check_array(self.path, name, self.table().get(name), *shape)
 
 
-def checked_array(path: Path, name: str, value: Content, *shape: int | None) -> NDArray[Any]:
-    """`value` as an array of real, finite numbers of that shape. Errors: as `Foreign.array`."""
-    if isinstance(value, list) and value and all(_is_number(one) for one in value):
+def check_array(path: Path, name: str, value: Content, *shape: int | None) -> NDArray[Any]:
+    """Give `value` as an array of real, finite numbers of that shape. Errors: as `Foreign.array`."""
+    if isinstance(value, list) and value and all(_is_number(item) for item in value):
         value = np.array(value)
     wanted = f"numbers of shape ({', '.join('any' if n is None else str(n) for n in shape)})"
     if not isinstance(value, np.ndarray):
-        raise ConfigError(f"{path}: '{name}' is {described(value)}, {wanted} were expected")
+        raise ConfigError(f"{path}: '{name}' is {describe(value)}, {wanted} were expected")
     fits = value.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, value.shape, strict=False)
     )
     if value.dtype.kind not in "fiub" or (shape and not fits):
-        raise ConfigError(f"{path}: '{name}' is {described(value)}, {wanted} were expected")
+        raise ConfigError(f"{path}: '{name}' is {describe(value)}, {wanted} were expected")
     if value.size == 0:
         raise ConfigError(
             f"{path}: '{name}' is empty; the model was saved before it was fitted, save it after the fit"
@@ -83,7 +83,7 @@ def _is_number(value: Content) -> bool:
 
 
 def float32(array: NDArray[Any]) -> NDArray[np.float32]:
-    """The same numbers in single precision, contiguous; those too small for it become 0."""
+    """Convert to single precision, contiguous; numbers too small for it become 0."""
     with np.errstate(under="ignore"):
         return np.ascontiguousarray(array, np.float32)
 
@@ -96,8 +96,8 @@ def attributes(value: Content) -> Mapping[Any, Content]:
     return state if isinstance(state, dict) else {}
 
 
-def described(value: Content) -> str:
-    """What a value is, in a few words, for messages."""
+def describe(value: Content) -> str:
+    """Say in a few words what a value is, for messages."""
     if isinstance(value, np.ndarray):
         return f"an array {value.dtype} {value.shape}"
     if isinstance(value, dict):

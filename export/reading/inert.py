@@ -67,15 +67,15 @@ class Inert(metaclass=_Sealed):
         self.items.append([key, value])
 
     def append(self, value: Any) -> None:
-        """Of a class that is a list."""
+        """Keep an item of a class that is a list."""
         self.items.append(value)
 
     def extend(self, values: Any) -> None:
-        """Of a class that is a list."""
+        """Keep the items of a class that is a list."""
         self.items.extend(values)
 
     def add(self, value: Any) -> None:
-        """Of a class that is a set."""
+        """Keep an item of a class that is a set."""
         self.items.append(value)
 
 
@@ -99,7 +99,7 @@ class Maker:
 
 
 def is_allowed(name: str) -> bool:
-    """Whether a record of that class may be in a file."""
+    """Tell whether a record of that class may be in a file."""
     return name in RECORD_NAMES or name.startswith(RECORDS)
 
 
@@ -132,7 +132,7 @@ def _table(*pairs: Any) -> dict[Any, Any]:
     return _Table(pairs[-1] if pairs and isinstance(pairs[-1], list | dict) else {})
 
 
-def _listed(*items: Any) -> list[Any]:
+def _make_list(*items: Any) -> list[Any]:
     return list(items[0]) if items and isinstance(items[0], list | tuple | set) else []
 
 
@@ -142,21 +142,21 @@ def _makers() -> dict[str, Any]:
         "torch._utils._rebuild_tensor_v2": TensorValue,
         "torch._utils._rebuild_tensor": TensorValue,
         "torch._utils._rebuild_parameter": _rebuild_parameter,
-        "torch.Size": _listed,
+        "torch.Size": _make_list,
         "collections.OrderedDict": _table,
         "collections.defaultdict": _table,
         "builtins.dict": _table,
-        **{f"{home}.{name}": _listed for home in ("builtins", "__builtin__") for name in ("set", "frozenset", "list")},
-    }  # fmt: skip
+        **{f"{a}.{b}": _make_list for a in ("builtins", "__builtin__") for b in ("set", "frozenset", "list")},
+    }
     for home in ("numpy.core", "numpy._core"):
         makers[f"{home}.multiarray._reconstruct"] = lambda *_: ArrayValue()
         makers[f"{home}.multiarray.scalar"] = lambda dtype, data=b"": _frombuffer(data, dtype, (), "C")
         makers[f"{home}.numeric._frombuffer"] = _frombuffer
-    found: dict[str, Any] = {name: Maker(make) for name, make in makers.items()}
-    found |= {"numpy.dtype": DtypeValue, "numpy.ndarray": ArrayValue}
+    names: dict[str, Any] = {name: Maker(make) for name, make in makers.items()}
+    names |= {"numpy.dtype": DtypeValue, "numpy.ndarray": ArrayValue}
     for name in DTYPES:
-        found[f"torch.{name}"] = found[f"torch.storage.{name}"] = StorageType(name)
-    return found
+        names[f"torch.{name}"] = names[f"torch.storage.{name}"] = StorageType(name)
+    return names
 
 
 class Unpickler(pickle.Unpickler):

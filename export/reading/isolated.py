@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from edge.core.errors import ConfigError
-from export.reading.child import decoded
+from export.reading.child import decode
 from export.reading.files import MOST_BYTES
 from export.reading.foreign import Foreign
 
@@ -24,7 +24,7 @@ BASE_S, S_PER_GIB = 60, 60
 
 @contextmanager
 def read_foreign(path: Path) -> Iterator[Foreign]:
-    """What a foreign file holds, for as long as the context lasts; its arrays are in a temporary folder.
+    """Read what a foreign file holds, for as long as the context lasts; its arrays are in a temporary folder.
 
     Errors: ConfigError that names the file and what it is instead.
     """
@@ -41,14 +41,14 @@ def read_foreign(path: Path) -> Iterator[Foreign]:
     with tempfile.TemporaryDirectory(prefix="gelgate-import-") as folder:
         out = Path(folder)
         _run(path, out, size)
-        found = json.loads((out / "content.json").read_text())
-        if "error" in found:
-            raise ConfigError(f"{path} was not imported: {found['error']}")
-        yield Foreign(path, found["form"], decoded(found["values"], out), found["isolation"])
+        answer = json.loads((out / "content.json").read_text())
+        if "error" in answer:
+            raise ConfigError(f"{path} was not imported: {answer['error']}")
+        yield Foreign(path, answer["form"], decode(answer["values"], out), answer["isolation"])
 
 
 def _run(path: Path, out: Path, size: int) -> None:
-    """Errors: ConfigError where the process ends without an answer."""
+    """Read the file in a process of its own. Errors: ConfigError where it ends without an answer."""
     seconds = BASE_S + S_PER_GIB * (size >> 30)
     limits = (BASE_BYTES + COPIES * size, seconds, COPIES * size + (64 << 20))
     command = [

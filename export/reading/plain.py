@@ -14,9 +14,9 @@ MOST_VALUES = 2_000_000
 """Values that one file may hold, far above a complete pickled network (30,000)."""
 
 
-def plain(found: Any) -> Any:
-    """The same as plain values, circles included. Errors: ValueError."""
-    return _Converter().run(found)
+def plain(value: Any) -> Any:
+    """Convert an object to plain values, circles included. Errors: ValueError."""
+    return _Converter().run(value)
 
 
 class _Converter:
@@ -28,51 +28,51 @@ class _Converter:
         self._kept: list[Any] = []
         self._left = MOST_VALUES
 
-    def run(self, found: Any) -> Any:
-        result = self._value(found)
+    def run(self, value: Any) -> Any:
+        result = self._value(value)
         while self._todo:
             source, target = self._todo.pop()
             self._fill(source, target)
         return result
 
-    def _value(self, found: Any) -> Any:
+    def _value(self, value: Any) -> Any:
         self._left -= 1
         if self._left < 0:
             raise ValueError(f"it holds more than {MOST_VALUES} values")
-        if found is None or isinstance(found, bool | float | str) or type(found) is int:
-            return found
-        if id(found) in self._done:
-            return self._done[id(found)]
-        self._kept.append(found)  # an id is one object's as long as it lives
-        made = self._made(found)
-        self._done[id(found)] = made
+        if value is None or isinstance(value, bool | float | str) or type(value) is int:
+            return value
+        if id(value) in self._done:
+            return self._done[id(value)]
+        self._kept.append(value)  # an id is one object's as long as it lives
+        made = self._make(value)
+        self._done[id(value)] = made
         return made
 
-    def _made(self, found: Any) -> Any:
-        if isinstance(found, TensorValue | ArrayValue):
-            array = found.array()
+    def _make(self, value: Any) -> Any:
+        if isinstance(value, TensorValue | ArrayValue):
+            array = value.array()
             return array if array.dtype.kind != "S" else array.astype(str).tolist()
-        if isinstance(found, bytes | bytearray):
-            return np.frombuffer(bytes(found), np.uint8)
+        if isinstance(value, bytes | bytearray):
+            return np.frombuffer(bytes(value), np.uint8)
         target: Any
-        if isinstance(found, Inert):
-            target = Record(type(found).kind)
-        elif isinstance(found, dict):
+        if isinstance(value, Inert):
+            target = Record(type(value).kind)
+        elif isinstance(value, dict):
             target = {}
-        elif isinstance(found, list | tuple | set | frozenset):
+        elif isinstance(value, list | tuple | set | frozenset):
             target = []
         else:
-            return Record(f"a {'dtype' if isinstance(found, DtypeValue) else 'reference'}")
-        self._todo.append((found, target))
+            return Record(f"a {'dtype' if isinstance(value, DtypeValue) else 'reference'}")
+        self._todo.append((value, target))
         return target
 
     def _fill(self, source: Any, target: Any) -> None:
         if isinstance(target, Record):
-            target.args = [self._value(one) for one in source.args]
+            target.args = [self._value(item) for item in source.args]
             target.state = self._value(source.state if source.state is not None else source.items or None)
         elif isinstance(target, dict):
             for key, value in source.items():
                 plain_key = key if isinstance(key, str | int | bool) else f"<{type(key).__name__}>"
                 target[plain_key] = self._value(value)
         else:
-            target.extend(self._value(one) for one in source)
+            target.extend(self._value(item) for item in source)

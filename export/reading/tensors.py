@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DTYPES", "ArrayValue", "DtypeValue", "Storage", "StorageType", "TensorValue", "widened"]
+__all__ = ["DTYPES", "ArrayValue", "DtypeValue", "Storage", "StorageType", "TensorValue", "widen"]
 
 # torch's storage classes and how their elements are stored; bfloat16 is the upper half of a float32.
 DTYPES = {
@@ -86,12 +86,10 @@ class TensorValue:
             raise ValueError(f"a tensor of sizes {self._size} exceeds its storage of {storage.count}")
         steps = [step * flat.itemsize for step in self._stride]
         view = np.lib.stride_tricks.as_strided(flat[:count] if not count else flat, self._size, steps)
-        return widened(
-            np.ascontiguousarray(view).reshape(self._size), DTYPES[storage.kind.name] == "bfloat16"
-        )
+        return widen(np.ascontiguousarray(view).reshape(self._size), DTYPES[storage.kind.name] == "bfloat16")
 
 
-def widened(array: NDArray[Any], is_bfloat16: bool = False) -> NDArray[Any]:
+def widen(array: NDArray[Any], is_bfloat16: bool = False) -> NDArray[Any]:
     """Half precision as float32, other numbers unchanged."""
     if is_bfloat16:
         return (array.astype(np.uint32) << 16).view(np.float32)
@@ -110,16 +108,16 @@ class DtypeValue:
         self._order = state[1]
 
     def dtype(self) -> np.dtype[Any]:
-        """Errors: ValueError for anything but plain numbers, or short texts of one byte per letter."""
+        """The dtype. Errors: ValueError for anything but plain numbers, or short texts of one byte per letter."""
         if not isinstance(self._text, str) or self._order not in ("<", ">", "|", "="):
             raise ValueError("an array's dtype is not plain")
         try:
-            found = np.dtype(self._text).newbyteorder(self._order)  # type: ignore[arg-type]  # one of the four
+            dtype = np.dtype(self._text).newbyteorder(self._order)  # type: ignore[arg-type]  # one of the four
         except TypeError as error:
             raise ValueError(f"no dtype is named {self._text!r:.20}") from error
-        if found.kind not in KINDS or found.fields is not None or found.itemsize > 64:
+        if dtype.kind not in KINDS or dtype.fields is not None or dtype.itemsize > 64:
             raise ValueError(f"an array of dtype {self._text!r:.20} holds no plain numbers")
-        return found
+        return dtype
 
 
 class ArrayValue:
@@ -147,4 +145,4 @@ class ArrayValue:
             raise ValueError(f"an array of shape {shape!r:.60} does not have its {len(data)} bytes")
         flat = np.frombuffer(data, dtype.dtype())
         native = flat.astype(flat.dtype.newbyteorder("="), copy=False)
-        return widened(native.reshape(shape, order="F" if is_fortran else "C"))
+        return widen(native.reshape(shape, order="F" if is_fortran else "C"))

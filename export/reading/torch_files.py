@@ -30,12 +30,12 @@ MOST_PICKLE_BYTES = 256 << 20
 
 
 def is_archive(start: bytes) -> bool:
-    """Whether a file begins as a zip archive."""
+    """Tell whether a file begins as a zip archive."""
     return start[:4] == b"PK\x03\x04"
 
 
 def is_stream(start: bytes) -> bool:
-    """Whether a file begins as PyTorch's older one."""
+    """Tell whether a file begins as PyTorch's older one."""
     return start.startswith(STREAM_START)
 
 
@@ -66,11 +66,11 @@ def read_archive(file: Any) -> Any:
                 raise ValueError(f"its storage {key!r:.20} is missing or cut short")
             return kind.array(archive.read(member))
 
-        def stored(pid: Any) -> Storage:
-            kind, key, count = _checked(pid)
+        def find_storage(pid: Any) -> Storage:
+            kind, key, count = _check_reference(pid)
             return Storage(kind, count, partial(elements, key, kind, count))
 
-        return _resolved(Unpickler(io.BytesIO(archive.read(f"{root}data.pkl")), stored, _NESTED).load())
+        return _resolve(Unpickler(io.BytesIO(archive.read(f"{root}data.pkl")), find_storage, _NESTED).load())
 
 
 def read_stream(file: Any) -> Any:
@@ -81,12 +81,12 @@ def read_stream(file: Any) -> Any:
     arrays: dict[str, NDArray[Any]] = {}
     kinds: dict[str, tuple[StorageType, int]] = {}
 
-    def stored(pid: Any) -> Storage:
-        kind, key, count = _checked(pid)
+    def find_storage(pid: Any) -> Storage:
+        kind, key, count = _check_reference(pid)
         kinds[key] = (kind, count)
         return Storage(kind, count, lambda: arrays[key])
 
-    found = Unpickler(file, stored, _NESTED).load()
+    value = Unpickler(file, find_storage, _NESTED).load()
     for key in Unpickler(file).load():
         kind, count = kinds[key]
         size = int.from_bytes(file.read(8), "little")
@@ -94,36 +94,36 @@ def read_stream(file: Any) -> Any:
         if size != count or len(data) != count * kind.itemsize:
             raise ValueError(f"its storage {key!r:.20} is cut short")
         arrays[key] = kind.array(data)
-    return _resolved(found)
+    return _resolve(value)
 
 
 def read_pickle(file: Any) -> Any:
     """The object of a plain pickle. Errors: as `read_archive`."""
-    return _resolved(Unpickler(file, None, _NESTED).load())
+    return _resolve(Unpickler(file, None, _NESTED).load())
 
 
-def _nested(data: Any) -> Any:
+def _read_nested(data: Any) -> Any:
     """A storage inside a plain pickle: PyTorch stores it there as a complete older file."""
     if not isinstance(data, bytes):
         raise ValueError("a tensor's bytes are missing")
-    found = read_archive(io.BytesIO(data)) if is_archive(data) else read_stream(io.BytesIO(data))
-    if not isinstance(found, Storage):
+    storage = read_archive(io.BytesIO(data)) if is_archive(data) else read_stream(io.BytesIO(data))
+    if not isinstance(storage, Storage):
         raise ValueError("a tensor's bytes hold no storage")
-    return found
+    return storage
 
 
-_NESTED = {"torch.storage._load_from_bytes": _nested}
+_NESTED = {"torch.storage._load_from_bytes": _read_nested}
 
 
-def _resolved(found: Any) -> Any:
+def _resolve(value: Any) -> Any:
     """Storages read at once, because their file closes; everything else later."""
-    if isinstance(found, Storage):
-        array = np.array(found.read())
-        return Storage(found.kind, found.count, lambda: array)
-    return plain(found)
+    if isinstance(value, Storage):
+        array = np.array(value.read())
+        return Storage(value.kind, value.count, lambda: array)
+    return plain(value)
 
 
-def _checked(pid: Any) -> tuple[StorageType, str, int]:
+def _check_reference(pid: Any) -> tuple[StorageType, str, int]:
     if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage":
         raise pickle.UnpicklingError("it refers to data that are no storage")
     _, kind, key, _, count = pid[:5]
@@ -133,7 +133,7 @@ def _checked(pid: Any) -> tuple[StorageType, str, int]:
 
 
 def _check_member(member: zipfile.ZipInfo) -> None:
-    """Errors: ValueError for a member that leaves the folder, or that is compressed as torch.save never does."""
+    """Refuse a member that leaves the folder, or is compressed as torch.save never does. Errors: ValueError."""
     path = PurePosixPath(member.filename)
     if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
         raise ValueError(f"its member '{member.filename[:60]}' leaves the archive's folder")

@@ -18,7 +18,7 @@ from export.graph_file import read_graph
 from export.normalised_scores import raw_scores
 from export.onnx_values import run_values
 from export.parity import Stage, compare
-from export.single_graph import Adapted, adapted
+from export.single_graph import Adapted, adapt
 
 EXPORTED = SMALL / "padim_onnx" / "model.onnx"
 LABELS = {"pred_score": "pred_label"}
@@ -29,7 +29,7 @@ ALIKE = 1e-5
 @pytest.fixture(scope="module")
 def ready() -> Adapted:
     """PaDiM of anomalib, adapted to its own pictures."""
-    return adapted(read_graph(EXPORTED), pictures(), None, "model.onnx")
+    return adapt(read_graph(EXPORTED), pictures(), None, "model.onnx")
 
 
 def test_scores_are_anomalibs_before_its_normalisation(ready: Adapted) -> None:
@@ -71,7 +71,7 @@ def test_a_bundle_carries_no_trace_of_the_exporters_machine(tmp_path: Path) -> N
         node.metadata_props.add(key="pkg.torch.onnx.stack_trace", value='File "/home/somebody/secret.py"')
         node.doc_string = "/home/somebody/secret.py"
 
-    graph = adapted(model.SerializeToString(), pictures()).graph
+    graph = adapt(model.SerializeToString(), pictures()).graph
 
     assert b"somebody" not in graph
 

@@ -18,8 +18,8 @@ from vqgan_states import random_vqgan
 from edge.core.errors import GelgateError
 from edge.model.bundle import Bundle
 from export.backbone import BackboneOptions, export_backbone
-from export.bundle_stages import compared_with
-from export.single_graph import GraphInput, adapted
+from export.bundle_stages import compare_bundle
+from export.single_graph import GraphInput, adapt
 from export.weights_file import read_weights
 
 MUTATIONS = int(os.environ.get("GELGATE_MUTATIONS", "12"))
@@ -73,11 +73,11 @@ def taps(path: Path) -> object:
 
 
 def stages(path: Path) -> object:
-    return compared_with(Bundle.in_memory(*tiny.tiny_files()), path)
+    return compare_bundle(Bundle.in_memory(*tiny.tiny_files()), path)
 
 
 def detector(path: Path) -> object:
-    return adapted(path.read_bytes(), FRAMES, GraphInput("0..1"))
+    return adapt(path.read_bytes(), FRAMES, GraphInput("0..1"))
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], object], Importer]] = {

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from edge.cli import build
 from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone
-from export.onnx_trunk import named_taps
+from export.onnx_trunk import name_taps
 from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.onnx_builder import Graph
 
@@ -64,7 +64,9 @@ def test_maps_stay_and_sequences_become_grids(saved: Path, tokens: int) -> None:
     saved.write_bytes(network(tokens=tokens))
     export = export_backbone(saved, None, dataclasses.replace(OWN, taps=taps(saved.read_bytes())))
     found = run(export.trunk, {"frames": FRAMES})
-    expected = run(saved.read_bytes(), {"image": apply_steps(IMAGENET, FRAMES).astype(np.float32)})["sequence"]
+    expected = run(saved.read_bytes(), {"image": apply_steps(IMAGENET, FRAMES).astype(np.float32)})[
+        "sequence"
+    ]
     assert found.keys() == {"early", "tokens"}
     np.testing.assert_allclose(found["early"], found["tokens"], atol=1e-5)
     grid = expected[:, tokens:].transpose(0, 2, 1).reshape(3, 4, 4, 4)
@@ -112,7 +114,7 @@ def test_weights_are_not_listed_as_taps(saved: Path) -> None:
 
 def test_names_of_taps() -> None:
     """NAME=VALUE, or the value's own name."""
-    assert named_taps(["layer1=/a/b", "c"]) == {"layer1": "/a/b", "c": "c"}
+    assert name_taps(["layer1=/a/b", "c"]) == {"layer1": "/a/b", "c": "c"}
 
 
 def test_the_command(saved: Path, tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from edge.core.errors import BundleMismatch, ConfigError, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
-from export.precision import Measured, Precisions, chosen, in_precision, measured
-from export.quantise import halved, layers, quantised
+from export.precision import Measured, Precisions, choose_precision, in_precision, measure_precisions
+from export.quantise import halved, layers, quantise_graph
 from plugins.onnx_builder import Graph
 
 RNG = np.random.default_rng(0)
@@ -60,7 +60,7 @@ def plain() -> Bundle:
 
 @pytest.fixture(scope="module")
 def found(plain: Bundle) -> Precisions:
-    return measured(plain, FRAMES)
+    return measure_precisions(plain, FRAMES)
 
 
 def test_every_precision_is_measured(plain: Bundle, found: Precisions) -> None:
@@ -76,7 +76,7 @@ def test_every_precision_is_measured(plain: Bundle, found: Precisions) -> None:
 
 def test_int8_is_in_the_graph_per_channel() -> None:
     """Weights are int8 with a scale for every output channel, the input and outputs are the same."""
-    model = onnx.load_from_string(quantised(network(), FRAMES))
+    model = onnx.load_from_string(quantise_graph(network(), FRAMES))
     arrays = {one.name: numpy_helper.to_array(one) for one in model.graph.initializer}
     weights = [array for array in arrays.values() if array.dtype == np.int8 and array.ndim == 4]
     assert len(weights) == 3
@@ -87,8 +87,10 @@ def test_int8_is_in_the_graph_per_channel() -> None:
 def test_sensitive_layers_stay_in_float_until_the_maps_agree() -> None:
     """A channel two thousand times larger hides the others in int8: the layers that are harmed stay in float."""
     hard = bundle(network(2000))
-    everything = module._Comparison(hard, FRAMES, ((), ()), 1).of("int8", quantised(network(2000), FRAMES))
-    result = measured(hard, FRAMES, threads=1).of("int8")
+    everything = module._Comparison(hard, FRAMES, ((), ()), 1).of(
+        "int8", quantise_graph(network(2000), FRAMES)
+    )
+    result = measure_precisions(hard, FRAMES, threads=1).of("int8")
     assert everything.map_difference > 0.05 >= result.map_difference
     assert 0 < len(result.in_float) < len(layers(network(2000)))
 
@@ -115,9 +117,9 @@ def test_int8_is_chosen_by_the_probe_the_clock_and_the_maps(
         made("float16", 1e-4, 10, 4),
         made("int8", int8_difference, int8_ms, 2),
     )
-    assert chosen(Precisions(results, exact, 0.05)).precision == expected
+    assert choose_precision(Precisions(results, exact, 0.05)).precision == expected
     for half in (made("float16", 0.02, 10, 4), made("float16", 0, 10, 8)):  # too rough; not smaller
-        assert chosen(Precisions((results[0], half), exact, 0.05)).precision == "float32"
+        assert choose_precision(Precisions((results[0], half), exact, 0.05)).precision == "float32"
 
 
 def test_the_new_bundle_scores_and_says_how_it_was_measured(plain: Bundle, found: Precisions) -> None:
@@ -145,7 +147,7 @@ def test_a_change_of_aupro_is_measured_where_masks_exist(plain: Bundle) -> None:
     """A bright square with its mask: float32 changes nothing."""
     damaged, mask = FRAMES[0].copy(), np.zeros((32, 32), bool)
     damaged[8:16, 8:16], mask[8:16, 8:16] = 255, True
-    rows = measured(plain, FRAMES, ([damaged], [mask])).results
+    rows = measure_precisions(plain, FRAMES, ([damaged], [mask])).results
     assert rows[0].aupro_change == 0
     assert abs(rows[1].aupro_change or 0) < 0.01
     assert rows[2].aupro_change is not None
@@ -155,9 +157,9 @@ def test_what_cannot_be_quantised(plain: Bundle, found: Precisions) -> None:
     """A bundle in int8 already, too few frames, a precision that could not be made."""
     again = Bundle.in_memory(*in_precision(plain, found, found.of("int8"), FRAMES))
     with pytest.raises(BundleMismatch, match="is quantised already"):
-        measured(again, FRAMES)
+        measure_precisions(again, FRAMES)
     with pytest.raises(FitError, match="3 nominal frames cannot calibrate"):
-        measured(plain, FRAMES[:3])
+        measure_precisions(plain, FRAMES[:3])
     with pytest.raises(FitError, match="has no int8: it breaks"):
         Precisions(found.results[:1], True, 0.05, ("it breaks",)).of("int8")
 

@@ -16,7 +16,7 @@ from edge.core.errors import ConfigError, FitError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from export.external_graph import WrapConfig, wrap_files
-from export.single_graph import Adapted, GraphInput, adapted
+from export.single_graph import Adapted, GraphInput, adapt
 
 RNG = np.random.default_rng(0)
 FRAMES = RNG.integers(100, 140, (6, 32, 32, 3), dtype=np.uint8)
@@ -79,7 +79,7 @@ def checked(ready: Adapted) -> Adapted:
 @pytest.mark.parametrize("batch", ["n", "1"])
 def test_an_export_of_anomalib_is_known_by_its_outputs(batch: str) -> None:
     """0..1 without a question, resized to its size; map and score are its own, in the region's size."""
-    ready = checked(adapted(anomalib_like(batch=batch), FRAMES))
+    ready = checked(adapt(anomalib_like(batch=batch), FRAMES))
     assert "an export of anomalib" in ready.found["input"]
     assert [one.domain for one in onnx.load_from_string(ready.graph).opset_import] == [""]
     bundle = wrap_files(ready.graph, presses(), CONFIG, created="").bundle()
@@ -91,12 +91,12 @@ def test_an_export_of_anomalib_is_known_by_its_outputs(batch: str) -> None:
 def test_what_the_file_does_not_show_is_asked_for() -> None:
     """A float input without a normalisation could be 0..1, 0..255 or normalised."""
     with pytest.raises(ConfigError, match=r"'image' is scaled; pass --input 0\.\.1"):
-        adapted(student_teacher(), FRAMES)
-    checked(adapted(student_teacher(), FRAMES, GraphInput("0..255")))
+        adapt(student_teacher(), FRAMES)
+    checked(adapt(student_teacher(), FRAMES, GraphInput("0..255")))
     with pytest.raises(ConfigError, match=r"--input is 0\.\.1, 0\.\.255, imagenet; found 'rgb'"):
-        adapted(student_teacher(), FRAMES, GraphInput("rgb"))
+        adapt(student_teacher(), FRAMES, GraphInput("rgb"))
     with pytest.raises(ConfigError, match=r"leave --input 0\.\.255 away"):
-        adapted(student_teacher(), FRAMES, GraphInput("0..255", mean=(0, 0, 0)))
+        adapt(student_teacher(), FRAMES, GraphInput("0..255", mean=(0, 0, 0)))
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_normalisation_inside_shows_the_scale(mean: str, words: str) -> None:
         <float[3, 1, 1] mean = {{{mean}}}>
         {{ y = Sub (x, mean)  z = Abs (y)  heat = ReduceMax <axes = [1], keepdims = 1> (z) }}
     """)
-    assert words in checked(adapted(graph, FRAMES)).found["input"]
+    assert words in checked(adapt(graph, FRAMES)).found["input"]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_a_normalisation_inside_shows_the_scale(mean: str, words: str) -> None:
 )
 def test_the_stated_scale_is_used(given: GraphInput, value: float) -> None:
     """Frames of level 204: 0.8, 204, or (0.8 - 0.5) / 0.1, less a half."""
-    ready = checked(adapted(student_teacher(), FRAMES, given))
+    ready = checked(adapt(student_teacher(), FRAMES, given))
     bundle = wrap_files(ready.graph, presses(), CONFIG, created="").bundle()
     assert Scorer(bundle).score(np.full((32, 32, 3), 204, np.uint8)).anomaly_score == pytest.approx(
         value, rel=1e-4
@@ -131,14 +131,12 @@ def test_the_stated_scale_is_used(given: GraphInput, value: float) -> None:
 
 def test_colours_last_and_bytes() -> None:
     """(n, h, w, 3) is found; a uint8 input needs no scale."""
-    assert (
-        "nhwc" in checked(adapted(student_teacher("n, h, w, 3"), FRAMES, GraphInput("0..1"))).found["input"]
-    )
+    assert "nhwc" in checked(adapt(student_teacher("n, h, w, 3"), FRAMES, GraphInput("0..1"))).found["input"]
     graph = parsed("""
         theirs (uint8[n, 3, 16, 16] x) => (float[n, 16, 16] heat)
         { y = Cast <to = 1> (x)  heat = ReduceMean <axes = [1], keepdims = 0> (y) }
     """)
-    assert "levels 0 to 255" in checked(adapted(graph, FRAMES)).found["input"]
+    assert "levels 0 to 255" in checked(adapt(graph, FRAMES)).found["input"]
 
 
 def test_scores_that_fall_with_damage_are_refused() -> None:
@@ -155,8 +153,8 @@ def test_scores_that_fall_with_damage_are_refused() -> None:
     with pytest.raises(
         FitError, match="scores fall where a press is damaged: a painted square lowers 6 of 6"
     ):
-        wrap_files(adapted(graph, FRAMES).graph, presses(), CONFIG, created="")
-    ready = checked(adapted(graph, FRAMES, GraphInput(is_negated=True)))
+        wrap_files(adapt(graph, FRAMES).graph, presses(), CONFIG, created="")
+    ready = checked(adapt(graph, FRAMES, GraphInput(is_negated=True)))
     manifest = wrap_files(ready.graph, presses(), CONFIG, created="").manifest
     assert manifest.threshold.value > 0
 
@@ -173,7 +171,7 @@ def test_limited_scores_and_blind_graphs_are_warned_of() -> None:
         }
     """)
     said = " ".join(
-        wrap_files(adapted(blind, FRAMES).graph, presses(), CONFIG, created="").manifest.provenance.warnings
+        wrap_files(adapt(blind, FRAMES).graph, presses(), CONFIG, created="").manifest.provenance.warnings
     )
     assert "a painted square raises 0 and lowers 0 of 6 nominal scores: whether higher" in said
     assert "100% of the nominal presses have one score" in said
@@ -189,7 +187,7 @@ def test_a_direction_that_changes_from_press_to_press_is_warned_of() -> None:
         }
     """)
     frames = np.stack([np.full_like(FRAMES[0], level) for level in (60, 70, 80, 170, 180, 190)])
-    ready = adapted(brightness, frames).graph
+    ready = adapt(brightness, frames).graph
 
     said = " ".join(wrap_files(ready, presses(frames), CONFIG, created="").manifest.provenance.warnings)
 
@@ -213,7 +211,7 @@ def test_a_direction_that_changes_from_press_to_press_is_warned_of() -> None:
 def test_graphs_that_cannot_be_wrapped(graph: bytes, given: GraphInput | None, words: str) -> None:
     """What is there and what is expected, in one sentence."""
     with pytest.raises(ConfigError, match=words):
-        adapted(graph, FRAMES, given)
+        adapt(graph, FRAMES, given)
 
 
 def test_an_unknown_operator_and_external_data_are_refused() -> None:
@@ -221,17 +219,17 @@ def test_an_unknown_operator_and_external_data_are_refused() -> None:
     model = onnx.load_from_string(anomalib_like())
     model.graph.node[0].domain = "com.example"
     with pytest.raises(ConfigError, match=r"refused: it uses the operator domain 'com\.example'"):
-        adapted(model.SerializeToString(), FRAMES)
+        adapt(model.SerializeToString(), FRAMES)
     model = onnx.load_from_string(anomalib_like())
     model.graph.node[0].op_type = "Subtract"
     with pytest.raises(
         ConfigError, match="not an ONNX graph that can be used: No Op registered for Subtract"
     ):
-        adapted(model.SerializeToString(), FRAMES)
+        adapt(model.SerializeToString(), FRAMES)
     model = onnx.load_from_string(anomalib_like())
     model.graph.initializer[0].data_location = onnx.TensorProto.EXTERNAL
     with pytest.raises(ConfigError, match="keeps tensors in an external file"):
-        adapted(model.SerializeToString(), FRAMES)
+        adapt(model.SerializeToString(), FRAMES)
 
 
 def test_the_command_adapts_compares_and_records(tmp_path: Path) -> None:

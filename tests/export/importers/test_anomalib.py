@@ -28,7 +28,7 @@ from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
 from export.reading.files import read_here
 from export.reading.foreign import Foreign
-from export.single_graph import adapted
+from export.single_graph import adapt
 
 PIXELS_PER_MM = 15.77
 # Scores of float32 graphs in another order of sums, relative to the largest: measured 2e-6 to 2e-5.
@@ -312,7 +312,7 @@ def test_new_files_of_the_installed_anomalib(tmp_path: Path) -> None:
                 {k: v for k, v in expected.items() if "map" not in k},
                 "exported_",
             )
-    wrapped = adapted(read_graph(made / "padim_onnx" / "model.onnx"), frames)
+    wrapped = adapt(read_graph(made / "padim_onnx" / "model.onnx"), frames)
     (score,) = run_values(wrapped.graph, ["score"], {"frames": frames}, "the adapted graph")
     expected = np.load(made / "padim.npz")["exported_score"].astype(np.float64)
     compare([Stage("score", expected, score, "score", ALIKE)]).raise_if_different()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from export.importers.gaussians import Reduced, reduced
+from export.importers.gaussians import Reduced, reduce_matrices
 
 RIDGE = 0.01
 PLACES, CHANNELS, PRESSES = 6, 60, 5
@@ -21,7 +21,7 @@ def covariances(largest: float) -> NDArray[np.float64]:
 
 
 def thin(matrices: NDArray[np.float32] | NDArray[np.float64], is_inverse: bool) -> Reduced:
-    return reduced(
+    return reduce_matrices(
         lambda part: matrices[part], PLACES, is_inverse, None, None, Path("padim.ckpt"), "inv_covariance"
     )
 

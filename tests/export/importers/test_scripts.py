@@ -22,7 +22,7 @@ from export.importers.amazon_patchcore import amazon_patchcore
 from export.importers.contract import Importer, Settings
 from export.importers.finding import importer_of
 from export.importers.memory_scripts import fapm_pickle, inreach_points, spade_features
-from export.importers.padim_scripts import drawn_channels, padim_pickle
+from export.importers.padim_scripts import draw_channels, padim_pickle
 from export.parity import Stage, compare, order_stage
 from export.reading.faiss_index import HEADER
 from export.reading.files import read_here
@@ -154,14 +154,14 @@ def test_the_seed_papers_second_ridge(tmp_path: Path) -> None:
 def test_the_ports_channels_are_drawn_again(tmp_path: Path) -> None:
     """The port stores no channels: those of Python's seed 1024 are taken, and the sentence says so."""
     trunk = toy_trunk(LAYERS)
-    channels = drawn_channels(24, 7)
+    channels = draw_channels(24, 7)
     mean, cov = fitted_padim(trunk, channels)
     path = stored(tmp_path, [mean.astype(np.float32), cov.astype(np.float32)])
 
     agree(padim_by_script(trunk, channels, mean, cov), padim_pickle, path, settings(trunk), frames(5, 1))
     assert "random.seed(1024)" in padim_pickle.imported(opened(path), settings(trunk)).says[0]
     random.seed(1024)
-    assert drawn_channels(1792, 550).tolist() == random.sample(range(1792), 550)
+    assert draw_channels(1792, 550).tolist() == random.sample(range(1792), 550)
 
 
 def spade_by_script(

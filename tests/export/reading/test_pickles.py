@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import ConfigError
-from export.reading.child import decoded, encoded
+from export.reading.child import decode, encode
 from export.reading.files import read_here
 from export.reading.foreign import Record
 from export.reading.inert import ForbiddenGlobal, Unpickler
@@ -98,7 +98,7 @@ def test_tables_and_lists_survive_the_way_between_processes(tmp_path: Path) -> N
     ring.append(ring)
     content = {"ring": ring, "array": np.arange(3.0), 7: Record("a.B", [1], {"x": 2.5})}
 
-    found = decoded(encoded(content, tmp_path), tmp_path)
+    found = decode(encode(content, tmp_path), tmp_path)
 
     assert found["ring"][:5] == ring[:5]
     assert found["ring"][5] is found["ring"]
