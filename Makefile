@@ -20,7 +20,7 @@ readme-picture: demo
 page-pictures: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python tests/support/page_pictures.py docs/images
 
-# The picture of accuracy against time in README.md, from the rows that `gelgate tradeoff` wrote.
+# The picture of accuracy against time in README.md, from the rows that `gelgate lab tradeoff` wrote.
 tradeoff: $(VENV)/.test
 	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 

@@ -18,7 +18,7 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 import typer
 
 from edge import registry
-from edge.cli import EXIT_MEANINGS, exit_code
+from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.cli.run import EXAMPLE
 from edge.config import Config
 from edge.core import errors
@@ -40,17 +40,17 @@ def cli_page() -> str:
 
 def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
     """Every command with its words, such as `gelgate gel show`."""
-    for name in registry.names("commands"):
+    for name in sorted(registry.names("commands"), key=place):
         verb = registry.command(name)
         if isinstance(verb, typer.Typer):
             for one in verb.registered_commands:
                 if one.callback is not None:
                     yield (
-                        f"gelgate {name} {one.name or one.callback.__name__.replace('_', '-')}",
+                        f"gelgate {place(name)} {one.name or one.callback.__name__.replace('_', '-')}",
                         one.callback,
                     )
         else:
-            yield f"gelgate {name}", verb
+            yield f"gelgate {place(name)}", verb
 
 
 def _exit_codes() -> Iterator[str]:

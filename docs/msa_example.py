@@ -79,7 +79,7 @@ def _score(operator: str, piece: str, repeat: int) -> float:
 
 
 def example() -> str:
-    """The report as `gelgate msa report` prints it."""
+    """The report as `gelgate lab msa report` prints it."""
     return plain_text("Measurement systems analysis", report(material(example_plan(), example_rows()), UTC))
 
 

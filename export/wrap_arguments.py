@@ -1,4 +1,4 @@
-"""The arguments and options that `gelgate wrap` alone has, each with its help."""
+"""The arguments and options that `gelgate bundle wrap` alone has, each with its help."""
 
 from pathlib import Path
 from typing import Annotated

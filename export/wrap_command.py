@@ -1,4 +1,4 @@
-"""`gelgate wrap`: a third party's graph becomes a bundle."""
+"""`gelgate bundle wrap`: a third party's graph becomes a bundle."""
 
 from functools import partial
 from pathlib import Path

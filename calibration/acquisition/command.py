@@ -1,4 +1,4 @@
-"""`gelgate acquire`: nominal presses one by one, until they are enough."""
+"""`gelgate bundle acquire`: nominal presses one by one, until they are enough."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

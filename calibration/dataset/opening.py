@@ -27,7 +27,7 @@ Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
 # Two columns with a header, file and specimen; file is a path below the root or a bare file name.
 SPECIMENS_FILE = "specimens.csv"
 
-# The summary of `gelgate simulate`; datasets of other origin have none.
+# The summary of `gelgate lab simulate`; datasets of other origin have none.
 SUMMARY_FILE = "dataset.json"
 DATASET_VERSION = 1
 
@@ -120,17 +120,18 @@ def _check_summary(root: Path) -> None:
         version, is_complete = found["version"], found["complete"]
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(
-            f"'{path}' is not a summary that 'gelgate simulate' wrote; restore it, or remove it if the pictures are "
+            f"'{path}' is not a summary that 'gelgate lab simulate' wrote; restore it, or remove it if the "
+            "pictures are "
             "of another origin"
         ) from None
     if version != DATASET_VERSION:
         raise DatasetError(
             f"dataset '{root}' has version {version!r}, this program reads version {DATASET_VERSION}; make it again "
-            "with 'gelgate simulate', or use the program that made it"
+            "with 'gelgate lab simulate', or use the program that made it"
         )
     if is_complete is not True:
         raise DatasetError(
-            f"dataset '{root}' is incomplete, because 'gelgate simulate' was interrupted; "
+            f"dataset '{root}' is incomplete, because 'gelgate lab simulate' was interrupted; "
             "give the same command again to finish it"
         )
 

@@ -15,7 +15,7 @@ from edge.core.errors import DatasetError
 
 __all__ = ["LabelledPress", "Split", "numbered", "parse_name", "split_by_specimen"]
 
-# <part>_<position>_s<specimen>_p<press>, as `gelgate simulate` writes it: at least three digits and two.
+# <part>_<position>_s<specimen>_p<press>, as `gelgate lab simulate` writes it: at least three digits and two.
 _NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
 
 
@@ -68,7 +68,7 @@ class Numbered(NamedTuple):
 
 
 def numbered(stem: str) -> Numbered | None:
-    """The parts of a file's stem as `gelgate simulate` writes it, None for any other name."""
+    """The parts of a file's stem as `gelgate lab simulate` writes it, None for any other name."""
     match = _NAME.fullmatch(stem)
     return Numbered(match["where"], match["specimen"], int(match["press"])) if match else None
 

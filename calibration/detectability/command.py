@@ -1,4 +1,4 @@
-"""`gelgate detectability`: the smallest damage that a bundle finds, in mm, at every place of the contact."""
+"""`gelgate lab detectability`: the smallest damage that a bundle finds, in mm, at every place of the contact."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,7 +59,7 @@ def detectability(
     from edge.model.bundle import Bundle
     from edge.model.detectability import detectability_lines
 
-    needs("studies", "gelgate detectability")
+    needs("studies", "gelgate lab detectability")
     settings = Settings(_kinds(kind), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
     found = _presses(loaded, sources, part, position, no_contact, resize, pattern)
@@ -159,7 +159,7 @@ def _make_folder(output: Path) -> None:
 
 
 def _say_written(bundle: Path, was_signed: bool) -> None:
-    typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate inspect` prints it")
+    typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate bundle inspect` prints it")
     if was_signed:
         _warn(f"the signature of {bundle} was of the bundle without a card and is removed: sign it again")
 

@@ -1,4 +1,4 @@
-"""`gelgate carry`: a bundle and a few presses on a new gel in, the bundle for that gel out."""
+"""`gelgate bundle carry`: a bundle and a few presses on a new gel in, the bundle for that gel out."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

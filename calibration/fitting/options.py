@@ -113,7 +113,7 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="A parameter of the detector; `gelgate docs parameters` lists them.",
+        help="A parameter of the detector; `gelgate station docs parameters` lists them.",
     ),
 ]
 Scattered = Annotated[bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")]

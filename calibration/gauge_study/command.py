@@ -1,4 +1,4 @@
-"""`gelgate msa`: plan a gauge study, run it on a station, and report it."""
+"""`gelgate lab msa`: plan a gauge study, run it on a station, and report it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -56,7 +56,7 @@ def plan(
     made = make_plan(known, who, repeats, secrets.randbits(32) if seed is None else seed, time.time_ns())
     output.write_text(made.text(), encoding="utf-8")
     typer.echo(
-        f"{len(made.order)} presses in {output}, seed {made.seed}; run them with `gelgate msa run {output}`"
+        f"{len(made.order)} presses in {output}, seed {made.seed}; run them with `gelgate lab msa run {output}`"
     )
 
 
@@ -83,12 +83,12 @@ def run(
     try:
         text = plan.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"plan {plan} cannot be read: {error}; `gelgate msa plan` makes one") from error
+        raise ConfigError(f"plan {plan} cannot be read: {error}; `gelgate lab msa plan` makes one") from error
     left = run_study(read_plan(text, plan), load_config(config), typer.echo)
     if left:
         typer.echo(f"{left} presses are left; the same command goes on with them")
     else:
-        typer.echo(f"the study is complete; report it with `gelgate msa report {plan} -c {config}`")
+        typer.echo(f"the study is complete; report it with `gelgate lab msa report {plan} -c {config}`")
 
 
 @msa.command()
@@ -132,7 +132,7 @@ def _stored(database: Path, study: str | None) -> "tuple[str, Sequence[StudyPres
 
     known = studies(database)
     if not known:
-        raise DatasetError(f"database {database} has no gauge study; `gelgate msa run` makes one")
+        raise DatasetError(f"database {database} has no gauge study; `gelgate lab msa run` makes one")
     chosen = known[-1][0] if study is None else study
     if study is not None and Path(study).is_file():
         chosen = read_plan(Path(study).read_text(encoding="utf-8"), study).study_id

@@ -117,6 +117,6 @@ def _largest(
         pressed = sum(map(len, cells.values()))
         raise DatasetError(
             f"{pressed} of {len(plan.order)} presses of the study have a score, and no 2 pieces were pressed twice by "
-            "2 operators; `gelgate msa run` goes on with the plan"
+            "2 operators; `gelgate lab msa run` goes on with the plan"
         )
     return best[0], operators, best[1]

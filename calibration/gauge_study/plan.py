@@ -117,7 +117,7 @@ def read_plan(text: str, where: Path | str) -> StudyPlan:
         return StudyPlan.model_validate_json(text)
     except ValidationError as error:
         raise ConfigError(
-            f"plan {where} cannot be used: {_first(error)}; `gelgate msa plan` makes one"
+            f"plan {where} cannot be used: {_first(error)}; `gelgate lab msa plan` makes one"
         ) from error
 
 

@@ -194,7 +194,7 @@ _KNOWN = (
 )
 _NOT_KNOWN = (
     "It is not known of every piece whether it is good or bad, so there is no effectiveness, no rate of misses and no "
-    "rate of false alarms: name bad pieces in `gelgate msa plan --bad`."
+    "rate of false alarms: name bad pieces in `gelgate lab msa plan --bad`."
 )
 
 

@@ -60,7 +60,7 @@ def prepared(
     if store.write("beginning a gauge study", begin) != plan.text():
         raise ConfigError(
             f"the plan of study {plan.study_id} was changed since it was begun; use the file as it was, or make a new "
-            "plan with `gelgate msa plan`"
+            "plan with `gelgate lab msa plan`"
         )
     rows = store.read("reading a gauge study", partial(study_presses.of_study, study_id=plan.study_id))
 

@@ -41,7 +41,7 @@ WAYS: Final[Mapping[str, str]] = {
     BEFORE: "bank and limit of the old gel, on the old gel",
     AGAIN: "as many presses on the new gel, bank and limit from them",
     "as it is": "bank and limit of the old gel",
-    "limit": "bank of the old gel, limit from the scores of 8 presses: what `gelgate carry` does",
+    "limit": "bank of the old gel, limit from the scores of 8 presses: what `gelgate bundle carry` does",
     "scaled limit": "bank of the old gel, its limit times the change of the median score",
     "tint, limit": "pictures with the tint of the old gel, by the two free gels; limit as under `limit`",
     "response, limit": "tint, and one gain for each colour from 8 presses; limit as under `limit`",

@@ -1,4 +1,4 @@
-"""`gelgate calibrate --simulator`: a real sensor's presses of a ball in, a sensor's file for the simulator out."""
+"""`gelgate lab calibrate --simulator`: a real sensor's presses of a ball in, a sensor's file for the simulator out."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -40,7 +40,7 @@ def calibrate(
     Ten to twenty presses, spread over the view, and a picture of the free gel.
 
     Each press is also simulated by a fit without it; the error inside contact is printed, in grey levels rms, and a
-    picture next to the file shows real, simulated and difference. `gelgate simulate --sensor FILE` reads the file.
+    picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE` reads the file.
     """
     from calibration.progress import progress
     from calibration.sensor_fit.calibrate import calibrate_sensor

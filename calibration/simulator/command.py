@@ -1,4 +1,4 @@
-"""`gelgate simulate`: scenes in, recordings or a dataset out."""
+"""`gelgate lab simulate`: scenes in, recordings or a dataset out."""
 
 import os
 from collections.abc import Iterator

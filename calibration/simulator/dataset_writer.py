@@ -110,7 +110,7 @@ def _summary(plans: Mapping[Scene, list[PressPlan]], seed: int) -> dict[str, obj
     }
     return {
         "version": DATASET_VERSION,
-        "source": "gelgate simulate",
+        "source": "gelgate lab simulate",
         "profile": "cropped_lr",
         "seed": seed,
         "mm_per_px": {"320x240": list(LR.mm_per_px), "1280x720": list(HR.mm_per_px)},

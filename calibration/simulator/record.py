@@ -134,7 +134,8 @@ def _claim(unfinished: Path, stamp: Mapping[str, object]) -> None:
         unfinished.is_dir() and all(path == part for path in unfinished.iterdir())
     ):
         raise RecordingError(
-            f"{unfinished} is not an unfinished recording of `gelgate simulate`, which needs this name; move it away"
+            f"{unfinished} is not an unfinished recording of `gelgate lab simulate`, which needs this name; "
+            "move it away"
         )
     try:
         unfinished.mkdir(parents=True, exist_ok=True)

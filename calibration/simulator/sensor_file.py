@@ -1,4 +1,4 @@
-"""A sensor's file: the colours, gel and noise of one sensor, as `gelgate calibrate` writes it and a scene names it.
+"""A sensor's file: the colours, gel and noise of one sensor, as `gelgate lab calibrate` writes it and a scene names it.
 
 One TOML file, `version = 1` on its first line. Columns and units are those of `SensorAppearance`.
 """

@@ -1,4 +1,4 @@
-"""Making recordings and datasets from scenes: the library behind `gelgate simulate`."""
+"""Making recordings and datasets from scenes: the library behind `gelgate lab simulate`."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`gelgate study all`: every study into one file of rows, then their pages, with the time that each took."""
+"""`gelgate lab study all`: every study into one file of rows, then their pages, with the time that each took."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

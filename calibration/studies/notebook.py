@@ -39,7 +39,7 @@ def good_fraction(
     cache: Path | None = None,
     show: Show = progress,
 ) -> "pd.DataFrame":
-    """Run `gelgate study good-fraction`, or continue it, and give its rows; see docs/studies.md for the columns.
+    """Run `gelgate lab study good-fraction`, or continue it, and give its rows; see docs/studies.md for the columns.
 
     Empty sequences are the command's defaults; fractions are in (0, 1]. Errors: as the command.
     """
@@ -74,7 +74,7 @@ def cross_position(
     fraction: float | None = None,
     **asked: Any,
 ) -> "pd.DataFrame":
-    """Run `gelgate study cross-position`, or continue it, and give its rows.
+    """Run `gelgate lab study cross-position`, or continue it, and give its rows.
 
     fraction: of the first position's presses, in (0, 1]; None is each method's stable one. asked: further fields of
     `calibration.studies.study.Options`, such as parts or seeds. Errors: as the command; TypeError for another field.
@@ -88,7 +88,10 @@ def cross_position(
 def bad_presses(
     dataset: Path | str, output: Path | str, *, fraction: float | None = None, **asked: Any
 ) -> "pd.DataFrame":
-    """Run `gelgate study bad-presses`, or continue it, and give its rows. Arguments and errors: as `cross_position`."""
+    """Run `gelgate lab study bad-presses`, or continue it, and give its rows.
+
+    Arguments and errors: as `cross_position`.
+    """
     from calibration.studies.bad_presses import STUDY, study_bad_presses
 
     options = Options(dataset=Path(dataset), output=Path(output), **asked)
@@ -104,7 +107,7 @@ def resolution(
     fraction: float | None = None,
     **asked: Any,
 ) -> "pd.DataFrame":
-    """Run `gelgate study resolution`, or continue it, and give its rows. Arguments and errors: as `cross_position`.
+    """Run `gelgate lab study resolution`, or continue it, and give its rows. Arguments and errors: as `cross_position`.
 
     views: some of `calibration.studies.views.VIEWS`, all if empty. most_presses: the cap of the pool.
     """

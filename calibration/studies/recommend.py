@@ -1,4 +1,4 @@
-"""`gelgate recommend`: which method to take for a need, from the rows of the studies alone.
+"""`gelgate lab recommend`: which method to take for a need, from the rows of the studies alone.
 
 The needs are the columns of the seed paper's Table 4, and what else a station may need. An answer has the rows' numbers
 with their intervals. Where the rows do not decide, it says so, and what to take then; where they are missing, it names
@@ -189,9 +189,9 @@ def _head_time(rows: Sequence[Row]) -> Samples:
 
 _HEAD_MS = "head_ms"
 
-_GOOD = "gelgate study good-fraction DATASET -o FOLDER"
-_CROSS = "gelgate study cross-position DATASET -o FOLDER"
-_FINE = "gelgate study resolution DATASET -o FOLDER"
+_GOOD = "gelgate lab study good-fraction DATASET -o FOLDER"
+_CROSS = "gelgate lab study cross-position DATASET -o FOLDER"
+_FINE = "gelgate lab study resolution DATASET -o FOLDER"
 
 NEEDS: Mapping[str, tuple[Question, ...]] = {
     "few-presses": (
@@ -265,7 +265,7 @@ NEEDS: Mapping[str, tuple[Question, ...]] = {
             "damaged presses among the nominal ones: AU-PRO@0.01 with the largest share of them that every method has",
             "bad-presses",
             _at_most_bad,
-            "gelgate study bad-presses DATASET -o FOLDER",
+            "gelgate lab study bad-presses DATASET -o FOLDER",
         ),
     ),
     "least-time": (

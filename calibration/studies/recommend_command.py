@@ -11,7 +11,7 @@ __all__ = ["recommend"]
 
 
 def recommend(
-    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate study`, or its folder.")],
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate lab study`, or its folder.")],
     need: Annotated[
         list[str] | None,
         typer.Option(

@@ -1,4 +1,4 @@
-"""Which method to take for each need, as a page: the answers of `gelgate recommend` for every setup of the rows."""
+"""Which method to take for each need, as a page: the answers of `gelgate lab recommend` for every setup of the rows."""
 
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,8 @@ def page(rows: "pd.DataFrame") -> Page:
     """The page. rows: of all studies."""
     sections = [
         "# Which method to take\n",
-        "The answers of `gelgate recommend` from these rows. Each method has its mean with a 95 % interval: over the "
+        "The answers of `gelgate lab recommend` from these rows. Each method has its mean with a 95 % interval: "
+        "over the "
         "parts, or over the draws of presses where there is one part. A method is the answer if the interval of its "
         "advantage over each other one is above zero. Where none is, a sentence says what to take then. The last "
         f"column is the judgement of Table 4 of: {source()}.\n",

@@ -10,7 +10,7 @@ __all__ = ["report"]
 
 
 def report(
-    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate study`, or its folder.")],
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate lab study`, or its folder.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and figures.")],
 ) -> None:
     """Make a study's page and figures from its rows."""

@@ -247,7 +247,7 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
     if not both:
         raise DatasetError(
             f"dataset '{options.dataset}' has no position with both rgb (1280x720) and rgb_320x240; "
-            "`gelgate simulate paper` makes one"
+            "`gelgate lab simulate paper` makes one"
         )
     return both
 

@@ -126,13 +126,15 @@ def rows_of_studies(path: Path, say: Callable[[str], None] = lambda sentence: No
     """The rows of a file, or of the one in a folder. Errors: ConfigError where there is no row, or none of a study."""
     file = path / ROWS_FILE if path.is_dir() else path
     if not file.is_file():
-        raise ConfigError(f"there are no rows at '{file}'; name the rows.jsonl that `gelgate study` wrote")
+        raise ConfigError(
+            f"there are no rows at '{file}'; name the rows.jsonl that `gelgate lab study` wrote"
+        )
     rows = read_rows(file, say)
     if not rows:
         raise ConfigError(f"'{file}' has no complete row yet; continue the study")
     if any("study" not in row for row in rows):
         raise ConfigError(
-            f"'{file}' has rows that are of no study; name the rows.jsonl that `gelgate study` wrote"
+            f"'{file}' has rows that are of no study; name the rows.jsonl that `gelgate lab study` wrote"
         )
     return rows
 
@@ -143,7 +145,7 @@ def _row(line: bytes, number: int, path: Path) -> dict[str, Any]:
         found, _ = row["format"], row["key"]
     except (ValueError, KeyError, TypeError):
         raise ConfigError(
-            f"line {number} of '{path}' is not a row of a study; name the rows.jsonl that `gelgate study` wrote"
+            f"line {number} of '{path}' is not a row of a study; name the rows.jsonl that `gelgate lab study` wrote"
         ) from None
     if found != ROW_FORMAT:
         raise ConfigError(

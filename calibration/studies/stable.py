@@ -44,7 +44,7 @@ class StableFractions:
         if found is None:
             raise ConfigError(
                 f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{self.rows}' has no rows of "
-                "good-fraction with it; run `gelgate study good-fraction` into the same folder, or give --fraction"
+                "good-fraction with it; run `gelgate lab study good-fraction` into the same folder, or give --fraction"
             )
         return found
 

@@ -41,7 +41,7 @@ def svg(rows: Sequence[Row]) -> bytes:
 
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate tradeoff"})
+        figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate lab tradeoff"})
     return stream.getvalue()
 
 

@@ -28,7 +28,7 @@ def tradeoff(
     show: Show = progress,
     **asked: Any,
 ) -> "pd.DataFrame":
-    """Run `gelgate tradeoff`, or read the rows that the folder holds; one row for each operating point.
+    """Run `gelgate lab tradeoff`, or read the rows that the folder holds; one row for each operating point.
 
     Nested fields are columns with dots, such as `accuracy.aupro_fpr01.value`. Empty sequences are the command's
     defaults. asked: further fields of `calibration.tradeoff.run.RunSettings`, such as part, position or minutes.

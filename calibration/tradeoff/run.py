@@ -324,16 +324,16 @@ def _plain(values: dict[str, Any]) -> dict[str, float]:
 def command_of(point: OperatingPoint, chosen: Chosen, settings: RunSettings) -> str:
     """The command that makes the point's bundle again, with the dataset's folder name alone."""
     return (
-        f"gelgate tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} --seed {settings.seed} "
-        f"--point {point.key} --bundle {point.method}"
+        f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
+        f"--seed {settings.seed} --point {point.key} --bundle {point.method}"
     )
 
 
 def peers_command(chosen: Chosen, settings: RunSettings) -> str:
     """The command that measures the peers again, in a run with every point."""
     return (
-        f"gelgate tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} --seed {settings.seed} "
-        "--peers"
+        f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
+        f"--seed {settings.seed} --peers"
     )
 
 

@@ -1,4 +1,4 @@
-"""The training loop behind `gelgate train-backbone`.
+"""The training loop behind `gelgate lab train-backbone`.
 
 A step depends only on the recipe and its number. So a resumed run equals an uninterrupted one, bit for bit on a CPU,
 within the runtime's own differences on a GPU.

@@ -22,7 +22,7 @@ from edge.core import errors
 
 _OURS = ("edge", "plugins", "calibration", "export")
 
-__all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main", "versions"]
+__all__ = ["EXIT_CODES", "EXIT_MEANINGS", "build", "exit_code", "main", "place", "versions"]
 
 EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
     {
@@ -31,11 +31,11 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         2: "the command line is wrong",
         3: "a configuration, bundle, recording, dataset or set of nominal presses is wrong",
         4: "a sensor or broker is not available",
-        5: "`gelgate verify`: the bundle is not sound",
+        5: "`gelgate bundle verify`: the bundle is not sound",
         6: "a recording was played, and the presses found are not the presses that it holds",
-        7: "`gelgate tradeoff --check`: a point has become worse than in the earlier run",
-        8: "`gelgate replay`: a verdict that is made again differs from the one that was given",
-        130: "interrupted with Ctrl-C; `gelgate run`, `gelgate record` and `gelgate acquire` end with 0 then",
+        7: "`gelgate lab tradeoff --check`: a point has become worse than in the earlier run",
+        8: "`gelgate station replay`: a verdict that is made again differs from the one that was given",
+        130: "interrupted with Ctrl-C; `gelgate run`, `gelgate record` and `gelgate bundle acquire` end with 0 then",
     }
 )
 
@@ -51,13 +51,36 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.GelgateError, 1),
 )
 
-# `gelgate --help` lists the verbs in the order of work; verbs of other packages follow by name.
-_ORDER: Final = (
-    "demo", "devices", "record", "simulate", "acquire", "fit", "carry", "evaluate", "check", "run", "overview", "watch",
-    "page", "gel", "reference", "acts", "history", "replay", "db", "msa",
-    "inspect", "verify", "sign", "keys", "export", "wrap", "describe", "topics", "docs", "install-service",
-    "study", "report", "tradeoff", "train-backbone", "evaluate-backbone",
+# The verbs of `gelgate --help` in the order of work, the station's first; those of other packages follow as "Others".
+_SECTIONS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "Station": ("demo", "devices", "check", "run", "watch", "page", "gel", "history", "db", "station"),
+        "Bundles": ("record", "fit", "evaluate", "export", "bundle"),
+        "Research": ("lab",),
+    }
+)
+
+_GROUP_HELP: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "station": "Set up a station, describe it, and look into it.",
+        "bundle": "Acquire, inspect, verify, sign or carry over a bundle.",
+        "lab": "Simulate, study accuracy, and train: the laboratory.",
+    }
+)
+
+# Group to its verbs. Each still answers at the top for this version, with a hint; the entry points are flat.
+_GROUPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "station": ("overview", "reference", "acts", "replay", "describe", "topics", "docs", "install-service"),
+        "bundle": ("acquire", "carry", "inspect", "verify", "sign", "keys", "wrap"),
+        "lab": (
+            "simulate", "calibrate", "msa", "study", "report", "recommend", "tradeoff", "detectability",
+            "train-backbone", "evaluate-backbone", "evaluate-new-gel", "evaluate-scars",
+        ),
+    }
 )  # fmt: skip
+
+_GROUP_OF: Final = {verb: group for group, verbs in _GROUPS.items() for verb in verbs}
 
 # Errors of a disk that is full, read-only or faulty; such an error names no file.
 _DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -70,47 +93,90 @@ _STREAMS: Final = ("/dev/null", "/dev/std", "/dev/fd/", "/dev/tty", "/dev/pts/")
 class _LoadedVerbs(Mapping[str, Any]):
     """Name to verb; a verb is loaded when it is asked for, so that one that cannot be loaded stops no other."""
 
-    def __init__(self) -> None:
+    def __init__(self, group: str | None) -> None:
+        self._group = group
         self._loaded: dict[str, Any] = {}
 
     def __getitem__(self, name: str) -> Any:
         """The command of typer; a function becomes one, a `Typer` becomes a group. Errors: ConfigError."""
-        if name in self._loaded:
-            return self._loaded[name]
-        if name not in registry.names("commands"):
-            raise KeyError(name)
-        app, verb = typer.Typer(rich_markup_mode=None), registry.command(name)
-        if isinstance(verb, typer.Typer):
-            app.add_typer(verb, name=name)
-        else:
-            app.command(name)(verb)
-        self._loaded[name] = typer.main.get_group(app).commands[name]
+        if name not in self._loaded:
+            is_moved = self._group is None and name in registry.names("commands")
+            if not is_moved and name not in list(self):
+                raise KeyError(name)
+            self._loaded[name] = _group(name) if name in _GROUPS else _loaded(name)
         return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(registry.names("commands"))
+        """In the order of the help; verbs of other packages last, by name."""
+        known = registry.names("commands")
+        if self._group:
+            return (name for name in _GROUPS[self._group] if name in known)
+        ours = [name for names in _SECTIONS.values() for name in names]
+        others = sorted({*known} - {*ours} - {*_GROUP_OF})
+        return (name for name in (*ours, *others) if name in known or name in _GROUPS)
 
     def __len__(self) -> int:
-        return len(registry.names("commands"))
+        return sum(1 for _ in self)
+
+
+def _group(name: str) -> "_Verbs":
+    return _Verbs(name=name, help=_GROUP_HELP[name], no_args_is_help=True, rich_markup_mode=None)
+
+
+def _loaded(name: str) -> Any:
+    app, verb = typer.Typer(rich_markup_mode=None), registry.command(name)
+    if isinstance(verb, typer.Typer):
+        app.add_typer(verb, name=name)
+    else:
+        app.command(name)(verb)
+    return typer.main.get_group(app).commands[name]
 
 
 class _Verbs(typer.core.TyperGroup):
-    """The verbs in the order of work."""
+    """The verbs of the top or of one group, in the order of work."""
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**given)
-        self.commands = _LoadedVerbs()  # type: ignore[assignment]  # nothing is added to it
+        self._is_top = given["name"] not in _GROUPS
+        self.commands = _LoadedVerbs(None if self._is_top else given["name"])  # type: ignore[assignment]  # only read
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
         """Those that can be loaded, with a warning for each other one."""
-        names = set(self.commands)
-        for name in sorted(names):
+        names = list(self.commands)
+        for name in tuple(names):
             try:
                 self.commands[name]
             except errors.ConfigError as error:
                 names.remove(name)
                 print(f"gelgate: warning: {error}", file=sys.stderr)
-        return [*(name for name in _ORDER if name in names), *sorted(names - set(_ORDER))]
+        return names
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+        """Write the verbs, those of the top in sections."""
+        names = self.list_commands(ctx)
+        sections = {title: [name for name in names if name in verbs] for title, verbs in _SECTIONS.items()}
+        others = [name for name in names if not any(name in verbs for verbs in sections.values())]
+        room = formatter.width - 6 - max(map(len, names))
+        for title, verbs in {**sections, "Others" if self._is_top else "Commands": others}.items():
+            if verbs:
+                with formatter.section(title):
+                    formatter.write_dl(
+                        [(name, self.commands[name].get_short_help_str(room)) for name in verbs]
+                    )
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
+        """Find the verb; a name that has moved into a group is found too, with a hint."""
+        if self._is_top and args[0] in _GROUP_OF and not ctx.resilient_parsing:
+            hint = (
+                f"'gelgate {args[0]}' is now 'gelgate {place(args[0])}'; the old name ends with this version"
+            )
+            print(f"gelgate: hint: {hint}", file=sys.stderr)
+        return super().resolve_command(ctx, args)
+
+
+def place(verb: str) -> str:
+    """The words after `gelgate` for an entry point of `gelgate.commands`, such as `lab study` for `study`."""
+    return f"{_GROUP_OF[verb]} {verb}" if verb in _GROUP_OF else verb
 
 
 def build() -> typer.Typer:

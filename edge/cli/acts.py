@@ -1,4 +1,4 @@
-"""`gelgate acts`: requests to the station and their outcomes, newest first."""
+"""`gelgate station acts`: requests to the station and their outcomes, newest first."""
 
 from typing import TYPE_CHECKING, Annotated
 

@@ -1,4 +1,4 @@
-"""`gelgate inspect` and `gelgate verify`: what is in a bundle, and whether it scores correctly on this machine."""
+"""`gelgate bundle inspect` and `gelgate bundle verify`: what is in a bundle, and whether it is sound."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

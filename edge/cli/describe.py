@@ -1,4 +1,4 @@
-"""`gelgate describe`: a station for other programs, as AsyncAPI, Home Assistant, Node-RED and mosquitto read it."""
+"""`gelgate station describe`: a station, as AsyncAPI, Home Assistant, Node-RED and mosquitto read it."""
 
 from enum import StrEnum
 from pathlib import Path

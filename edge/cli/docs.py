@@ -1,4 +1,4 @@
-"""`gelgate docs`: the manual that comes with the installation."""
+"""`gelgate station docs`: the manual that comes with the installation."""
 
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, distribution

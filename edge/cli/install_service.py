@@ -1,4 +1,4 @@
-"""`gelgate install-service`: the systemd unit and the udev rule of a station."""
+"""`gelgate station install-service`: the systemd unit and the udev rule of a station."""
 
 import sys
 from collections.abc import Iterator
@@ -108,7 +108,7 @@ def _text(name: str, config: Path) -> str:
 
 
 def _script(texts: dict[Path, str], config: Path) -> Iterator[str]:
-    yield "#!/bin/sh\n# Sets gelgate up as a service; run it as root: gelgate install-service --print | sudo sh"
+    yield "#!/bin/sh\n# Sets gelgate up as a service; run it as root: gelgate station install-service --print | sudo sh"
     yield "set -e"
     yield from _BEFORE
     for path, text in texts.items():

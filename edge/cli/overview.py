@@ -1,4 +1,4 @@
-"""`gelgate overview`: one still of the overview camera, and what it shows."""
+"""`gelgate station overview`: one still of the overview camera, and what it shows."""
 
 from pathlib import Path
 from typing import Annotated, Final

@@ -1,4 +1,4 @@
-"""`gelgate reference`: ask a running station for a reference press, and show the control charts."""
+"""`gelgate station reference`: ask a running station for a reference press, and show the control charts."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -20,7 +20,7 @@ __all__ = ["csv_text", "json_line", "nothing_text", "piece_text"]
 def nothing_text(known: Sequence[PieceKey]) -> str:
     """For a person whose choice has no press."""
     if not known:
-        return "no reference press was made yet; ask for one with `gelgate reference press`"
+        return "no reference press was made yet; ask for one with `gelgate station reference press`"
     return printable(f"no such master piece was pressed; there are {'; '.join(map(str, known))}")
 
 

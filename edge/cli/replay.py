@@ -1,4 +1,4 @@
-"""`gelgate replay`: verdicts made again from the archived camera bytes, and what another bundle would have said."""
+"""`gelgate station replay`: make verdicts again from the archived camera bytes, with the same or another bundle."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

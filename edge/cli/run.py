@@ -57,7 +57,7 @@ false_alarm = 100
 press = 1
 defect_rate = 0.01
 
-[archive]                     # what verdicts were made from, for `gelgate replay`
+[archive]                     # what verdicts were made from, for `gelgate station replay`
 presses = 1000
 mb = 1000
 

@@ -1,4 +1,4 @@
-"""`gelgate sign` and `gelgate keys`: who made a bundle."""
+"""`gelgate bundle sign` and `gelgate bundle keys`: who made a bundle."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`gelgate topics`: every topic and its payload, printed from the payload models."""
+"""`gelgate station topics`: every topic and its payload, printed from the payload models."""
 
 __all__ = ["topics"]
 

@@ -246,7 +246,7 @@ class PressAgainTable(Table):
 
 
 class ArchiveTable(Table):
-    """What verdicts were made from, so that `gelgate replay` makes them again: see black_box.md.
+    """What verdicts were made from, so that `gelgate station replay` makes them again: see black_box.md.
 
     It lies next to the database. On a disk that is full, or has less room than `store.free_mb`, presses are inspected
     and not archived.

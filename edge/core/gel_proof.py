@@ -14,7 +14,7 @@ __all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "UsedBefore", "first_p
 
 PROVEN_RATE: Final = 0.1
 """Presses of sound parts show at most this rate of false alarms, with the confidence of every such promise. The goal of
-`gelgate acquire`: 22 presses without an alarm."""
+`gelgate bundle acquire`: 22 presses without an alarm."""
 
 
 class Proven(StrEnum):
@@ -90,7 +90,7 @@ class GelProof:
             todo = "If all parts were sound, `gelgate gel prove`"
         return (
             f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {shown}. {todo}; or carry it over "
-            "(`gelgate carry`), or fit a bundle on this gel"
+            "(`gelgate bundle carry`), or fit a bundle on this gel"
         )
 
 

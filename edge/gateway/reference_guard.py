@@ -194,7 +194,8 @@ class ReferenceGuard:
             why = why_due(last_ns, self._clock.time_ns(), self._table.every_h, self._table.shifts)
             if why is not None:
                 yield (
-                    f"a reference press of {name} is due: {why}; ask for it (`gelgate reference press`), then press "
+                    f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference "
+                    "press`), then press "
                     f"{name}"
                 )
             elif (found := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:

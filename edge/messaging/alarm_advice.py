@@ -25,17 +25,18 @@ ADVICE: Final[Mapping[str, str]] = {
     "free_gel": "lift the part for a second",
     "bundle": "the text names the file and its fault: make the bundle again or copy it again, then `systemctl reload "
     "gelgate`",
-    "golden": "`gelgate verify` on the bundle; exchange it, or the computer; look for a changed version of onnxruntime",
-    "overview": "check its cable; `gelgate overview` takes a still; presses are refused meanwhile where it must see "
-    "the part",
-    "overload": "end other programs; use a faster bundle (`gelgate tradeoff`); check presses against parts made",
+    "golden": "`gelgate bundle verify` on the bundle; exchange it, or the computer; look for a changed version of "
+    "onnxruntime",
+    "overview": "check its cable; `gelgate station overview` takes a still; presses are refused meanwhile where it "
+    "must see the part",
+    "overload": "end other programs; use a faster bundle (`gelgate lab tradeoff`); check presses against parts made",
     "press_again": "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     "gel": "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate gel "
     "replace`",
     "gel_proof": "press as many sound parts as the text says, then `gelgate gel prove`; or carry the bundle over "
-    "(`gelgate carry`), or fit one on this gel: see Gel change",
-    "reference": "`gelgate reference press`, then press the master piece; where it is out of limits, the text names "
-    "what to check first",
+    "(`gelgate bundle carry`), or fit one on this gel: see Gel change",
+    "reference": "`gelgate station reference press`, then press the master piece; where it is out of limits, the text "
+    "names what to check first",
     "gel_scar": "wipe the gel; if the alarm comes back at the next press, change it: see Gel change",
     "gel_mark": "wipe the gel at that place and press a part that is known to be good; if the alarm stays, change the "
     "gel",

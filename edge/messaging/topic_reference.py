@@ -51,7 +51,8 @@ A request is a JSON object of at most {largest} bytes, published with QoS 1 and 
   with any other the request is refused.
 - Signed, unsigned and page requests each have their own `requests_per_minute`, counted after the check. More of them,
   larger ones, and those that find {waiting} others waiting are refused, with a response.
-- Every request that is done or fails is in the table of acts, `gelgate acts`, and of the refused `requests_per_minute`.
+- Every request that is done or fails is in the table of acts, `gelgate station acts`, and of the refused
+  `requests_per_minute`.
 
 A signed request also has `by`, `time_ns` (within 60 s of the station's clock) and `signature`. The signature is the
 HMAC-SHA256, in hexadecimal, of one JSON text with sorted keys, without blanks, and with `\\u` escapes for everything
@@ -70,7 +71,7 @@ gives this request on `cmd/replace_gel`:
 _HEAD: Final = f"""\
 # MQTT topics and payloads
 
-This page is printed by `gelgate topics` from the payload models; a test compares the two.
+This page is printed by `gelgate station topics` from the payload models; a test compares the two.
 
 Every topic is below `<prefix>/<site>/<line>/<station>/gel/{TOPIC_VERSION}/`. The four levels come from the
 configuration: 1 to 64 characters each, without blanks and without `+ # / $`.

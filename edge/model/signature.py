@@ -105,7 +105,7 @@ class Trust:
             known = ", ".join(f"'{name}' ({key})" for key, (name, _) in self.keys.items()) or "none"
             raise BundleMismatch(
                 f'bundle {archive.where} is {finding.text}, and inspection.signed = "required"; trusted keys: {known}; '
-                "sign it with `gelgate sign`, or add its maker's key to inspection.trusted_keys"
+                "sign it with `gelgate bundle sign`, or add its maker's key to inspection.trusted_keys"
             )
         return finding
 
@@ -119,7 +119,7 @@ def trusted_keys(folder: Path) -> dict[str, tuple[str, "Ed25519PublicKey"]]:
     if not files:
         raise ConfigError(
             f"there is no key in {folder}; it holds one <name>{PUBLIC_SUFFIX} per trusted maker, made by "
-            "`gelgate keys new`"
+            "`gelgate bundle keys new`"
         )
     keys = [(file.stem, read_public_key(file)) for file in files]
     return {fingerprint(key): (name, key) for name, key in keys}
@@ -221,7 +221,7 @@ def _small_file(path: Path) -> bytes:
 def _no_key(path: Path, kind: str, found: object) -> ConfigError:
     return ConfigError(
         f"{path} is not a {kind} Ed25519 key in PEM form without a password ({found!s:.100}); "
-        "`gelgate keys new` makes one"
+        "`gelgate bundle keys new` makes one"
     )
 
 

@@ -82,7 +82,8 @@ class BrokerStation:
                 del self._answers[transaction]
         if answer is None:
             raise GelgateError(
-                f"the station did not answer within {self._answer_s:g} s; `gelgate acts` there says whether it was done"
+                f"the station did not answer within {self._answer_s:g} s; `gelgate station acts` there says whether "
+                "it was done"
             )
         return answer
 

@@ -66,10 +66,11 @@ def _read_npz(file: Any) -> Content:
 
 
 OTHERS = {
-    "ONNX model": "it is an ONNX model, a finished graph: gelgate wrap takes it; the checkpoint of the same training "
-    "(.ckpt) gives a smaller bundle here",
-    OPENVINO: "it is an OpenVINO model, which cannot become ONNX again: export the same training as ONNX for gelgate "
-    "wrap (anomalib: engine.export(model, ExportType.ONNX)), or give its checkpoint (.ckpt) to gelgate export import",
+    "ONNX model": "it is an ONNX model, a finished graph: gelgate bundle wrap takes it; the checkpoint of the same "
+    "training (.ckpt) gives a smaller bundle here",
+    OPENVINO: "it is an OpenVINO model, which cannot become ONNX again: export the same training as ONNX for "
+    "gelgate bundle wrap (anomalib: engine.export(model, ExportType.ONNX)), or give its checkpoint (.ckpt) to gelgate "
+    "export import",
     "": "it is of no known kind; a PyTorch file (.ckpt, .pt, .pth), a pickle, a NumPy file or a faiss index was "
     "expected",
 }

@@ -23,7 +23,9 @@ class RecordedOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    recording: Path = Field(description="the folder to play, made by `gelgate record` or `gelgate simulate`")
+    recording: Path = Field(
+        description="the folder to play, made by `gelgate record` or `gelgate lab simulate`"
+    )
     pace: float = Field(
         default=1.0,
         ge=0,

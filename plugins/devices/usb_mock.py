@@ -44,7 +44,9 @@ class UsbMockOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    recording: Path = Field(description="the folder to play, made by `gelgate record` or `gelgate simulate`")
+    recording: Path = Field(
+        description="the folder to play, made by `gelgate record` or `gelgate lab simulate`"
+    )
     serial: str | None = Field(default=None, description="instead of the recorded one")
     pace: float = Field(
         default=1.0,

@@ -96,8 +96,8 @@ class SystemHidBus:
         except OSError as error:
             if os.path.exists(info.path) and not os.access(info.path, os.R_OK | os.W_OK):
                 raise DeviceBusy(
-                    f"this user may not open {info.product} at {info.place}; `gelgate install-service` installs the "
-                    "udev rule, then plug it in again"
+                    f"this user may not open {info.product} at {info.place}; `gelgate station install-service` "
+                    "installs the udev rule, then plug it in again"
                 ) from error
             raise DeviceLost(f"{info.product} at {info.place} cannot be opened: {error}") from error
         return _SystemHandle(device, info)

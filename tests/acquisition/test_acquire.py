@@ -1,4 +1,4 @@
-"""`gelgate acquire`: presses one by one, from recordings, pictures and a sensor, until they are enough."""
+"""`gelgate bundle acquire`: presses one by one, from recordings, pictures and a sensor, until they are enough."""
 
 import json
 import os
@@ -37,7 +37,7 @@ def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: P
     out = tmp_path / "acquired"
     # The command fits on this backbone: a comparison of several would take seconds.
     words = (*OPTIONS, "--per-piece", 2, "--most", 12, "--go-on", "--backbone", "tactile_resnet18")
-    done = gelgate("acquire", recording, "-o", out, *words)
+    done = gelgate("bundle", "acquire", recording, "-o", out, *words)
     assert done.code == 0, done.err
     lines = done.out.splitlines()
     assert sum(line.startswith("press ") for line in lines) == 12
@@ -65,7 +65,7 @@ def test_a_recording_until_it_is_enough_then_fitted(recording: Path, tmp_path: P
 def test_pictures_know_their_pieces_and_are_fitted_at_once(pictures: Path, tmp_path: Path) -> None:
     """The names of the files carry the pieces; --fit leaves a bundle on the backbone that shows most of damage."""
     done = gelgate(
-        "acquire", pictures / "presses", "--no-contact", pictures / "free.png", "-o", tmp_path / "acquired",
+        "bundle", "acquire", pictures / "presses", "--no-contact", pictures / "free.png", "-o", tmp_path / "acquired",
         *OPTIONS, "--region", "112,72,96x96", "--fit", tmp_path / "bundle",
     )  # fmt: skip
     assert done.code == 0, done.err
@@ -85,10 +85,10 @@ def test_a_sensor_is_read_and_an_acquisition_continues(recording: Path, tmp_path
         '[inspection]\nbundle = "not-there-yet"\n[gel]\nlimit_presses = 500\n[[sinks]]\nplugin = "memory"\n'
     )
     out = tmp_path / "acquired"
-    first = gelgate("acquire", "-c", station, "-o", out, *OPTIONS, "--most", 5)
+    first = gelgate("bundle", "acquire", "-c", station, "-o", out, *OPTIONS, "--most", 5)
     assert first.code == 0, first.err
     assert "of a gel rated for 500 presses" in first.out
-    again = gelgate("acquire", "-c", station, "-o", out, *OPTIONS, "--most", 7)
+    again = gelgate("bundle", "acquire", "-c", station, "-o", out, *OPTIONS, "--most", 7)
     assert f"{out} has 5 presses already; they count" in again.out
     assert [row["presses"] for row in rows(out)] == [1, 2, 3, 4, 5, 6, 7]
     assert len(payloads(out)) == 7
@@ -97,7 +97,7 @@ def test_a_sensor_is_read_and_an_acquisition_continues(recording: Path, tmp_path
 def _started(recording: Path, out: Path) -> subprocess.Popen[str]:
     """The command in a process of its own; the device plays in real time, so it does not end at once."""
     return subprocess.Popen(
-        [sys.executable, "-c", "from edge.cli import main; main()", "acquire", "--device", "recorded",
+        [sys.executable, "-c", "from edge.cli import main; main()", "bundle", "acquire", "--device", "recorded",
          "--option", f"recording={recording}", "--option", "pace=1", "--option", "loop=true",
          "-o", str(out), *OPTIONS, "--most", "100", "--go-on"],
         stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
@@ -120,7 +120,7 @@ def test_a_kill_loses_no_press_that_was_said(recording: Path, tmp_path: Path) ->
         process.kill()
     assert len(payloads(out)) >= 3
     (out / "presses" / "press_0099.part").write_bytes(b"half a pictu")
-    done = gelgate("acquire", recording, "-o", out, *OPTIONS, "--most", 6, "--go-on")
+    done = gelgate("bundle", "acquire", recording, "-o", out, *OPTIONS, "--most", 6, "--go-on")
     assert done.code == 0, done.err
     assert len(names(out)) == len(payloads(out)) == 6
 
@@ -146,7 +146,7 @@ def test_presses_that_cannot_be_scored_are_said_and_left_out(pictures: Path, tmp
         (folder / path.name).write_bytes(path.read_bytes())
     cv2.imwrite(str(folder / "a_black.png"), np.zeros((240, 320, 3), np.uint8))
     (folder / "b_cut.png").write_bytes(good[0].read_bytes()[:2000])
-    done = gelgate("acquire", folder, "-o", tmp_path / "acquired", *OPTIONS)
+    done = gelgate("bundle", "acquire", folder, "-o", tmp_path / "acquired", *OPTIONS)
     assert done.code == 0, done.err
     assert len(names(tmp_path / "acquired")) == 4
     said = [line for line in done.err.splitlines() if line.startswith("warning: left out: ")]
@@ -158,7 +158,7 @@ def test_presses_that_cannot_be_scored_are_said_and_left_out(pictures: Path, tmp
 def test_one_piece_alone_is_said(pictures: Path, tmp_path: Path) -> None:
     """Twelve presses of it are no coverage of other pieces."""
     done = gelgate(
-        "acquire", pictures / "presses", "-o", tmp_path / "acquired", *OPTIONS, "--pattern", "*_s000_*",
+        "bundle", "acquire", pictures / "presses", "-o", tmp_path / "acquired", *OPTIONS, "--pattern", "*_s000_*",
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "2 presses, 1 piece; what a new piece would show is not known" in done.out
@@ -169,7 +169,7 @@ def test_only_unreadable_presses_are_refused(tmp_path: Path) -> None:
     """One sentence, and exit code 3."""
     (tmp_path / "presses").mkdir()
     cv2.imwrite(str(tmp_path / "presses" / "black.png"), np.zeros((240, 320, 3), np.uint8))
-    done = gelgate("acquire", tmp_path / "presses", "-o", tmp_path / "acquired", *OPTIONS)
+    done = gelgate("bundle", "acquire", tmp_path / "presses", "-o", tmp_path / "acquired", *OPTIONS)
     assert done.code == 3
     assert done.sentence().startswith("no press was taken: ")
 
@@ -190,7 +190,7 @@ def test_what_cannot_be_acquired_is_one_sentence(
     arguments: tuple[str, ...], code: int, said: str, tmp_path: Path
 ) -> None:
     """Without a press nothing is promised."""
-    done = gelgate("acquire", *arguments, "-o", tmp_path / "acquired", *OPTIONS[:6])
+    done = gelgate("bundle", "acquire", *arguments, "-o", tmp_path / "acquired", *OPTIONS[:6])
     assert said in done.sentence()
     assert done.code == code
 
@@ -201,17 +201,17 @@ def test_a_recording_that_cannot_be_read_is_one_sentence(recording: Path, tmp_pa
     broken.mkdir()
     for name in ("recording.toml", "index.jsonl"):
         (broken / name).write_bytes((recording / name).read_bytes())
-    done = gelgate("acquire", broken, "-o", tmp_path / "acquired", *OPTIONS)
+    done = gelgate("bundle", "acquire", broken, "-o", tmp_path / "acquired", *OPTIONS)
     assert (done.code, "frame files" in done.sentence()) == (3, True)
 
 
 def test_another_acquisition_is_not_continued(pictures: Path, tmp_path: Path) -> None:
     """Another part, or a folder of something else: refused with what is there."""
     out, source = tmp_path / "acquired", pictures / "presses"
-    assert gelgate("acquire", source, "-o", out, *OPTIONS, "--most", 1).code == 0
-    other = gelgate("acquire", source, "-o", out, "--part", "nut", *OPTIONS[2:])
+    assert gelgate("bundle", "acquire", source, "-o", out, *OPTIONS, "--most", 1).code == 0
+    other = gelgate("bundle", "acquire", source, "-o", out, "--part", "nut", *OPTIONS[2:])
     assert "holds another acquisition: part 'bolt', not 'nut'" in other.sentence()
-    foreign = gelgate("acquire", source, "-o", source, *OPTIONS)
+    foreign = gelgate("bundle", "acquire", source, "-o", source, *OPTIONS)
     assert "is not empty and holds no acquisition" in foreign.sentence()
-    file = gelgate("acquire", source, "-o", pictures / "free.png", *OPTIONS)
+    file = gelgate("bundle", "acquire", source, "-o", pictures / "free.png", *OPTIONS)
     assert "is a file, a folder is expected" in file.sentence()

@@ -62,7 +62,7 @@ def test_a_missing_file_is_a_sentence() -> None:
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
-    """`gelgate train-backbone RUN` without any setting reproduces these weights."""
+    """`gelgate lab train-backbone RUN` without any setting reproduces these weights."""
     assert TrainConfig.from_json(json.dumps(FACTS["recipe"])) == TrainConfig.shipped()
     assert FACTS["trained_steps"] == TrainConfig.shipped().steps
     assert FACTS["before"] == []

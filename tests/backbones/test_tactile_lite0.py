@@ -150,10 +150,10 @@ def test_a_detector_is_fitted_on_it(tmp_path: Path) -> None:
     bundle = str(tmp_path / "bundle")
     fit = ["fit", str(tmp_path / "good"), "-o", bundle, "--part", "bolt", "--backbone", "tactile_lite0"]
     fit += ["--region", "96,64,96x96"]
-    for words in (fit, ["verify", bundle]):
+    for words in (fit, ["bundle", "verify", bundle]):
         done = CliRunner().invoke(build(), words, catch_exceptions=False)
         assert done.exit_code == 0, done.output
-    shown = CliRunner().invoke(build(), ["inspect", bundle]).output
+    shown = CliRunner().invoke(build(), ["bundle", "inspect", bundle]).output
     assert "tactile_lite0" in shown
     assert "weights Apache-2.0" in shown
 

@@ -2,9 +2,9 @@
 
 Run with `make acquisitions`, about half an hour on one quiet core. Twenty random parts; of each 40 nominal presses, of
 40 pieces or of 10 pieces with 4 presses each, taken in 25 random orders; 100 presses of 100 other pieces for the true
-rate of false alarms; and damaged presses. An acquisition takes presses until `gelgate acquire` calls them enough; then
-they are fitted as `gelgate fit` does. With ACQUISITIONS_CACHE naming a folder pictures and finished rows are kept
-there, and a run that was cut goes on.
+rate of false alarms; and damaged presses. An acquisition takes presses until `gelgate bundle acquire` calls them
+enough; then they are fitted as `gelgate fit` does. With ACQUISITIONS_CACHE naming a folder pictures and finished rows
+are kept there, and a run that was cut goes on.
 
 The settings (PAYS, ROUND, EARLIEST, MOST_CELLS, the rule of near) were chosen on parts of another seed, 99, and the
 parts of this one were opened once, after everything was settled.

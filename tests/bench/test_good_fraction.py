@@ -1,7 +1,7 @@
 """Where the time of the good-fraction study goes, in processor seconds: features, fit, scoring, measures.
 
 Run with one thread: `OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 pytest tests/bench/test_good_fraction.py -m bench -s`.
-GELGATE_BENCH_DATASET names a dataset in the paper's layout, such as that of `gelgate simulate paper`, and
+GELGATE_BENCH_DATASET names a dataset in the paper's layout, such as that of `gelgate lab simulate paper`, and
 GELGATE_BENCH_PART its part; otherwise made pictures are used, as many as PZ3 has. Budget: the complete study of one
 part, four methods with twenty fractions and ten seeds, in 15 minutes on two cores.
 """

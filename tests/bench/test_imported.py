@@ -73,7 +73,7 @@ class Trained:
         self.folder = folder
         cache = os.environ.get("IMPORTED_CACHE")
         python = "" if cache else interpreter()
-        done = gelgate("simulate", "small", "-o", folder / "dataset", "--workers", 2)
+        done = gelgate("lab", "simulate", "small", "-o", folder / "dataset", "--workers", 2)
         assert done.code == 0, done.err
         self.files = sorted((folder / "dataset").glob("PZ3/pos1/rgb_320x240/*.png"))
         bad = sorted((folder / "dataset").glob("PZ3/pos1/fault/rgb_320x240/*.png"))

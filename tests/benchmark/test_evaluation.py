@@ -275,7 +275,7 @@ def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch:
             "none": EvaluationSet("None", "Nothing.", (), missing="it was not there"),
         },
     )
-    words = ["evaluate-backbone", str(tmp_path), "trained=tactile_resnet18", "--replicates", "0"]
+    words = ["lab", "evaluate-backbone", str(tmp_path), "trained=tactile_resnet18", "--replicates", "0"]
     words += ["--method", "padim"]
     done = CliRunner().invoke(build(), [*words, "--no-random"], catch_exceptions=False)
     assert done.exit_code == 0
@@ -308,7 +308,7 @@ def test_refusals_are_sentences(tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=sentence):
             CliRunner().invoke(
-                build(), ["evaluate-backbone", str(tmp_path / "out"), *words], catch_exceptions=False
+                build(), ["lab", "evaluate-backbone", str(tmp_path / "out"), *words], catch_exceptions=False
             )
     assert not (tmp_path / "out").exists()
 

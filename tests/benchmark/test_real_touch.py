@@ -62,7 +62,7 @@ def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
 def test_a_skipped_set_is_announced(tmp_path: Path) -> None:
     """The command says on the error output that nothing was measured and why."""
     (tmp_path / "frames").mkdir()
-    words = ["evaluate-backbone", str(tmp_path / "out"), "--set", "real-touch", "--no-random"]
+    words = ["lab", "evaluate-backbone", str(tmp_path / "out"), "--set", "real-touch", "--no-random"]
     words += ["--tactile", str(tmp_path / "frames")]
     done = CliRunner().invoke(build(), words, catch_exceptions=False)
     assert "SKIPPED: Real touch, for development: no frames of rpl-cmu__gelslam" in done.stderr

@@ -1,4 +1,4 @@
-"""`gelgate inspect` and `gelgate verify`: what a bundle is, and whether it is sound."""
+"""`gelgate bundle inspect` and `gelgate bundle verify`: what a bundle is, and whether it is sound."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def run(*arguments: object) -> tuple[int, str]:
 
 def test_inspect_tells_what_is_in_it(folder: Path) -> None:
     """Part, method, profile, region, trunk, bank with both sizes, threshold and origin, one per line."""
-    code, text = run("inspect", folder)
+    code, text = run("bundle", "inspect", folder)
     assert code == 0
     for said in (
         "bolt, position crest",
@@ -45,7 +45,7 @@ def test_inspect_tells_what_is_in_it(folder: Path) -> None:
 
 def test_inspect_as_json_is_the_manifest(folder: Path) -> None:
     """`--json` gives every field, ready for another program."""
-    code, text = run("inspect", folder, "--json")
+    code, text = run("bundle", "inspect", folder, "--json")
     assert code == 0
     assert Manifest.model_validate_json(text) == tiny.tiny_files(tiny.tiny_bank(packing="int8"))[0]
     assert json.loads(text)["threshold"]["value"] == 0.05
@@ -53,7 +53,7 @@ def test_inspect_as_json_is_the_manifest(folder: Path) -> None:
 
 def test_verify_accepts_a_sound_bundle(folder: Path) -> None:
     """It says what was checked."""
-    code, text = run("verify", folder)
+    code, text = run("bundle", "verify", folder)
     assert code == 0
     assert "every SHA-256 is correct" in text
     assert "is sound" in text
@@ -62,7 +62,7 @@ def test_verify_accepts_a_sound_bundle(folder: Path) -> None:
 def test_verify_fails_with_exit_code_5(folder: Path) -> None:
     """One changed byte: a sentence, and the documented exit code."""
     (folder / "head.onnx").write_bytes((folder / "head.onnx").read_bytes()[:-1] + b"?")
-    code, text = run("verify", folder)
+    code, text = run("bundle", "verify", folder)
     assert code == 5
     assert "head.onnx has SHA-256" in text
 
@@ -71,7 +71,7 @@ def test_verify_scores_the_golden_frames(tmp_path: Path) -> None:
     """A bundle with correct hashes and different scores of its frames is not sound."""
     peaks = tuple((9.0,) * 8 for _ in range(8))
     _, files = tiny.tiny_files(golden=[GoldenFrame(tiny.presses(1)[0], "a press", 9.0, peaks)])
-    code, text = run("verify", write_bundle(tmp_path / "bolt.zip", files))
+    code, text = run("bundle", "verify", write_bundle(tmp_path / "bolt.zip", files))
     assert code == 5
     assert "golden frame 0 (a press) scores" in text
 
@@ -79,4 +79,4 @@ def test_verify_scores_the_golden_frames(tmp_path: Path) -> None:
 def test_inspect_of_nothing_is_a_bundle_error(tmp_path: Path) -> None:
     """Exit code 3 through the command line's table."""
     with pytest.raises(BundleCorrupt, match="no bundle at"):
-        run("inspect", tmp_path / "none")
+        run("bundle", "inspect", tmp_path / "none")

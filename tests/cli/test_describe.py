@@ -1,4 +1,4 @@
-"""`gelgate describe`: each format from a configuration alone, as the running station describes itself."""
+"""`gelgate station describe`: each format from a configuration alone, as the running station describes itself."""
 
 import json
 from collections.abc import Iterator

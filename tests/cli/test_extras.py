@@ -10,8 +10,8 @@ from edge.core.errors import ConfigError
 from edge.extras import needs
 
 VERBS = {
-    "train-backbone run": ("train", "torch and jinja2"),
-    "evaluate-backbone out": ("benchmark", "jinja2"),
+    "lab train-backbone run": ("train", "torch and jinja2"),
+    "lab evaluate-backbone out": ("benchmark", "jinja2"),
 }
 
 

@@ -62,8 +62,8 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
     manifest = Bundle.load(tmp_path / "bolt.zip").manifest
     assert manifest.parameters == {"gain": 2.5, "packing": "int8"}
     assert (manifest.part, manifest.region.width, manifest.provenance.seed) == ("bolt", 224, 0)
-    assert run("verify", tmp_path / "bolt.zip").exit_code == 0
-    assert "gain=2.5" in run("inspect", tmp_path / "bolt.zip").output
+    assert run("bundle", "verify", tmp_path / "bolt.zip").exit_code == 0
+    assert "gain=2.5" in run("bundle", "inspect", tmp_path / "bolt.zip").output
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
     monkeypatch.setattr("edge.model.trial.try_bundle", lambda *arguments: None)
     assert fit(pictures, tmp_path / "bolt", "--no-trunk").exit_code == 0
     assert not (tmp_path / "bolt" / "trunk.onnx").exists()
-    assert run("verify", tmp_path / "bolt").exit_code == 0
+    assert run("bundle", "verify", tmp_path / "bolt").exit_code == 0
 
 
 def test_a_press_is_left_out_by_name(pictures: Path, tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_press_is_left_out_by_name(pictures: Path, tmp_path: Path) -> None:
     origin = Bundle.load(tmp_path / "bolt").manifest.provenance
     assert origin.presses == tuple(f"good/{k}.png" for k in (0, 1, 2, 4, 5))
     assert origin.left_out == ("good/3.png",)
-    assert "good/3.png" in run("inspect", tmp_path / "bolt").output
+    assert "good/3.png" in run("bundle", "inspect", tmp_path / "bolt").output
 
 
 def test_a_press_to_leave_out_that_is_not_there_is_refused(pictures: Path, tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_fit_and_inspect_say_what_is_promised(pictures: Path, tmp_path: Path) ->
     """On average over bundles, and of this one."""
     said = "6 presses: at best 14 % (1 in 7), not the 5 % asked for, of sound presses fail, on average over bundles"
     assert said in fit(pictures, tmp_path / "bolt").output
-    assert said in run("inspect", tmp_path / "bolt").output
+    assert said in run("bundle", "inspect", tmp_path / "bolt").output
 
 
 def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_
 
     assert found == [1, 2, 9, 10]
     assert ["revision", "10"] in [
-        line.split() for line in run("inspect", tmp_path / "bolt").output.splitlines()
+        line.split() for line in run("bundle", "inspect", tmp_path / "bolt").output.splitlines()
     ]
 
 
@@ -163,9 +163,9 @@ def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path)
     assert result.exit_code == 0, result.output
     why = "tactile_resnet18, without a comparison: damage is rendered with a picture of the free gel"
     assert f"backbone: {why}" in result.output
-    assert why in run("inspect", tmp_path / "bolt").output
+    assert why in run("bundle", "inspect", tmp_path / "bolt").output
     assert "backbone:" not in fit(pictures, tmp_path / "named").output
-    assert "named, not chosen by the fit" in run("inspect", tmp_path / "named").output
+    assert "named, not chosen by the fit" in run("bundle", "inspect", tmp_path / "named").output
 
 
 def domes(folder: Path) -> tuple[Path, Path]:
@@ -210,4 +210,4 @@ def test_a_fit_chooses_its_method_and_says_why(tmp_path: Path) -> None:
     )
     assert why.count(" ms a press") == 2
     assert f"method: {why}" in result.output
-    assert why in run("inspect", tmp_path / "dome").output
+    assert why in run("bundle", "inspect", tmp_path / "dome").output

@@ -1,5 +1,6 @@
 """`gelgate --help` and `gelgate VERB --help`: complete, quick, and without anything heavy."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import typer
 from command_line import gelgate
 
 from edge import cli, registry
-from edge.cli import EXIT_MEANINGS, build
+from edge.cli import EXIT_MEANINGS, build, place
 
 # 270 are usual. What a page of help costs is what it imports, on a gateway's slow processor too.
 MOST_MODULES = 400
@@ -62,8 +63,17 @@ def test_the_first_page_tells_the_exit_codes() -> None:
 
 def listed(*path: str) -> dict[str, str]:
     """Verb to its line, as the help of `gelgate` or of a group lists them."""
-    lines = gelgate(*path, "--help").out.partition("Commands:\n")[2].partition("\n\n")[0].splitlines()
-    return {line.split()[0]: line for line in lines}
+    return {verb: line for lines in sections(*path).values() for verb, line in lines.items()}
+
+
+def sections(*path: str) -> dict[str, dict[str, str]]:
+    """Title to the verbs below it, with their lines."""
+    titled = re.findall(r"^(\w+):\n((?:  .+\n)+)", gelgate(*path, "--help").out, re.MULTILINE)
+    return {
+        title: {line.split()[0]: line for line in lines.splitlines()}
+        for title, lines in titled
+        if title not in ("Options", "Arguments")
+    }
 
 
 def test_no_line_of_a_verb_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,11 +85,37 @@ def test_no_line_of_a_verb_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch)
     assert [line for line in lines.values() if line.endswith("...")] == []
 
 
-def test_the_verbs_are_in_the_order_of_work() -> None:
-    """From the demo to the running station, then the rest."""
-    assert list(listed())[:10] == [
-        "demo", "devices", "record", "simulate", "acquire", "fit", "carry", "evaluate", "check", "run",
-    ]  # fmt: skip
+def test_the_first_page_has_few_verbs_in_sections() -> None:
+    """The station's first; every verb is in a section or in a group."""
+    found = sections()
+
+    assert list(found) == ["Station", "Bundles", "Research"]
+    assert sum(map(len, found.values())) <= 16
+    assert list(found["Station"])[:4] == ["demo", "devices", "check", "run"]
+    assert {(*place(name).split(),) for name in registry.names("commands")} <= set(ALL)
+
+
+@pytest.mark.parametrize("name", [name for name in registry.names("commands") if place(name) != name])
+def test_a_verb_that_has_moved_answers_to_its_old_name(name: str) -> None:
+    """With a hint on the error output; what is printed otherwise is the same but for the name."""
+    old, new = gelgate(name, "--help"), gelgate(*place(name).split(), "--help")
+
+    assert old.err == (
+        f"gelgate: hint: 'gelgate {name}' is now 'gelgate {place(name)}'; the old name ends with this version\n"
+    )
+    assert (old.code, new.code, new.err) == (0, 0, "")
+    assert " ".join(old.out.split()) == " ".join(new.out.split()).replace(place(name), name, 1)
+
+
+def test_a_verb_of_another_package_has_a_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is at the top, last."""
+    (tmp_path / "lamp.py").write_text("def lamp() -> None:\n    'Switch a lamp.'\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    points = {**registry._points("commands"), "lamp": [EntryPoint("lamp", "lamp:lamp", "gelgate.commands")]}
+    monkeypatch.setattr(registry, "_points", lambda group: points)
+
+    assert list(sections().items())[-1] == ("Others", {"lamp": "  lamp  Switch a lamp."})
+    assert gelgate("lamp").code == 0
 
 
 @pytest.mark.parametrize("value", ["no_such_package.lamp:main", "broken_lamp:main", "math:pi"])
@@ -96,7 +132,7 @@ def test_a_verb_that_cannot_be_loaded_stops_no_other(
     assert (first.code, "fit" in first.out, "lamp" in first.out) == (0, True, False)
     assert first.err.startswith("gelgate: warning: the ")
     assert "'lamp'" in first.err
-    assert [gelgate(*words).err for words in (["--version"], ["topics"])] == ["", ""]
+    assert [gelgate(*words).err for words in (["--version"], ["station", "topics"])] == ["", ""]
     assert gelgate("lamp").code == 3
     assert "'lamp'" in gelgate("lamp").sentence()
 

@@ -81,7 +81,7 @@ def test_acts_are_read_from_the_same_file(database: Path) -> None:
         store.begin_act(Act(T0, "shift leader", "trigger", outcome="done"), within_s=0)
 
     line = "2026-05-29 05:26:40+09:00  trigger  done  for shift leader\n"
-    assert gelgate("acts", "--database", database).out == line
+    assert gelgate("station", "acts", "--database", database).out == line
 
 
 @pytest.mark.usefixtures("tokyo")

@@ -40,18 +40,18 @@ def test_the_shell_completes_verbs() -> None:
 
 
 def test_the_manual_is_listed_and_printed() -> None:
-    """`gelgate docs` has every page; with a name it prints that one."""
-    listed = {line.split()[0] for line in gelgate("docs").out.splitlines()}
+    """`gelgate station docs` has every page; with a name it prints that one."""
+    listed = {line.split()[0] for line in gelgate("station", "docs").out.splitlines()}
 
     assert {
         path.relative_to(ROOT / "docs").with_suffix("").as_posix() for path in (ROOT / "docs").rglob("*.md")
     } < listed
-    assert gelgate("docs", "mqtt").out == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
+    assert gelgate("station", "docs", "mqtt").out == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
 
 
 def test_a_page_that_does_not_exist_is_refused_with_the_nearest() -> None:
     """One sentence, with a page that exists."""
-    ended = gelgate("docs", "sensor")
+    ended = gelgate("station", "docs", "sensor")
 
     assert ended.code == 3
     assert "did you mean 'sensors'?" in ended.sentence()
@@ -66,7 +66,7 @@ def is_outside_home(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("is_outside_home")
 def test_the_service_files_are_written_for_this_installation(tmp_path: Path) -> None:
     """The unit starts this program with that configuration; the rule is the shipped one."""
-    ended = gelgate("install-service", "--root", tmp_path, "--config", "/srv/station.toml")
+    ended = gelgate("station", "install-service", "--root", tmp_path, "--config", "/srv/station.toml")
 
     assert ended.code == 0, ended.err
     unit = (tmp_path / "etc/systemd/system/gelgate.service").read_text()
@@ -89,7 +89,7 @@ def test_a_program_that_the_sandbox_hides_is_no_service(
     for name in ("prefix", "base_prefix"):
         monkeypatch.setattr(sys, name, "/opt/gelgate")
     monkeypatch.setattr(sys, what, "/home/ann/gelgate")
-    ended = gelgate("install-service", "--root", tmp_path, *more)
+    ended = gelgate("station", "install-service", "--root", tmp_path, *more)
 
     assert (ended.code, ended.out, list(tmp_path.iterdir())) == (3, "", [])
     assert "needs /home/ann/gelgate, which its sandbox hides" in ended.sentence()
@@ -99,13 +99,13 @@ def test_a_program_that_the_sandbox_hides_is_no_service(
 @pytest.mark.usefixtures("is_outside_home")
 def test_a_service_is_removed_and_its_data_stays(tmp_path: Path) -> None:
     """Both files go; where the data lies is said. On this system the service is stopped first."""
-    gelgate("install-service", "--root", tmp_path)
+    gelgate("station", "install-service", "--root", tmp_path)
     assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == 2
-    ended = gelgate("install-service", "--root", tmp_path, "--remove")
+    ended = gelgate("station", "install-service", "--root", tmp_path, "--remove")
 
     assert (ended.code, [path for path in tmp_path.rglob("*") if path.is_file()]) == (0, [])
     assert "/var/lib/gelgate" in ended.out
-    script = gelgate("install-service", "--remove", "--print").out.splitlines()
+    script = gelgate("station", "install-service", "--remove", "--print").out.splitlines()
     assert "systemctl disable --now gelgate" in script[2]
     assert script[3:5] == [
         "rm -fv '/etc/udev/rules.d/60-gelgate.rules'", "rm -fv '/etc/systemd/system/gelgate.service'",
@@ -122,10 +122,10 @@ def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
         (tools / name).chmod(0o755)
     by_script, by_verb = tmp_path / "by_script", tmp_path / "by_verb"
 
-    script = gelgate("install-service", "--print", "--root", by_script).out
+    script = gelgate("station", "install-service", "--print", "--root", by_script).out
     is_untouched = not by_script.exists()
     subprocess.run(["sh"], input=script, text=True, check=True, env={"PATH": f"{tools}:{os.environ['PATH']}"})
-    gelgate("install-service", "--root", by_verb)
+    gelgate("station", "install-service", "--root", by_verb)
 
     assert is_untouched
     written = {path.relative_to(by_verb): path.read_text() for path in by_verb.rglob("*") if path.is_file()}
@@ -141,7 +141,7 @@ def test_the_printed_script_does_the_same(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("is_outside_home")
 def test_files_that_cannot_be_written_are_one_sentence() -> None:
     """Without the rights or on a read-only disk: the path, the reason, and what to check."""
-    ended = gelgate("install-service", "--root", "/proc/no")
+    ended = gelgate("station", "install-service", "--root", "/proc/no")
 
     assert ended.code == 1
     assert "/proc/no" in ended.sentence()
@@ -149,11 +149,11 @@ def test_files_that_cannot_be_written_are_one_sentence() -> None:
 
 def test_what_can_be_simulated_is_listed() -> None:
     """Scenes, those of the paper too, and every name that a scene's file may use."""
-    ended = gelgate("simulate", "--list")
+    ended = gelgate("lab", "simulate", "--list")
 
     assert ended.code == 0, ended.err
     assert {"demo", "small", "paper", "paper/pz3"} <= {
         line.split()[0] for line in ended.out.splitlines() if line
     }
     assert [name for name in EFFECTS if name not in ended.out] == []
-    assert gelgate("simulate", "pz3", "-o", "x").sentence().count("paper/pz3") == 1
+    assert gelgate("lab", "simulate", "pz3", "-o", "x").sentence().count("paper/pz3") == 1

@@ -1,4 +1,4 @@
-"""`gelgate overview` as a user sets up a station."""
+"""`gelgate station overview` as a user sets up a station."""
 
 from pathlib import Path
 
@@ -34,9 +34,14 @@ def written(folder: Path, text: str) -> Path:
 def test_the_empty_station_is_saved_and_then_compared_with(tmp_path: Path) -> None:
     """First without a part, into the file that [overview] names; then with one: its code, and how much differs."""
     saved = gelgate(
-        "overview", "-c", written(tmp_path, STATION + OVERVIEW % ""), "--save", tmp_path / "empty.jpg"
+        "station",
+        "overview",
+        "-c",
+        written(tmp_path, STATION + OVERVIEW % ""),
+        "--save",
+        tmp_path / "empty.jpg",
     )
-    seen = gelgate("overview", "-c", written(tmp_path, STATION + OVERVIEW % "PZ0;42"))
+    seen = gelgate("station", "overview", "-c", written(tmp_path, STATION + OVERVIEW % "PZ0;42"))
 
     assert saved.out.splitlines() == [
         f"saved {tmp_path / 'empty.jpg'}",
@@ -52,7 +57,7 @@ def test_the_empty_station_is_saved_and_then_compared_with(tmp_path: Path) -> No
 
 def test_a_station_without_an_overview_camera_is_refused(tmp_path: Path) -> None:
     """With the page that shows how to have one."""
-    done = gelgate("overview", "-c", written(tmp_path, STATION))
+    done = gelgate("station", "overview", "-c", written(tmp_path, STATION))
 
     assert done.code != 0
     assert "has no [overview]; docs/operations.md shows one" in done.err

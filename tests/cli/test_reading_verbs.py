@@ -22,10 +22,10 @@ VERSION_1 = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gel
 READING = {
     "gel show": ("gel", "show"),
     "history": ("history",),
-    "acts": ("acts",),
+    "acts": ("station", "acts"),
     "db check": ("db", "check"),
-    "replay": ("replay", "--all"),
-    "reference chart": ("reference", "chart"),
+    "replay": ("station", "replay", "--all"),
+    "reference chart": ("station", "reference", "chart"),
 }
 
 

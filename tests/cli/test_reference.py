@@ -1,4 +1,4 @@
-"""`gelgate reference`: the charts as text, JSON, CSV and SVG, and a press that is asked for."""
+"""`gelgate station reference`: the charts as text, JSON, CSV and SVG, and a press that is asked for."""
 
 import csv
 import io
@@ -49,7 +49,9 @@ def database(tmp_path: Path) -> Path:
 
 def test_the_charts_are_printed_with_their_presses(database: Path) -> None:
     """Limits of each measure, then each press with what it said."""
-    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "--count", "2")
+    done = gelgate(
+        "station", "reference", "chart", "--database", str(database), "--learn", "5", "--count", "2"
+    )
     lines = done.out.splitlines()
 
     assert done.code == 0
@@ -65,7 +67,7 @@ def test_the_charts_are_printed_with_their_presses(database: Path) -> None:
 
 def test_json_has_what_the_topic_has(database: Path) -> None:
     """One object per master piece, with its presses."""
-    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "--json")
+    done = gelgate("station", "reference", "chart", "--database", str(database), "--learn", "5", "--json")
     found = json.loads(done.out)
 
     assert (found["piece"], found["outcome"], len(found["presses"])) == ("M1", "out_of_limits", 7)
@@ -75,7 +77,9 @@ def test_json_has_what_the_topic_has(database: Path) -> None:
 def test_csv_has_a_row_for_each_press(database: Path, tmp_path: Path) -> None:
     """With what each said when it was made."""
     path = tmp_path / "reference.csv"
-    done = gelgate("reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
+    done = gelgate(
+        "station", "reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path)
+    )
     rows = list(csv.DictReader(io.StringIO(path.read_text())))
 
     assert done.out == f"7 reference presses in {path}\n"
@@ -86,7 +90,7 @@ def test_csv_has_a_row_for_each_press(database: Path, tmp_path: Path) -> None:
 def test_svg_shows_the_value_that_is_out(database: Path, tmp_path: Path) -> None:
     """A strip for each measure; one red point."""
     path = tmp_path / "reference.svg"
-    gelgate("reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
+    gelgate("station", "reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
     classes = [one.get("class") for one in ElementTree.parse(path).iter()]
 
     assert (classes.count("out"), classes.count("line")) == (1, 5)
@@ -95,21 +99,25 @@ def test_svg_shows_the_value_that_is_out(database: Path, tmp_path: Path) -> None
 
 def test_a_choice_without_a_press_says_what_there_is(database: Path, tmp_path: Path) -> None:
     """And an empty database what to do."""
-    other = gelgate("reference", "chart", "--database", str(database), "--piece", "M2")
+    other = gelgate("station", "reference", "chart", "--database", str(database), "--piece", "M2")
     Store(tmp_path / "empty.db").close()
-    empty = gelgate("reference", "chart", "--database", str(tmp_path / "empty.db"))
+    empty = gelgate("station", "reference", "chart", "--database", str(tmp_path / "empty.db"))
 
     assert other.out == "no such master piece was pressed; there are M1 at bolt/crest, sensor 2BNN4ZE7\n"
-    assert empty.out == "no reference press was made yet; ask for one with `gelgate reference press`\n"
+    assert (
+        empty.out == "no reference press was made yet; ask for one with `gelgate station reference press`\n"
+    )
 
 
 def test_what_cannot_be_written_is_refused(database: Path, tmp_path: Path) -> None:
     """An ending that is no format; one picture of two pieces; a database that is not there."""
     with Store(database) as store:
         record(store, 9, 0.4, KEY._replace(piece="M2"))
-    odd = gelgate("reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.xlsx"))
-    two = gelgate("reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.svg"))
-    none = gelgate("reference", "chart", "--database", str(tmp_path / "none.db"))
+    odd = gelgate(
+        "station", "reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.xlsx")
+    )
+    two = gelgate("station", "reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.svg"))
+    none = gelgate("station", "reference", "chart", "--database", str(tmp_path / "none.db"))
 
     assert (odd.code, "known are .csv, .svg" in odd.err) == (3, True)
     assert (two.code, "choose with --piece" in two.err) == (3, True)
@@ -181,7 +189,7 @@ def test_a_press_that_does_not_come_is_said(database: Path) -> None:
 def test_a_station_without_master_pieces_is_not_asked(tmp_path: Path) -> None:
     """It is refused at once, without waiting for a gateway."""
     config = station_config(tmp_path, tmp_path / "presses", tmp_path / "bundle")
-    done = gelgate("reference", "press", "--config", config)
+    done = gelgate("station", "reference", "press", "--config", config)
 
     assert done.code == 3
     assert "names no master piece" in done.err

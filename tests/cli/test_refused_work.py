@@ -57,7 +57,7 @@ def fit(source: str, *more: object) -> list[object]:
 def verify_changed(bench: Bench) -> list[object]:
     array = next((bench.bundle("changed") / "bank").iterdir())
     array.write_bytes(array.read_bytes()[:-1] + b"\x01")
-    return ["verify", "changed"]
+    return ["bundle", "verify", "changed"]
 
 
 def verify_other_scores(bench: Bench) -> list[object]:
@@ -68,7 +68,7 @@ def verify_other_scores(bench: Bench) -> list[object]:
 
     golden = GoldenFrame(tiny.presses(1)[0], "a press", 9.0, tuple((9.0,) * 8 for _ in range(8)))
     write_bundle(bench.folder / "off", tiny.tiny_files(golden=[golden])[1])
-    return ["verify", "off"]
+    return ["bundle", "verify", "off"]
 
 
 def database(bench: Bench) -> list[object]:
@@ -138,11 +138,11 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
         lambda _: fit("presses", "--region", "300,0,64x64", "--profile", "cropped_lr"),
         3, ("outside the picture of 320x240", "move or shrink it"),
     ),
-    "verify of nothing": (lambda _: ["verify", "absent"], 5, ("no bundle at absent", "gelgate fit")),
-    "verify of a recording": (lambda _: ["verify", "presses"], 5, ("presses: manifest.json is missing",)),
+    "verify of nothing": (lambda _: ["bundle", "verify", "absent"], 5, ("no bundle at absent", "gelgate fit")),
+    "verify of a recording": (lambda _: ["bundle", "verify", "presses"], 5, ("presses: manifest.json is missing",)),
     "verify of a changed bank": (verify_changed, 5, ("has SHA-256", "copy the complete bundle again")),
     "verify of other scores": (verify_other_scores, 5, ("golden frame 0 (a press) scores", "9")),
-    "inspect of nothing": (lambda _: ["inspect", "absent"], 3, ("no bundle at absent",)),
+    "inspect of nothing": (lambda _: ["bundle", "inspect", "absent"], 3, ("no bundle at absent",)),
     "gels of no database": (lambda _: ["gel", "show", "--database", "absent.db"], 3, ("absent.db does not exist",)),
     "gels of a letter": (database, 1, ("letter.db", "file is not a database", "name another file")),
     "a new gel for a sensor never seen": (
@@ -154,7 +154,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
         4, ("no broker answers at 127.0.0.1:1", "correct host and port"),
     ),
     "a scene that is none": (
-        lambda _: ["simulate", "dmeo", "-o", "out"], 3, ("no scene is named 'dmeo'; did you mean 'demo'?",),
+        lambda _: ["lab", "simulate", "dmeo", "-o", "out"], 3, ("no scene is named 'dmeo'; did you mean 'demo'?",),
     ),
     "evaluate on nothing": (lambda _: ["evaluate", "bundle", "absent"], 3, ("'absent' is not a folder",)),
     "a demo where nothing can be written": (lambda _: ["demo", "-o", "/proc/no"], 1, ("/proc/no", "check the path")),

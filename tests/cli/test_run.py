@@ -107,7 +107,7 @@ def test_the_installed_command_refuses_with_its_exit_code(bench: Bench) -> None:
 
 
 def test_a_reader_that_leaves_early_is_no_fault(bench: Bench) -> None:
-    """`gelgate topics | head -1`: the pipe is closed while pages are still being printed."""
+    """`gelgate station topics | head -1`: the pipe is closed while pages are still being printed."""
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run([GELGATE, "topics"], stdout=writing, stderr=subprocess.PIPE, text=True)

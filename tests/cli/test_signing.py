@@ -1,4 +1,4 @@
-"""`gelgate keys`, `gelgate sign`, and what `inspect`, `verify` and `check` say of a signature."""
+"""`gelgate bundle keys`, `gelgate bundle sign`, and what `inspect`, `verify` and `check` say of a signature."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ pytest.importorskip("cryptography", reason="signatures need the extra `signing`"
 @pytest.fixture
 def keys(bench: Bench) -> Path:
     """The folder of trusted keys of a station that requires a signature; the private key is elsewhere."""
-    assert gelgate("keys", "new", "line4").code == 0
+    assert gelgate("bundle", "keys", "new", "line4").code == 0
     Path("trusted").mkdir()
     Path("line4.pub").rename("trusted/line4.pub")
     return Path("trusted")
@@ -30,9 +30,9 @@ def test_from_a_new_key_to_a_station_that_requires_it(bench: Bench, keys: Path) 
     refused = gelgate("check", "-c", "gelgate.toml")
     assert refused.code == 3
     assert "not signed" in refused.out
-    assert "gelgate sign" in refused.out
+    assert "gelgate bundle sign" in refused.out
 
-    signed = gelgate("sign", "bundle", "--key", "line4.key")
+    signed = gelgate("bundle", "sign", "bundle", "--key", "line4.key")
     assert (signed.code, signed.err) == (0, "")
     accepted = gelgate("check", "-c", "gelgate.toml")
     assert "signed by 'line4'" in accepted.out
@@ -49,15 +49,15 @@ def test_required_of_nobody_is_a_fault(bench: Bench) -> None:
 
 def test_inspect_and_verify_name_the_maker(bench: Bench, keys: Path) -> None:
     """Without keys the signature is not checked, which is said; with them it is."""
-    gelgate("sign", "bundle", "--key", "line4.key")
-    assert "not checked" in gelgate("inspect", "bundle").out
-    assert "signed by 'line4'" in gelgate("inspect", "bundle", "--keys", "trusted").out
-    assert "signed by 'line4'" in gelgate("verify", "bundle", "--keys", "trusted").out
+    gelgate("bundle", "sign", "bundle", "--key", "line4.key")
+    assert "not checked" in gelgate("bundle", "inspect", "bundle").out
+    assert "signed by 'line4'" in gelgate("bundle", "inspect", "bundle", "--keys", "trusted").out
+    assert "signed by 'line4'" in gelgate("bundle", "verify", "bundle", "--keys", "trusted").out
 
 
 def test_verify_fails_without_the_signature_that_it_was_asked_for(bench: Bench, keys: Path) -> None:
     """Exit code 5."""
-    done = gelgate("verify", "bundle", "--keys", "trusted")
+    done = gelgate("bundle", "verify", "bundle", "--keys", "trusted")
     assert done.code == 5
     assert "not signed" in done.err
 
@@ -65,21 +65,24 @@ def test_verify_fails_without_the_signature_that_it_was_asked_for(bench: Bench, 
 def test_a_damaged_bundle_is_not_signed(bench: Bench, keys: Path) -> None:
     """A signature says that the maker has seen the bundle sound."""
     (Path("bundle") / "head.onnx").write_bytes(b"")
-    done = gelgate("sign", "bundle", "--key", "line4.key")
+    done = gelgate("bundle", "sign", "bundle", "--key", "line4.key")
     assert done.code == 3
     assert not (Path("bundle") / "manifest.sig").exists()
 
 
 def test_keys_show_the_fingerprints_that_others_print(bench: Bench, keys: Path) -> None:
     """Of one file and of a folder."""
-    assert gelgate("keys", "show", "trusted").out == gelgate("keys", "show", "trusted/line4.pub").out
-    assert "line4" in gelgate("keys", "show", "trusted").out
+    assert (
+        gelgate("bundle", "keys", "show", "trusted").out
+        == gelgate("bundle", "keys", "show", "trusted/line4.pub").out
+    )
+    assert "line4" in gelgate("bundle", "keys", "show", "trusted").out
 
 
 def test_a_key_that_exists_is_not_replaced(bench: Bench, keys: Path) -> None:
     """One sentence, and the key stays."""
     before = Path("line4.key").read_bytes()
-    done = gelgate("keys", "new", "line4")
+    done = gelgate("bundle", "keys", "new", "line4")
     assert done.code == 3
     assert "not replaced" in done.sentence()
     assert Path("line4.key").read_bytes() == before

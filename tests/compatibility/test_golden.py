@@ -314,7 +314,8 @@ def _cell(value: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    "verb", ["history", "acts", "gel show", "reference chart", "db check", "replay --all"]
+    "verb",
+    ["history", "station acts", "gel show", "station reference chart", "db check", "station replay --all"],
 )
 def test_what_a_verb_prints_of_the_station(
     played: Played, verb: str, monkeypatch: pytest.MonkeyPatch
@@ -327,7 +328,7 @@ def test_what_a_verb_prints_of_the_station(
     time.tzset()
 
     check(
-        f"printed/{verb.replace(' ', '_')}.txt",
+        f"printed/{verb.removeprefix('station ').replace(' ', '_')}.txt",
         stable(f"{done.out}{done.err}exit code {done.code}\n", played.instead),
     )
 

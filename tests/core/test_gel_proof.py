@@ -64,7 +64,7 @@ def test_damaged_parts_are_no_reason_to_press_ever_more() -> None:
     assert half == {
         "bundle b is not yet proven on gel G2: x; more than 10% of its presses alarm there, and damaged parts count "
         "too: no proof. Press sound parts alone until a number of them is asked for here; or carry it over "
-        "(`gelgate carry`), or fit a bundle on this gel"
+        "(`gelgate bundle carry`), or fit a bundle on this gel"
     }
     assert later is not None
     assert "Press 35 more sound parts without an alarm" in later
@@ -77,5 +77,5 @@ def test_the_sentence_says_what_is_known_what_is_missing_and_what_to_do() -> Non
     assert text == (
         "bundle bolt/crest (0123abcd) is not yet proven on gel G2: it was used on gel G1; 5 presses on this gel with "
         "no alarm allow 37% of false alarms, at most 10% are wanted (90% sure). Press 17 more sound parts without an "
-        "alarm, then `gelgate gel prove`; or carry it over (`gelgate carry`), or fit a bundle on this gel"
+        "alarm, then `gelgate gel prove`; or carry it over (`gelgate bundle carry`), or fit a bundle on this gel"
     )

@@ -1,4 +1,4 @@
-"""`gelgate detectability`: the smallest damage found, from pictures to the card in the bundle."""
+"""`gelgate lab detectability`: the smallest damage found, from pictures to the card in the bundle."""
 
 import json
 import re
@@ -19,7 +19,7 @@ FAST = ("--kind", "dent", "--presses", 4, "--spacing", 3.1, "--threads", 1)
 
 
 def run(bundle: Path, sources: Sequence[Path], output: Path, *more: object) -> Outcome:
-    return gelgate("detectability", bundle, *sources, "-o", output, *FAST, *more)
+    return gelgate("lab", "detectability", bundle, *sources, "-o", output, *FAST, *more)
 
 
 def card(output: Path) -> DetectabilityCard:
@@ -88,8 +88,8 @@ def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path:
     """The bundle keeps every file and field; only its facts gain the card, which `inspect` prints and `load` checks."""
     copy = Path(shutil.copytree(fitted, tmp_path / "bundle"))
     before = json.loads((copy / "manifest.json").read_text())
-    assert gelgate("keys", "new", tmp_path / "plant").code == 0
-    assert gelgate("sign", copy, "--key", tmp_path / "plant.key").code == 0
+    assert gelgate("bundle", "keys", "new", tmp_path / "plant").code == 0
+    assert gelgate("bundle", "sign", copy, "--key", tmp_path / "plant.key").code == 0
     outcome = run(copy, [pictures / "apart"], tmp_path / "out", "--no-contact", pictures / "free", "--write")
     assert outcome.code == 0, outcome.err
     assert "sign it again" in outcome.err
@@ -100,7 +100,7 @@ def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path:
     assert set(after["facts"]) - set(before["facts"]) == {"detectability"}
     assert Bundle.load(copy).manifest.detectability == card(tmp_path / "out")
     assert re.search(
-        r"^detectability +dent: found in 90 % of cases", gelgate("inspect", copy).out, re.MULTILINE
+        r"^detectability +dent: found in 90 % of cases", gelgate("bundle", "inspect", copy).out, re.MULTILINE
     )
 
 
@@ -110,14 +110,14 @@ def test_a_card_that_is_none_is_refused(fitted: Path, tmp_path: Path) -> None:
     manifest = json.loads((copy / "manifest.json").read_text())
     manifest["facts"]["detectability"] = {"presses": 0}
     (copy / "manifest.json").write_text(json.dumps(manifest))
-    refused = gelgate("inspect", copy)
+    refused = gelgate("bundle", "inspect", copy)
     assert refused.code != 0
     assert "manifest.json is wrong" in refused.sentence()
 
 
 def test_a_bundle_without_a_card_has_no_line_of_it(fitted: Path) -> None:
     """Nothing is said of what was not measured."""
-    assert "detectability" not in gelgate("inspect", fitted).out
+    assert "detectability" not in gelgate("bundle", "inspect", fitted).out
 
 
 def refused(outcome: Outcome) -> str:
@@ -172,7 +172,7 @@ def test_pictures_of_another_size_are_refused(fitted: Path, pictures: Path, tmp_
 
 
 def test_an_unknown_kind_names_the_nearest(fitted: Path, pictures: Path, tmp_path: Path) -> None:
-    outcome = gelgate("detectability", fitted, pictures / "apart", "-o", tmp_path, "--kind", "dents")
+    outcome = gelgate("lab", "detectability", fitted, pictures / "apart", "-o", tmp_path, "--kind", "dents")
     assert "did you mean 'dent'" in refused(outcome)
 
 

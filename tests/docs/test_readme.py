@@ -143,7 +143,7 @@ def test_what_is_skipped_says_so_in_a_sentence() -> None:
         "gelgate run --confg x",
         "gelgate fit nominal --part",
         "gelgate gel shw",
-        "gelgate verify a b",
+        "gelgate bundle verify a b",
         "make dmo",
     ],
 )

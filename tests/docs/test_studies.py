@@ -29,7 +29,7 @@ def of(rows: pd.DataFrame, study: str) -> Page:
 
 @pytest.mark.parametrize("study", ["good-fraction", "cross-position", "resolution", "bad-presses"])
 def test_a_study_s_page_is_that_of_its_rows(study: str, rows: pd.DataFrame) -> None:
-    """The committed page is what `gelgate report` writes, and every figure that it names is there."""
+    """The committed page is what `gelgate lab report` writes, and every figure that it names is there."""
     found = of(rows, study)
 
     assert (STUDIES / f"{study}.md").read_text(encoding="utf-8") == found.markdown

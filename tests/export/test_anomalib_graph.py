@@ -130,7 +130,7 @@ def test_other_endings_stay(ending: str) -> None:
 
 
 def test_from_anomalibs_files_to_a_bundle(tmp_path: Path) -> None:
-    """`gelgate wrap` of the two files, with anomalib's own threshold; without the weights' file it is a sentence."""
+    """`gelgate bundle wrap` of the two files, with anomalib's own threshold; without the weights it is a sentence."""
     (tmp_path / "presses").mkdir()
     for number, frame in enumerate(pictures(6, 0)):
         picture = cv2.resize(frame[..., ::-1], (320, 240))
@@ -140,7 +140,7 @@ def test_from_anomalibs_files_to_a_bundle(tmp_path: Path) -> None:
 
     def run(*more: str) -> Result:
         options = ["-o", str(tmp_path / "b"), "--part", "bolt", "--profile", "cropped_lr", "--licence", "own"]
-        command = ["wrap", str(tmp_path / "model.onnx"), str(tmp_path / "presses"), *options, *more]
+        command = ["bundle", "wrap", str(tmp_path / "model.onnx"), str(tmp_path / "presses"), *options, *more]
         return CliRunner().invoke(cli.build(), command)
 
     done = run("--region", "full", "--threshold", "17.8581")

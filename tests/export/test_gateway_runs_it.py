@@ -42,7 +42,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (home / "model.onnx").write_bytes(onnx.parser.parse_model(NETWORK).SerializeToString())
     nominal = press_recording(home / "nominal", 12, seed=1)
     press_recording(home / "presses", 3, dented=[1], seed=2)
-    ran("wrap", home / "model.onnx", nominal, "-o", home / "bundle", "--part", "PZ0", "--licence", "own")
+    ran(
+        "bundle",
+        "wrap",
+        home / "model.onnx",
+        nominal,
+        "-o",
+        home / "bundle",
+        "--part",
+        "PZ0",
+        "--licence",
+        "own",
+    )
     return home
 
 
@@ -67,7 +78,16 @@ def test_a_likelihood_has_a_threshold_below_zero(folder: Path, tmp_path: Path) -
     likely = likely.replace("-1.0}>", "-1.0}, float one = {1.0}>")
     (tmp_path / "likely.onnx").write_bytes(onnx.parser.parse_model(likely).SerializeToString())
     ran(
-        *("wrap", tmp_path / "likely.onnx", folder / "nominal", "-o", tmp_path / "bundle", "--part", "PZ0"),
+        *(
+            "bundle",
+            "wrap",
+            tmp_path / "likely.onnx",
+            folder / "nominal",
+            "-o",
+            tmp_path / "bundle",
+            "--part",
+            "PZ0",
+        ),
         *("--licence", "own", "--negate"),
     )
     config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))

@@ -233,7 +233,7 @@ def test_an_unknown_operator_and_external_data_are_refused() -> None:
 
 
 def test_the_command_adapts_compares_and_records(tmp_path: Path) -> None:
-    """`gelgate wrap` of an anomalib-like file: the licence is asked for, and is in the manifest with what was found."""
+    """`gelgate bundle wrap` of an anomalib-like file asks for the licence; the manifest has it and what was found."""
     (tmp_path / "good").mkdir()
     for k in range(4):
         frame = np.random.default_rng(k).integers(90, 130, (240, 320, 3), dtype=np.uint8)
@@ -242,7 +242,7 @@ def test_the_command_adapts_compares_and_records(tmp_path: Path) -> None:
 
     def run(*more: str) -> Result:
         options = ["-o", str(tmp_path / "b"), "--part", "bolt", "--profile", "cropped_lr", *more]
-        command = ["wrap", str(tmp_path / "model.onnx"), str(tmp_path / "good"), *options]
+        command = ["bundle", "wrap", str(tmp_path / "model.onnx"), str(tmp_path / "good"), *options]
         return CliRunner().invoke(cli.build(), command)
 
     refused = run()
@@ -254,5 +254,5 @@ def test_the_command_adapts_compares_and_records(tmp_path: Path) -> None:
     assert manifest.facts["licence"] == "Apache-2.0"
     assert manifest.facts["outputs"] == "map anomaly_map, score pred_score"
     assert (tmp_path / "report" / "parity.html").is_file()
-    shown = CliRunner().invoke(cli.build(), ["inspect", str(tmp_path / "b")])
+    shown = CliRunner().invoke(cli.build(), ["bundle", "inspect", str(tmp_path / "b")])
     assert "weights Apache-2.0" in shown.output

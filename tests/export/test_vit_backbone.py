@@ -266,10 +266,10 @@ def test_a_detector_is_fitted_on_a_transformer(tmp_path: Path) -> None:
     for command in (
         ["export", "backbone", source, "-o", trunk, "--taps", "block1", "--licence", "MIT"],
         fit,
-        ["verify", bundle],
+        ["bundle", "verify", bundle],
     ):
         done = CliRunner().invoke(build(), command, catch_exceptions=False)
         assert done.exit_code == 0, done.output
-    shown = CliRunner().invoke(build(), ["inspect", bundle]).output
+    shown = CliRunner().invoke(build(), ["bundle", "inspect", bundle]).output
     assert "weights MIT" in shown
     assert "block1 128x14x14" in shown

@@ -80,7 +80,7 @@ def test_too_few_presses_and_a_given_threshold() -> None:
 
 
 def test_the_command_makes_a_bundle_that_verifies(tmp_path: Path) -> None:
-    """`gelgate wrap`, then `gelgate verify`; a missing graph is a sentence."""
+    """`gelgate bundle wrap`, then `gelgate bundle verify`; a missing graph is a sentence."""
     (tmp_path / "good").mkdir()
     for k in range(4):
         cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), np.full((240, 320, 3), 100 + k, np.uint8))
@@ -90,9 +90,9 @@ def test_the_command_makes_a_bundle_that_verifies(tmp_path: Path) -> None:
         return CliRunner().invoke(cli.build(), [str(a) for a in arguments])
 
     options = ("-o", tmp_path / "bolt.zip", "--part", "bolt", "--profile", "cropped_lr", "--licence", "own")
-    done = run("wrap", tmp_path / "detector.onnx", tmp_path / "good", *options)
+    done = run("bundle", "wrap", tmp_path / "detector.onnx", tmp_path / "good", *options)
     assert done.exit_code == 0, done.output
     assert Bundle.load(tmp_path / "bolt.zip").manifest.method == "external"
-    assert run("verify", tmp_path / "bolt.zip").exit_code == 0
-    missing = run("wrap", tmp_path / "none.onnx", tmp_path / "good", *options, "--overwrite")
+    assert run("bundle", "verify", tmp_path / "bolt.zip").exit_code == 0
+    missing = run("bundle", "wrap", tmp_path / "none.onnx", tmp_path / "good", *options, "--overwrite")
     assert isinstance(missing.exception, ConfigError)

@@ -218,7 +218,7 @@ def save(path: Path, rgb: U8) -> None:
 
 def called(files: Path, *options: str) -> Outcome:
     words = files / "old", files / "presses", "--no-contact", files / "free.png", "-o", files / "new"
-    return gelgate("carry", *words, *options)
+    return gelgate("bundle", "carry", *words, *options)
 
 
 def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: Path) -> None:

@@ -85,7 +85,7 @@ def test_inspect_shows_the_limit(tmp_path: Path) -> None:
     frames = flat(*[(150, 100, 50)] * 4)
     frames[0, 0, 0] += 1  # copies of one picture have no threshold
     write_bundle(tmp_path / "bolt", fitted(frames))
-    shown = CliRunner().invoke(cli.build(), ["inspect", str(tmp_path / "bolt")])
+    shown = CliRunner().invoke(cli.build(), ["bundle", "inspect", str(tmp_path / "bolt")])
     assert "refused beyond 14.0% of the light, nominal presses differ by 0.0%" in shown.output
 
 

@@ -86,7 +86,7 @@ def test_what_a_verdict_was_made_from_is_kept(made: Played, recording: Path) -> 
 
 def test_every_verdict_is_made_again_bit_for_bit(made: Played) -> None:
     """Verdict, score and score map are equal, not close."""
-    done = run("replay", "--all", "-c", str(made.config))
+    done = run("station", "replay", "--all", "-c", str(made.config))
 
     assert done.code == 0, done.err
     assert done.out.count("equal, bit for bit") == 3
@@ -96,7 +96,7 @@ def test_every_verdict_is_made_again_bit_for_bit(made: Played) -> None:
 def test_one_press_is_found_by_the_beginning_of_its_id(made: Played) -> None:
     """In small letters too."""
     press_id = made.ids[1]
-    done = run("replay", press_id[:-1].lower(), "-c", str(made.config))
+    done = run("station", "replay", press_id[:-1].lower(), "-c", str(made.config))
 
     assert done.code == 0, done.err
     assert done.out.startswith(f"{press_id}  ")
@@ -105,17 +105,19 @@ def test_one_press_is_found_by_the_beginning_of_its_id(made: Played) -> None:
 
 def test_the_picture_is_made_again(made: Played, tmp_path: Path) -> None:
     """It is the one that was published."""
-    done = run("replay", made.ids[1], "-c", str(made.config), "--picture", str(tmp_path / "press.png"))
+    done = run(
+        "station", "replay", made.ids[1], "-c", str(made.config), "--picture", str(tmp_path / "press.png")
+    )
 
     assert done.code == 0, done.err
     assert (tmp_path / "press.png").read_bytes() == made.reports[1].heatmap_png
-    run("replay", "--all", "-c", str(made.config), "--picture", str(tmp_path / "all"))
+    run("station", "replay", "--all", "-c", str(made.config), "--picture", str(tmp_path / "all"))
     assert sorted(path.stem for path in (tmp_path / "all").iterdir()) == sorted(made.ids)
 
 
 def test_since_selects_by_time(made: Played) -> None:
     """Nothing is from the future."""
-    done = run("replay", "--since", "9999-01-01", "-c", str(made.config))
+    done = run("station", "replay", "--since", "9999-01-01", "-c", str(made.config))
 
     assert done.code == 0
     assert done.out.startswith("0 presses")
@@ -134,7 +136,7 @@ def test_since_selects_by_time(made: Played) -> None:
 )
 def test_a_wrong_call_is_one_sentence(made: Played, words: list[str], expected: str) -> None:
     """The thing, what was found, what to do."""
-    done = run("replay", *words, "-c", str(made.config))
+    done = run("station", "replay", *words, "-c", str(made.config))
 
     assert done.code in (1, 3)
     assert expected in done.err
@@ -143,7 +145,7 @@ def test_a_wrong_call_is_one_sentence(made: Played, words: list[str], expected: 
 
 def test_a_press_of_another_station_is_said_to_be_unknown(made: Played) -> None:
     """With the ledger and the presses of the database that was asked."""
-    done = run("replay", "7ZZZZZZZZZZZZZZZZZZZZZZZZZ", "-c", str(made.config))
+    done = run("station", "replay", "7ZZZZZZZZZZZZZZZZZZZZZZZZZ", "-c", str(made.config))
 
     (ledger_id,) = made.row("SELECT ledger_id FROM ledger_start")
     assert (
@@ -156,8 +158,8 @@ def test_a_frame_that_is_gone_is_named(made: Played, tmp_path: Path) -> None:
     """And with several presses the others are made again."""
     copy = made.copied(tmp_path / "copy")
     (copy.archive / "objects" / made.record(1).frame).unlink()
-    one = run("replay", made.ids[1], "-c", str(copy.config))
-    every = run("replay", "--all", "-c", str(copy.config))
+    one = run("station", "replay", made.ids[1], "-c", str(copy.config))
+    every = run("station", "replay", "--all", "-c", str(copy.config))
 
     assert one.code == 1
     assert f"the judged frame of press {made.ids[1]} is gone" in one.err
@@ -170,7 +172,7 @@ def test_a_damaged_file_of_the_archive_is_named(made: Played, tmp_path: Path) ->
     copy = made.copied(tmp_path / "copy")
     frame = copy.archive / "objects" / made.record(1).frame
     frame.write_bytes(frame.read_bytes()[:-1] + b"x")
-    done = run("replay", made.ids[1], "-c", str(copy.config))
+    done = run("station", "replay", made.ids[1], "-c", str(copy.config))
 
     assert done.code == 1
     assert f"the judged frame of press {made.ids[1]} is damaged" in done.err
@@ -184,7 +186,7 @@ def test_a_named_pipe_in_the_archive_is_not_waited_for(made: Played, tmp_path: P
     name = made.record(1).frame if folder == "objects" else f"{made.ids[1]}.json"
     (copy.archive / folder / name).unlink()
     os.mkfifo(copy.archive / folder / name)
-    done = run("replay", made.ids[1], "-c", str(copy.config))
+    done = run("station", "replay", made.ids[1], "-c", str(copy.config))
 
     assert done.code == 1
     assert f"{name} is a named pipe; take the file from a backup" in done.err
@@ -196,7 +198,7 @@ def test_a_record_that_was_exchanged_is_not_what_the_ledger_says(made: Played, t
     copy = made.copied(tmp_path / "copy")
     record = copy.archive / "presses" / f"{made.ids[1]}.json"
     record.write_text(record.read_text(encoding="utf-8").replace('"fail"', '"pass"'), encoding="utf-8")
-    done = run("replay", made.ids[1], "-c", str(copy.config))
+    done = run("station", "replay", made.ids[1], "-c", str(copy.config))
 
     assert done.code == 1
     assert f"is not what the ledger says of press {made.ids[1]}" in done.err
@@ -222,8 +224,8 @@ def test_a_bundle_that_is_gone_is_named(made: Played, tmp_path: Path, bundle: Pa
     manifest.write_text(manifest.read_text(encoding="utf-8") + "\n", encoding="utf-8")
     text = copy.config.read_text(encoding="utf-8").replace(str(bundle), str(other))
     copy.config.write_text(text, encoding="utf-8")
-    gone = run("replay", made.ids[1], "-c", str(copy.config))
-    found = run("replay", made.ids[1], "-c", str(copy.config), "--bundles", str(bundle.parent))
+    gone = run("station", "replay", made.ids[1], "-c", str(copy.config))
+    found = run("station", "replay", made.ids[1], "-c", str(copy.config), "--bundles", str(bundle.parent))
 
     assert gone.code == 1
     assert f"the bundle of press {made.ids[1]} is not there: {made.record(1).bundle_id} (PZ0/pos1" in gone.err
@@ -236,7 +238,7 @@ def test_a_score_that_differs_is_said_with_where_and_why(made: Played, tmp_path:
     copy = made.copied(tmp_path / "copy")
     press = made.record(1)
     forged(copy, press)
-    done = run("replay", press.press_id, "-c", str(copy.config))
+    done = run("station", "replay", press.press_id, "-c", str(copy.config))
 
     assert done.code == 8
     assert "DIFFERS" in done.out
@@ -283,7 +285,7 @@ def test_another_bundle_shows_the_verdicts_that_change(made: Played, tmp_path: P
     manifest = json.loads((other / "manifest.json").read_text(encoding="utf-8"))
     manifest["threshold"]["value"] *= 1000
     (other / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    done = run("replay", "--all", "-c", str(made.config), "--bundle", str(other))
+    done = run("station", "replay", "--all", "-c", str(made.config), "--bundle", str(other))
 
     assert done.code == 0, done.err
     changed, *table = done.out.splitlines()
@@ -295,7 +297,7 @@ def test_another_bundle_shows_the_verdicts_that_change(made: Played, tmp_path: P
 
 def test_json_has_both_sides(made: Played) -> None:
     """One object a line."""
-    done = run("replay", made.ids[0], "-c", str(made.config), "--json")
+    done = run("station", "replay", made.ids[0], "-c", str(made.config), "--json")
     found = json.loads(done.out)
 
     assert (found["is_equal"], found["verdict_then"], found["verdict"]) == (True, "pass", "pass")
@@ -306,7 +308,7 @@ def test_only_the_newest_presses_are_kept(tmp_path: Path, recording: Path, bundl
     """What only older ones used goes with them; their rows stay, and replay says what is gone."""
     played = Played(more(station_config(tmp_path, recording, bundle), "[archive]\npresses = 1\n"))
     press = played.record(2)
-    done = run("replay", played.ids[0], "-c", str(played.config))
+    done = run("station", "replay", played.ids[0], "-c", str(played.config))
 
     assert ArchiveFolder(played.archive).press_ids() == [played.ids[2]]
     assert {path.name for path in (played.archive / "objects").iterdir()} == set(press.objects)
@@ -326,7 +328,7 @@ def test_the_size_is_kept_as_well(tmp_path: Path, recording: Path, bundle: Path)
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """And a replay says so."""
     played = Played(more(station_config(tmp_path, recording, bundle), "[archive]\npresses = 0\n"))
-    done = run("replay", played.ids[0], "-c", str(played.config))
+    done = run("station", "replay", played.ids[0], "-c", str(played.config))
 
     assert not played.archive.exists()
     assert done.code == 1

@@ -132,7 +132,7 @@ def test_scars_that_are_only_named_are_judged(tmp_path: Path, scarred: Path, bun
 
 def test_a_verdict_with_masked_scars_is_made_again(played: Played) -> None:
     """The places that were not judged are archived with the press: all seven verdicts are equal bit for bit."""
-    done = gelgate("replay", "--all", "-c", str(played[0] / "gelgate.toml"))
+    done = gelgate("station", "replay", "--all", "-c", str(played[0] / "gelgate.toml"))
 
     assert done.code == 0, done.err
     assert "7 presses: 7 equal, 0 differ" in done.out

@@ -103,7 +103,7 @@ def test_a_new_gel_ends_the_alarm(played: Played) -> None:
 
 def test_verdicts_without_a_speck_are_made_again(played: Played) -> None:
     """What was left out is archived with the press: all verdicts are equal bit for bit."""
-    done = gelgate("replay", "--all", "-c", str(played[0] / "gelgate.toml"))
+    done = gelgate("station", "replay", "--all", "-c", str(played[0] / "gelgate.toml"))
 
     assert done.code == 0, done.err
     assert f"{PRESSES} presses: {PRESSES} equal, 0 differ" in done.out

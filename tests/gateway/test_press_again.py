@@ -93,7 +93,7 @@ def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, again_bundle
     """The damage is there in both. Replay knows that one asked, and what the other was decided with."""
     config = configured(tmp_path, again_bundle, [0, 1])
     results, _, _ = played(config)
-    again = gelgate("replay", "--all", "-c", config)
+    again = gelgate("station", "replay", "--all", "-c", config)
 
     assert [one["verdict"] for one in results] == ["unsure", "fail", "pass"]
     assert results[1]["press_again"]["reason"].startswith("decided by the lower score of two presses")
@@ -176,8 +176,8 @@ def test_a_press_that_waits_is_dropped_with_a_gel_change(tmp_path: Path, again_b
 
 def test_inspect_states_what_one_more_press_brings(again_bundle: Path, bundle: Path) -> None:
     """Presses a piece and error rates, at the default costs; or why it is never asked for."""
-    stated = gelgate("inspect", again_bundle)
-    old = gelgate("inspect", bundle)
+    stated = gelgate("bundle", "inspect", again_bundle)
+    old = gelgate("bundle", "inspect", bundle)
 
     assert "press again" in stated.out
     assert "never: the bundle has no scores" in old.out

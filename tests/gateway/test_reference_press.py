@@ -167,8 +167,8 @@ def test_a_missing_reference_press_is_said_and_parts_pass_with_warn(config: Call
         raised = said(station)
 
     assert raised["alarm/reference"]["text"] == (
-        "a reference press of M1 is due: there was none with this gel and bundle; ask for it (`gelgate reference "
-        "press`), then press M1"
+        "a reference press of M1 is due: there was none with this gel and bundle; ask for it (`gelgate station "
+        "reference press`), then press M1"
     )
     assert raised["state"]["state"] == "ready"
     assert station.reports[0].result.verdict is Kind.PASS

@@ -65,7 +65,7 @@ def test_the_counters_name_the_raised_alarms() -> None:
 def test_a_station_keeps_its_own_description_at_the_broker(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
-    """Retained from the start on: what `gelgate describe` prints."""
+    """Retained from the start on: what `gelgate station describe` prints."""
     config = station_config(tmp_path, recording, bundle)
     with SteppedStation(config) as station:
         kept = {message.topic: message.payload for message in station.parts.retained_state.all()}

@@ -119,7 +119,7 @@ def test_a_change_in_the_middle_is_refused(plan: StudyPlan, rows_of: Rows, field
 
 def test_too_few_presses_are_refused(plan: StudyPlan, rows_of: Rows) -> None:
     """And what goes on."""
-    with pytest.raises(DatasetError, match=r"3 of 16 presses .* have a score.*`gelgate msa run` goes on"):
+    with pytest.raises(DatasetError, match=r"3 of 16 presses .* have a score.*`gelgate lab msa run` goes on"):
         material(plan, rows_of(plan)[:3])
 
 
@@ -134,7 +134,7 @@ def test_pieces_of_which_nothing_is_known_have_no_rates(rows_of: Rows) -> None:
     """The report says how to name bad ones."""
     plan = make_plan([Piece(name="P1"), Piece(name="P2")], ["A", "B"], 2, 1, T0)
 
-    assert "name bad pieces in `gelgate msa plan --bad`" in text_of(plan, rows_of(plan))
+    assert "name bad pieces in `gelgate lab msa plan --bad`" in text_of(plan, rows_of(plan))
 
 
 def test_every_form_has_the_same_numbers(plan: StudyPlan, rows_of: Rows) -> None:

@@ -191,25 +191,25 @@ def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> N
         tmp_path / "study.json",
         ("--pieces", "2", "--operators", "2", "--repeats", "2", "--seed", "1"),
     )
-    planned = gelgate("msa", "plan", "-o", study, *words, "--bad", "P2")
-    again = gelgate("msa", "plan", "-o", study, *words)
-    early = gelgate("msa", "report", "-c", config)
-    first = gelgate("msa", "run", study, "-c", config)
-    too_few = gelgate("msa", "report", study, "-c", config)
-    second = gelgate("msa", "run", study, "-c", config)
-    printed = gelgate("msa", "report", "-c", config)
-    unknown = gelgate("msa", "report", "other", "-c", config)
+    planned = gelgate("lab", "msa", "plan", "-o", study, *words, "--bad", "P2")
+    again = gelgate("lab", "msa", "plan", "-o", study, *words)
+    early = gelgate("lab", "msa", "report", "-c", config)
+    first = gelgate("lab", "msa", "run", study, "-c", config)
+    too_few = gelgate("lab", "msa", "report", study, "-c", config)
+    second = gelgate("lab", "msa", "run", study, "-c", config)
+    printed = gelgate("lab", "msa", "report", "-c", config)
+    unknown = gelgate("lab", "msa", "report", "other", "-c", config)
     files = [
-        gelgate("msa", "report", study, "-c", config, "-o", tmp_path / f"a{end}")
+        gelgate("lab", "msa", "report", study, "-c", config, "-o", tmp_path / f"a{end}")
         for end in (".md", ".html", ".csv")
     ]
-    odd = gelgate("msa", "report", study, "-c", config, "-o", tmp_path / "a.pdf")
+    odd = gelgate("lab", "msa", "report", study, "-c", config, "-o", tmp_path / "a.pdf")
 
     assert (planned.code, planned.out.startswith("8 presses in ")) == (0, True)
     assert (again.code, "name another file" in again.err) == (3, True)
     assert (early.code, "does not exist" in early.err) == (3, True)
     assert (first.code, "3 presses are left" in first.out) == (0, True)
-    assert (too_few.code, "`gelgate msa run` goes on" in too_few.err) == (3, True)
+    assert (too_few.code, "`gelgate lab msa run` goes on" in too_few.err) == (3, True)
     assert (second.code, "the study is complete" in second.out) == (0, True)
     assert (printed.code, "Gauge R&R of the score" in printed.out) == (0, True)
     assert (unknown.code, "has no study 'other'" in unknown.err) == (3, True)
@@ -220,11 +220,11 @@ def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("msa", "plan", "--pieces", "1"), "at least 2 pieces, found 1"),
-        (("msa", "plan", "--operators", "1"), "at least 2 operators, found 1"),
-        (("msa", "plan", "--repeats", "1"), "at least 2 repeats, found 1"),
-        (("msa", "plan", "--bad", "P11"), "no piece is named 'P11'"),
-        (("msa", "run", "none.json"), "plan none.json cannot be read"),
+        (("lab", "msa", "plan", "--pieces", "1"), "at least 2 pieces, found 1"),
+        (("lab", "msa", "plan", "--operators", "1"), "at least 2 operators, found 1"),
+        (("lab", "msa", "plan", "--repeats", "1"), "at least 2 repeats, found 1"),
+        (("lab", "msa", "plan", "--bad", "P11"), "no piece is named 'P11'"),
+        (("lab", "msa", "run", "none.json"), "plan none.json cannot be read"),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(

@@ -1,4 +1,4 @@
-"""The figures of `gelgate evaluate-new-gel`, and what it refuses."""
+"""The figures of `gelgate lab evaluate-new-gel`, and what it refuses."""
 
 import pytest
 from command_line import gelgate
@@ -37,4 +37,4 @@ def test_the_table_has_means_and_losses_against_pressing_again() -> None:
 )
 def test_what_it_does_not_know_is_one_sentence(arguments: list[str], sentence: str) -> None:
     """Before any work is done."""
-    assert gelgate("evaluate-new-gel", *arguments).sentence() == sentence
+    assert gelgate("lab", "evaluate-new-gel", *arguments).sentence() == sentence

@@ -1,4 +1,4 @@
-"""The figures of `gelgate evaluate-scars`, and what it refuses."""
+"""The figures of `gelgate lab evaluate-scars`, and what it refuses."""
 
 import pytest
 from command_line import gelgate
@@ -45,4 +45,4 @@ def test_the_table_counts_causes_by_what_raised_the_alarm() -> None:
 )
 def test_what_it_does_not_know_is_one_sentence(arguments: list[str], sentence: str) -> None:
     """Before any work is done."""
-    assert gelgate("evaluate-scars", *arguments).sentence() == sentence
+    assert gelgate("lab", "evaluate-scars", *arguments).sentence() == sentence

@@ -69,14 +69,14 @@ def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> N
 
 
 def _of_a_study(asked: Features) -> object:
-    """As `gelgate study` scores it."""
+    """As `gelgate lab study` scores it."""
     none = np.zeros((1, 32, 32), np.bool_)
     test = TestPresses({tap: [maps] for tap, maps in asked.items()}, none, np.array([False]))
     return scored(tiny.tiny_graphs().head or b"", tiny.tiny_bank().arrays, test, "tiny")
 
 
 def _of_a_tradeoff(asked: Features) -> object:
-    """As `gelgate tradeoff` scores it."""
+    """As `gelgate lab tradeoff` scores it."""
     return fitting._scored(Bundle.in_memory(*tiny.tiny_files()), asked, 1)
 
 

@@ -47,7 +47,7 @@ def result(**changes: object) -> ResultPayload:
 
 
 def test_the_reference_page_is_the_one_the_models_print() -> None:
-    """docs/mqtt.md is current; `gelgate topics > docs/mqtt.md` makes it so."""
+    """docs/mqtt.md is current; `gelgate station topics > docs/mqtt.md` makes it so."""
     page = Path(__file__).resolve().parents[2] / "docs" / "mqtt.md"
 
     assert page.read_text(encoding="utf-8") == reference(COMMANDS)

@@ -73,7 +73,7 @@ def test_an_unsigned_bundle_is_refused_where_a_signature_is_required(tmp_path: P
     """And accepted where it is allowed to be unsigned, which is said."""
     path = write_bundle(tmp_path / "bolt", tiny.tiny_files()[1])
 
-    with pytest.raises(BundleMismatch, match=r"not signed.*'line4'.*gelgate sign"):
+    with pytest.raises(BundleMismatch, match=r"not signed.*'line4'.*gelgate bundle sign"):
         Bundle.load(path, trust=required(keys))
     assert Bundle.load(path).signature.text == "not signed"
 

@@ -212,7 +212,11 @@ def test_the_most_typical_frame_is_one_of_them() -> None:
 def test_a_bundle_survives_writing(fitted: Fitted, tmp_path: Path) -> None:
     """Written and loaded it skips the same tiles, says so, and its golden frames agree."""
     loaded = Bundle.load(write_bundle(tmp_path / "pin.zip", fitted.files))
-    shown = CliRunner().invoke(build(), ["inspect", str(tmp_path / "pin.zip")], catch_exceptions=False).output
+    shown = (
+        CliRunner()
+        .invoke(build(), ["bundle", "inspect", str(tmp_path / "pin.zip")], catch_exceptions=False)
+        .output
+    )
     assert "8 of 64, 4 of them run only when a press touches them" in shown
     scorer = Scorer(loaded)
     assert scorer.check_golden() <= loaded.manifest.tolerance.around(1.0)

@@ -248,7 +248,7 @@ def test_a_station_that_does_not_answer_is_a_sentence(broker: LocalBroker) -> No
         opened.callback(station.close)
         station.start()
         until(lambda: station.shown.station()["away"] is None)
-        with pytest.raises(GelgateError, match=r"did not answer within 0.2 s; `gelgate acts` there"):
+        with pytest.raises(GelgateError, match=r"did not answer within 0.2 s; `gelgate station acts` there"):
             station.ask("select_part", b'{"transaction":"1"}')
 
 

@@ -235,7 +235,7 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(site: Path, tmp_path: 
     fit = ("fit", nominal, "-o", "bolt", "--part", "bolt", "--method", "mean_distance", "--no-trunk")
     assert "mean_distance" in gelgate(site, *fit, at=tmp_path)
 
-    gelgate(tmp_path, "verify", "bolt", at=tmp_path)  # in a process that does not see the package
+    gelgate(tmp_path, "bundle", "verify", "bolt", at=tmp_path)  # in a process that does not see the package
 
     with server() as webhook:
         url = f"http://127.0.0.1:{webhook.server_address[1]}"

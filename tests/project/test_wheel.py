@@ -124,8 +124,8 @@ def test_the_installed_program_finds_its_manual(built: Path, tmp_path: Path) -> 
             check=True, capture_output=True, text=True,
         ).stdout  # fmt: skip
 
-    assert gelgate("docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
-    assert "tutorials/first_part" in gelgate("docs")
+    assert gelgate("station", "docs", "mqtt") == (ROOT / "docs/mqtt.md").read_text(encoding="utf-8")
+    assert "tutorials/first_part" in gelgate("station", "docs")
 
 
 def test_the_wheel_carries_the_licence_and_says_which(built: Path) -> None:

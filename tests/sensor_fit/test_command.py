@@ -1,4 +1,4 @@
-"""`gelgate calibrate --simulator`, from pictures to a simulated dataset of that sensor."""
+"""`gelgate lab calibrate --simulator`, from pictures to a simulated dataset of that sensor."""
 
 from pathlib import Path
 
@@ -22,7 +22,9 @@ presses = 1
 
 def calibrate(folder: Path, *more: object) -> Outcome:
     presses, free = folder / "presses", folder / "free.png"
-    return gelgate("calibrate", presses, "--no-contact", free, "--ball-radius-mm", RADIUS_MM, "-o", *more)
+    return gelgate(
+        "lab", "calibrate", presses, "--no-contact", free, "--ball-radius-mm", RADIUS_MM, "-o", *more
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +46,7 @@ def test_presses_give_a_sensor_that_is_simulated(folder: Path, tmp_path: Path) -
     drawn, own = (renderer(sensor=one).free_gel().astype(np.float32) for one in (seen, UNSEEN))
     assert np.abs(drawn - own).mean() < 2
     done = gelgate(
-        "simulate", "small", "-o", tmp_path / "data", "--presses", 1, "--sensor", file, "--preview"
+        "lab", "simulate", "small", "-o", tmp_path / "data", "--presses", 1, "--sensor", file, "--preview"
     )
     assert done.code == 0, done.err
 

@@ -51,7 +51,7 @@ def interrupted(folder: Path, complete: int) -> tuple[Path, list[Path]]:
 
 def begun(cut: Path) -> "subprocess.Popen[str]":
     """The command that makes a dataset of twelve presses there, with its first pictures."""
-    arguments = ["simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
+    arguments = ["lab", "simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
     process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < deadline and len(list(cut.rglob("*.png"))) < 6:

@@ -204,7 +204,7 @@ def test_an_incomplete_dataset_and_another_version_are_not_read(tmp_path: Path) 
     root = simulate_dataset(scene_of(tmp_path, SET), tmp_path / "set", 4)
     summary = json.loads((root / "dataset.json").read_text())
     for changes, sentence in (
-        ({"complete": False}, "is incomplete, because 'gelgate simulate' was interrupted"),
+        ({"complete": False}, "is incomplete, because 'gelgate lab simulate' was interrupted"),
         ({"version": 2}, "has version 2, this program reads version 1"),
     ):
         (root / "dataset.json").write_text(json.dumps({**summary, **changes}))

@@ -126,10 +126,10 @@ def test_what_has_no_second_position_is_refused(dataset: Path, tmp_path: Path) -
 
 def test_the_command_needs_a_fraction(dataset: Path, tmp_path: Path) -> None:
     """From rows of good-fraction, or the operator's, in percent."""
-    study = ("study", "cross-position", dataset, "-o", tmp_path / "new", "--method", "padim")
+    study = ("lab", "study", "cross-position", dataset, "-o", tmp_path / "new", "--method", "padim")
 
     assert (
-        "run `gelgate study good-fraction` into the same folder, or give --fraction"
+        "run `gelgate lab study good-fraction` into the same folder, or give --fraction"
         in gelgate(*study).sentence()
     )
     assert (

@@ -1,4 +1,4 @@
-"""`gelgate study all` at a reduced size: every study into one file of rows, their pages, and an answer from them."""
+"""`gelgate lab study all` at a reduced size: every study into one file of rows, their pages, and an answer."""
 
 from pathlib import Path
 from typing import Any
@@ -34,5 +34,5 @@ def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:
     assert totals[0].startswith(f"its {len(rows)} cells took ")
     assert (
         "-> undecided: the rows have subspace alone, so there is nothing to compare it with"
-        in gelgate("recommend", output).out
+        in gelgate("lab", "recommend", output).out
     )

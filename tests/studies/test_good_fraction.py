@@ -248,7 +248,7 @@ def test_bad_options_are_one_sentence(dataset: Path, tmp_path: Path, asked: list
     """The exit code is that of a wrong configuration, and no row is written."""
     words = [str(dataset) if word == "DATASET" else word for word in asked]
     done = gelgate(
-        "study", "good-fraction", str(dataset), "-o", str(tmp_path / "out"), "--held-out", "2", *words
+        "lab", "study", "good-fraction", str(dataset), "-o", str(tmp_path / "out"), "--held-out", "2", *words
     )
 
     assert done.code == 3
@@ -271,7 +271,7 @@ def test_the_command_leaves_rows_and_says_where(dataset: Path, tmp_path: Path) -
         "--shots",
         "32",
     ]
-    done = gelgate("study", "good-fraction", str(dataset), "-o", str(tmp_path), *words)
+    done = gelgate("lab", "study", "good-fraction", str(dataset), "-o", str(tmp_path), *words)
     assert done.code == 0
     assert f"rows: {tmp_path / 'rows.jsonl'}" in done.out
     assert "cells: 3 of 3" in done.err
@@ -280,7 +280,7 @@ def test_the_command_leaves_rows_and_says_where(dataset: Path, tmp_path: Path) -
         in done.err
     )
 
-    assert gelgate("report", str(tmp_path), "-o", str(tmp_path / "report")).code == 0
+    assert gelgate("lab", "report", str(tmp_path), "-o", str(tmp_path / "report")).code == 0
     assert "| subspace |" in (tmp_path / "report/good-fraction.md").read_text()
 
 

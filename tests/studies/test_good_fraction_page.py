@@ -219,7 +219,7 @@ def test_rows_that_give_no_page_are_a_sentence(tmp_path: Path, text: str | None,
     """The exit code is that of a wrong configuration. Rows of a trade-off have the same file name and no study."""
     if text is not None:
         (tmp_path / "rows.jsonl").write_text(text)
-    done = gelgate("report", str(tmp_path), "-o", str(tmp_path / "out"))
+    done = gelgate("lab", "report", str(tmp_path), "-o", str(tmp_path / "out"))
 
     assert done.code == 3
     assert said in done.err
@@ -229,7 +229,7 @@ def test_a_line_that_was_cut_is_said(tmp_path: Path) -> None:
     """The report leaves it out, and is of the other rows."""
     lines = [json.dumps({"format": 1, **row}) for row in rows().to_dict("records")]
     (tmp_path / "rows.jsonl").write_text("\n".join(lines))
-    done = gelgate("report", str(tmp_path), "-o", str(tmp_path / "out"))
+    done = gelgate("lab", "report", str(tmp_path), "-o", str(tmp_path / "out"))
 
     assert done.code == 0
     assert "rows.jsonl' is incomplete, because a run was interrupted" in done.err

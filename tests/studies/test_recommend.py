@@ -1,4 +1,4 @@
-"""`gelgate recommend`: answers from rows alone, which turn with the rows, and say where the rows do not decide."""
+"""`gelgate lab recommend`: answers from rows alone, which turn with the rows, and say where the rows do not decide."""
 
 import json
 from collections.abc import Mapping
@@ -122,7 +122,7 @@ def test_a_need_that_the_rows_do_not_cover_names_its_command(need: str) -> None:
     for rows in ([], rows_of("other", {"spade": 0.5})):
         for answer in recommended(rows, [need]):
             assert answer.standing is None
-            assert "the rows do not cover this; `gelgate study" in answer.lines()[-1]
+            assert "the rows do not cover this; `gelgate lab study" in answer.lines()[-1]
 
 
 def test_a_gain_is_the_difference_of_two_conditions() -> None:
@@ -194,13 +194,15 @@ def written(folder: Path, rows: list[dict[str, Any]]) -> str:
 
 def test_the_command_prints_numbers_with_intervals(tmp_path: Path) -> None:
     """And the setup of the rows; a need without rows has its command."""
-    done = gelgate("recommend", written(tmp_path, covering("localisation", {"spade": 0.8, "padim": 0.6})))
+    done = gelgate(
+        "lab", "recommend", written(tmp_path, covering("localisation", {"spade": 0.8, "padim": 0.6}))
+    )
 
     assert done.code == 0
     assert "rows of tactile_resnet18, corrected mode, split by press" in done.out
     assert "  spade        0.8045  [0.80" in done.out
     assert "  -> spade" in done.out
-    assert "gelgate study resolution DATASET -o FOLDER" in done.out
+    assert "gelgate lab study resolution DATASET -o FOLDER" in done.out
 
 
 def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
@@ -213,12 +215,14 @@ def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
 
     assert (
         "several values of mode: corrected, paper; choose one with --mode"
-        in gelgate("recommend", folder).sentence()
+        in gelgate("lab", "recommend", folder).sentence()
     )
-    assert "-> spade" in gelgate("recommend", folder, "--mode", "corrected", "--need", "localisation").out
+    assert (
+        "-> spade" in gelgate("lab", "recommend", folder, "--mode", "corrected", "--need", "localisation").out
+    )
     assert (
         "no row has the split 'specimen'"
-        in gelgate("recommend", folder, "--mode", "paper", "--split", "specimen").sentence()
+        in gelgate("lab", "recommend", folder, "--mode", "paper", "--split", "specimen").sentence()
     )
 
 
@@ -228,7 +232,7 @@ def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
     again = [row | {"fraction": 0.4, "key": f"{row['key']} 0.4"} for row in once]
     rows = [*once, *again, *covering("localisation", {"spade": 0.8, "padim": 0.6})]
 
-    said = gelgate("recommend", written(tmp_path, rows)).out
+    said = gelgate("lab", "recommend", written(tmp_path, rows)).out
     assert "undecided: two rows of cross-position have spade on PZ3 with seed 0 and other settings" in said
     assert "-> spade" in said
     assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).markdown
@@ -249,10 +253,13 @@ def test_two_rows_with_the_same_result_are_one() -> None:
 
 def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
     """One sentence, with the nearest known name."""
-    assert "there are no rows at" in gelgate("recommend", tmp_path).sentence()
+    assert "there are no rows at" in gelgate("lab", "recommend", tmp_path).sentence()
     (tmp_path / "rows.jsonl").write_text('{"format": 1, "key": "padim.lr.5"}\n')
-    assert "has rows that are of no study" in gelgate("recommend", tmp_path).sentence()
-    assert "did you mean 'few-presses'?" in gelgate("recommend", tmp_path, "--need", "few-pressse").sentence()
+    assert "has rows that are of no study" in gelgate("lab", "recommend", tmp_path).sentence()
+    assert (
+        "did you mean 'few-presses'?"
+        in gelgate("lab", "recommend", tmp_path, "--need", "few-pressse").sentence()
+    )
 
 
 def test_the_page_has_every_answer_of_every_setup() -> None:

@@ -101,7 +101,7 @@ def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
 
 def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
     """With the nearest known name."""
-    refused = gelgate("study", "resolution", dataset, "-o", tmp_path, "--view", "hr_tild").sentence()
+    refused = gelgate("lab", "study", "resolution", dataset, "-o", tmp_path, "--view", "hr_tild").sentence()
 
     assert refused == "no view is named 'hr_tild'; did you mean 'hr_tiled'?"
 

@@ -70,7 +70,7 @@ def row(
         "ratio": {"median": ratio, "low": ratio * 0.99, "high": ratio * 1.01},
         "bare_trunk_ms": 7.0,
         "floor": {"ms": ms / 5, "binds": "arithmetic"},
-        "command": f"gelgate tradeoff paper --part PZ3 --position pos1 --seed 0 --point {key} --bundle padim",
+        "command": f"gelgate lab tradeoff paper --part PZ3 --position pos1 --seed 0 --point {key} --bundle padim",
         "note": "",
         "peak_memory_bytes": 100_000_000,
         "dataset_sha256": "ef" * 32,

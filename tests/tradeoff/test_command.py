@@ -26,7 +26,7 @@ def called(
     *words: object, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> tuple[int, str]:
     """The exit code and everything printed."""
-    monkeypatch.setattr(sys, "argv", ["gelgate", "tradeoff", *map(str, words)])
+    monkeypatch.setattr(sys, "argv", ["gelgate", "lab", "tradeoff", *map(str, words)])
     with pytest.raises(SystemExit) as end:
         cli.main()
     said = capsys.readouterr()
@@ -109,7 +109,7 @@ def test_a_loss_ends_with_its_own_exit_code(
     assert code == 7
     assert f"{better[0]['key']}: AUPRC of pixels is 0.6000, it was 0.7000" in said
     assert f"1 loss against {finished / 'before.jsonl'}" in said
-    assert "gelgate tradeoff --check" in cli.EXIT_MEANINGS[7]
+    assert "gelgate lab tradeoff --check" in cli.EXIT_MEANINGS[7]
 
 
 def test_limits_that_nothing_meets_are_one_sentence(

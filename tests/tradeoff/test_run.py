@@ -61,7 +61,7 @@ def test_every_point_has_a_complete_row(measured: tuple[Path, list[dict[str, Any
 def test_a_row_names_no_path(measured: tuple[Path, list[dict[str, Any]]], dataset: Path) -> None:
     """Rows are passed on: only the dataset's own name is in them."""
     assert str(dataset.parent) not in json.dumps(measured[1])
-    assert f"gelgate tradeoff {dataset.name} " in measured[1][0]["command"]
+    assert f"gelgate lab tradeoff {dataset.name} " in measured[1][0]["command"]
 
 
 def test_a_run_goes_on_where_it_was_interrupted(

@@ -54,7 +54,7 @@ def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch
 
 
 def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["gelgate", "train-backbone", *words])
+    monkeypatch.setattr(sys, "argv", ["gelgate", "lab", "train-backbone", *words])
     with pytest.raises(SystemExit) as ended:
         cli.main()
     return int(ended.value.code or 0)

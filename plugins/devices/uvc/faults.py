@@ -16,7 +16,7 @@ BY_ERRNO: Mapping[int, tuple[type[DeviceError], str]] = {
     errno.EBUSY: (DeviceBusy, "another process or the kernel's uvcvideo driver holds it; stop that first"),
     errno.EACCES: (
         DeviceBusy,
-        "no permission; run `gelgate install-service` as root and plug the sensor in again",
+        "no permission; run `gelgate station install-service` as root and plug the sensor in again",
     ),
     errno.ENOSPC: (
         DeviceBusy,

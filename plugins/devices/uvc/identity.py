@@ -111,7 +111,7 @@ def _look(device: Any) -> DiscoveredDevice:
         return DiscoveredDevice(
             place,
             "",
-            refusal=f"its descriptors cannot be read ({error}); run `gelgate install-service` as root",
+            refusal=f"its descriptors cannot be read ({error}); run `gelgate station install-service` as root",
         )
     finally:
         usb.util.dispose_resources(device)

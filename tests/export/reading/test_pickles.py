@@ -160,7 +160,7 @@ def test_the_reader_says_how_it_was_kept_apart(tmp_path: Path) -> None:
     [
         (b"", "of no known kind"),
         (b"plain text", "of no known kind"),
-        (b"\x08\x08\x12\x04test", "it is an ONNX model, a finished graph: gelgate wrap takes it"),
+        (b"\x08\x08\x12\x04test", "it is an ONNX model, a finished graph: gelgate bundle wrap takes it"),
         (b"<?xml version='1.0'?><net name='m'>", "it is an OpenVINO model"),
         (b"\x80\x04K\x01", "cannot be read"),
     ],
