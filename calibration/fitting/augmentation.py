@@ -123,7 +123,7 @@ def rendered_copies(
     light = FreeLight(free)
     copies = [
         _copy(light, added, pixels_per_mm, rng)
-        for added in (light.added(rgb) for rgb in presses.frames)
+        for added in (light.find_change(rgb) for rgb in presses.frames)
         for _ in range(each)
     ]
     return np.stack(copies), np.repeat(np.arange(len(presses)), each)

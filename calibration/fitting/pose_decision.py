@@ -1,4 +1,4 @@
-"""Whether presses are registered: only where they lie apart, and where it finds more of the damage shown in them.
+"""Whether presses are registered: only where they lie apart, and where it finds more of the damage find_relief in them.
 
 The proof is made on the part's own presses: a third is held out, small damage is rendered into those, and banks of the
 others judge them, registered and as they lie.
@@ -20,7 +20,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.light import FreeLight
-from edge.core.registration.registrar import Registrar, shown
+from edge.core.registration.registrar import Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
 __all__ = ["PoseChoice", "Register", "chosen_pose", "pose_spread_mm"]
@@ -111,7 +111,9 @@ def _learnt(presses: NominalPresses) -> LearntPose:
 
 def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
     """The median over presses of how far the part's places lie from where they lie in the median press, in mm."""
-    places = np.argwhere(learnt.part.learnt & shown(_template_slopes(learnt)))[::97, ::-1].astype(np.float64)
+    places = np.argwhere(learnt.part.learnt & find_relief(_template_slopes(learnt)))[::97, ::-1].astype(
+        np.float64
+    )
     size = learnt.part.learnt.shape[1], learnt.part.learnt.shape[0]
     matrices = [one.pose.matrix(size) for one in learnt.registered]
     moved = np.stack([places @ m[:, :2].T + m[:, 2] for m in matrices])
@@ -120,7 +122,7 @@ def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
 
 
 def _template_slopes(learnt: LearntPose) -> F32:
-    return learnt.part.colours.slopes(FreeLight(learnt.part.free).added(learnt.part.template))
+    return learnt.part.colours.slopes(FreeLight(learnt.part.free).find_change(learnt.part.template))
 
 
 def _proof(

@@ -16,7 +16,7 @@ from edge.core.registration.colours import SlopeColours
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose
 from edge.core.registration.pose_search import SIDE_PX, PoseSearch, shrunk
-from edge.core.registration.registrar import PartInPose, Registered, Registrar, depth_of, faded, in_pose
+from edge.core.registration.registrar import PartInPose, Registered, Registrar, depth_of, fade, in_pose
 
 __all__ = ["LearntPose", "completed", "in_pose_of", "learn_pose"]
 
@@ -54,7 +54,7 @@ class LearntPose:
 def learn_pose(frames: U8, free: U8) -> LearntPose:
     """From nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError, no common relief."""
     light = FreeLight(free)
-    added = [light.added(rgb) for rgb in frames]
+    added = [light.find_change(rgb) for rgb in frames]
     first = _first(added)
     found = [_aligned(light, added, first, colours) for colours in _both(added)]
     part, typical = max(found, key=lambda one: one[1])
@@ -83,7 +83,7 @@ def _both(added: Sequence[F32]) -> tuple[SlopeColours, SlopeColours]:
         colours = SlopeColours.of(levels)
     except ValueError as error:
         raise FitError(f"presses cannot be registered: {error}") from error
-    return colours, colours.mirrored()
+    return colours, colours.mirror()
 
 
 def _first(added: Sequence[F32]) -> F32:
@@ -106,7 +106,7 @@ def _aligned(
         search = PoseSearch(colours.slopes(shrunk(mean * learnt[..., None])), is_turning)
         found = [search.find(one) for one in slopes]
         typical = float(np.median([one.match for one in found]))
-        poses = _in_the_middle([one.pose.scaled(factor) for one in found])
+        poses = _in_the_middle([one.pose.scale(factor) for one in found])
         mean, learnt = _mean(added, poses, colours)
     free = light.picture(np.zeros_like(mean))
     template = light.picture(mean * learnt[..., None])
@@ -116,7 +116,7 @@ def _aligned(
 
 def _roundness(light: FreeLight, part: PartInPose) -> float:
     """How well the part agrees with itself at any turn, by these colours of slopes."""
-    slopes = shrunk(part.colours.slopes(shrunk(light.added(part.template))), SIDE_PX // 2)
+    slopes = shrunk(part.colours.slopes(shrunk(light.find_change(part.template))), SIDE_PX // 2)
     return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
 
 
@@ -156,7 +156,7 @@ def completed(registered: Sequence[Registered]) -> U8:
         for other in (registered[k] for k in rng.permutation(len(registered))):
             if seen.all():
                 break
-            weight = faded(depth_of(other.seen & ~seen))
+            weight = fade(depth_of(other.seen & ~seen))
             rgb += weight[..., None] * (other.rgb - rgb)
             # A seam is filled again by the next press: the mean press there would vary less than presses do.
             seen |= weight >= 1

@@ -43,7 +43,7 @@ def _is_shown(rate: float, alarms: int, trials: int, confidence: float) -> bool:
 
 
 def beta_quantile(probability: float, a: int, b: int) -> float:
-    """Of the beta distribution with integer parameters, by bisection; to 1e-12."""
+    """Find a quantile of the beta distribution with integer parameters, by bisection; to 1e-12."""
     low, high = 0.0, 1.0
     for _ in range(40):
         middle = (low + high) / 2

@@ -131,12 +131,12 @@ class Detector(Protocol):
 
     @property
     def compares_places(self) -> bool:
-        """Whether a press is compared with the same place of the nominal ones, so that parts must be at one place."""
+        """True where a press is compared with the same place of nominal ones, so that parts must be at one place."""
         ...
 
     @property
     def is_baseline(self) -> bool:
-        """Whether it is a baseline; baselines are left out of the default comparison of methods."""
+        """True for a baseline; baselines are left out of the default comparison of methods."""
         ...
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> Any:

@@ -55,7 +55,7 @@ class Trigger(Protocol):
         ...
 
     def is_present(self) -> bool:
-        """Whether it is still plugged in."""
+        """Tell whether it is still plugged in."""
         ...
 
     def close(self) -> None:
@@ -79,7 +79,7 @@ class Actuator(Protocol):
         ...
 
     def is_present(self) -> bool:
-        """Whether it is still plugged in."""
+        """Tell whether it is still plugged in."""
         ...
 
     def close(self) -> None:

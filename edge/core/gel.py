@@ -1,8 +1,7 @@
 """The gel's life: its presses, its limit, and what to do about it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
 
 __all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "MOST_PRESSES", "GelLife", "GelState"]
 
@@ -43,9 +42,3 @@ class GelLife:
         if self.presses >= self.limit:
             return GelState.REPLACE
         return GelState.DUE if self.presses >= self.warn_fraction * self.limit else GelState.GOOD
-
-    def pressed(self, times: int = 1) -> Self:
-        """The same gel after more presses."""
-        if times < 0:
-            raise ValueError(f"the number of presses is 0 or more, found {times}")
-        return replace(self, presses=self.presses + times)

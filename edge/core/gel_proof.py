@@ -67,7 +67,7 @@ class GelProof:
 
     @property
     def sentence(self) -> str:
-        """What the presses on this gel show."""
+        """The presses on this gel and their alarms, in words."""
         alarms = "no alarm" if self.alarms == 0 else f"{self.alarms} alarm{'s' if self.alarms > 1 else ''}"
         shown = f"{self.presses} press{'' if self.presses == 1 else 'es'} on this gel with {alarms}"
         if self.presses == 0:
@@ -75,8 +75,10 @@ class GelProof:
         return f"{shown} allow{'s' if self.presses == 1 else ''} {self.rate:.0%} of false alarms"
 
     def unproven(self, bundle: str, gel_id: str) -> str | None:
-        """One sentence while it is not proven: what is missing, and what to do. It is the same for each press while the
-        presses alarm too often to prove anything."""
+        """Say in one sentence, while it is not proven, what is missing and what to do.
+
+        The sentence stays the same while presses alarm too often to prove anything.
+        """
         if self.proven is not None:
             return None
         needed = self.still_needed
@@ -95,7 +97,7 @@ class GelProof:
 
 
 def first_proof(made: MadeOn, before: UsedBefore) -> GelProof:
-    """Of a bundle that is used on this gel for the first time.
+    """Begin the proof of a bundle that is used on this gel for the first time.
 
     A bundle that names its gel is taken at its word. Any other is taken as made on the gel on which it is used first,
     unless it was used, or made, before that gel was mounted.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from edge.core.suggest import suggestion
 
-__all__ = ["PartPosition", "find_part", "named_part"]
+__all__ = ["PartPosition", "find_named", "find_part"]
 
 
 class PartPosition(NamedTuple):
@@ -30,8 +30,8 @@ def find_part(known: Collection[PartPosition], part: str, position: str | None) 
     raise ValueError(f"this station has no bundle for '{asked}'; it has {words}")
 
 
-def named_part(known: Collection[PartPosition], names: Mapping[str, PartPosition], name: str) -> PartPosition:
-    """The position with this name: a configured one, `part/position`, or the part alone where it has one position.
+def find_named(known: Collection[PartPosition], names: Mapping[str, PartPosition], name: str) -> PartPosition:
+    """Find the position with this name: a configured one, `part/position`, or the part alone where it has one position.
 
     Errors: ValueError, which names the nearest known.
     """

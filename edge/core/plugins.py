@@ -120,7 +120,7 @@ class HasWarnings(Protocol):
     """Options of a sink that can work, and that a person should think about; `gelgate check` prints them."""
 
     def warnings(self) -> Sequence[str]:
-        """One sentence for each. Errors: ConfigError for options that can never work."""
+        """List warnings, one sentence for each. Errors: ConfigError for options that can never work."""
         ...
 
 

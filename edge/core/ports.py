@@ -126,5 +126,5 @@ class ReportsFaults(Protocol):
 
     @property
     def faults(self) -> Sequence[str]:
-        """One sentence for each; empty when there is none. Any thread may read it."""
+        """List the faults, one sentence for each; empty without a fault. Any thread may read it."""
         ...

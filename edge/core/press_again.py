@@ -86,7 +86,7 @@ class Plan:
 
 
 def is_asked(verdict: Verdict, bound: float | None) -> bool:
-    """Whether a first press asks for a second one: its score does not pass, and is not above the bound."""
+    """Tell whether a first press asks for a second one: its score does not pass, and is not above the bound."""
     if bound is None or verdict.kind not in (Kind.FAIL, Kind.UNSURE):
         return False
     score, threshold, tolerance = verdict.score, verdict.threshold, verdict.tolerance
@@ -115,7 +115,7 @@ def second_verdict(first: float, second: Verdict, lower: Verdict) -> Verdict:
 def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Plan:
     """The bound with the smallest expected cost. rate: of sound presses above the threshold, as promised.
 
-    Errors: ValueError for a rate that is none.
+    Errors: ValueError for an impossible rate.
     """
     if not 0 < rate < 1:
         raise ValueError(f"the rate of false alarms lies between 0 and 1, found {rate}")
@@ -171,7 +171,7 @@ class _Tail:
 
 
 def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> Plan:
-    """What is expected with this bound."""
+    """Compute what is expected with this bound."""
     asked = sound.rate - sound.above(bound)
     false_alarms = sound.above(bound) + sound.both(bound)
     shares = [_of_group(scores, sound.threshold, bound) for scores in damaged]
@@ -187,8 +187,7 @@ def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> P
 
 
 def _of_group(scores: Float, threshold: float, bound: float) -> tuple[float, float, float]:
-    """Of pieces with one kind of damage: the share that the first press misses, that is pressed again, and that is then
-    missed by the second."""
+    """Compute three shares of pieces with one kind of damage: missed by the first press, pressed again, then missed."""
     missed = float(np.mean(scores <= threshold))
     asked = float(np.mean((scores > threshold) & (scores <= bound)))
     return missed, asked, asked * missed
@@ -208,8 +207,10 @@ def _scale(sound: Sequence[Sequence[float]], threshold: float) -> float:
 
 
 def _correlation(sound: Sequence[Sequence[float]]) -> float | None:
-    """Of two presses of one piece: the intraclass correlation of normal scores, between 0 and 1; None where no piece
-    was pressed twice, or all presses are of one piece."""
+    """Compute the correlation of two presses of one piece: intraclass, of normal scores, between 0 and 1.
+
+    None where no piece was pressed twice, or all presses are of one piece.
+    """
     pieces = (
         np.concatenate([np.full(len(scores), k) for k, scores in enumerate(sound)]) if sound else np.empty(0)
     )

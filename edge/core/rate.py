@@ -19,13 +19,13 @@ class Rate:
 
     @property
     def is_exhausted(self) -> bool:
-        """Whether none is allowed now; takes none."""
+        """True where no event is allowed now; it takes none."""
         with self._lock:
             self._gain()
             return self._left < 1
 
     def take(self) -> bool:
-        """Whether one more is allowed now."""
+        """Take one event; False where no more is allowed now."""
         with self._lock:
             self._gain()
             if self._left < 1:

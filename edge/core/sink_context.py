@@ -93,23 +93,24 @@ class Place:
 
 @dataclass(frozen=True)
 class Station:
-    """The context of a sink.
-
-    root: put before every message's topic, without a final slash. client_id: stable and unique in the plant.
-    will: left with the broker, which publishes it when this gateway disappears. offline: likewise, where a receiver can
-    hold a second one. birth: the first messages of every
-    connection, requested each time. on_command: answers requests, None where commands are not served. on_refused:
-    makes the answer to a request that the sink refuses, None for no answer. page: for sinks that people use.
-    """
+    """The context of a sink."""
 
     root: str
+    """Stands before every message's topic, without a final slash."""
     client_id: str
+    """Stable and unique in the plant."""
     will: Message | None = None
+    """Left with the broker, which publishes it when this gateway disappears."""
     offline: Message | None = None
+    """A second will, where a receiver can hold one."""
     birth: Callable[[], Sequence[Message]] = _no_messages
+    """The first messages of every connection, requested each time."""
     on_command: OnCommand | None = None
+    """Answers requests; None where commands are not served."""
     on_refused: OnRefused | None = None
+    """Makes the answer to a request that the sink refuses; None for no answer."""
     page: PageRequests | None = None
+    """For sinks that people use."""
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

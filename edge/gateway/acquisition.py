@@ -273,7 +273,7 @@ class Acquisition:
         self._times_ns.append(frame.timestamp_ns)
         with self._changed:
             self._sequence += 1
-            self._frames.append(frame.numbered(self._sequence))
+            self._frames.append(frame.renumber(self._sequence))
             dropped = self._shortened()
             self._status = replace(
                 self._status,

@@ -30,7 +30,7 @@ class Admission:
         view = self._overview.begin()
         rules, selection = self._overview.rules, self._selection
         self._unselected = None
-        part = rules.selected_by(view, selection.bundles.named_by) if rules.select else None
+        part = rules.choose_position(view, selection.bundles.named_by) if rules.select else None
         if part is not None and part != selection.part:
             try:
                 self._select(part, view)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.core.errors import BundleMismatch, ConfigError
-from edge.core.part_position import PartPosition, find_part, named_part
+from edge.core.part_position import PartPosition, find_named, find_part
 from edge.gateway.inspector import Inspector
 from edge.model.bundle import Bundle
 
@@ -59,7 +59,7 @@ class BundleSet:
     def named(self, name: str) -> PartPosition:
         """The position with this name, such as the code on the part. Errors: ValueError."""
         names = {name: one.part for one in self.bundles.values() for name in one.names}
-        return named_part(self.bundles, names, name)
+        return find_named(self.bundles, names, name)
 
     def named_by(self, name: str) -> frozenset[PartPosition]:
         """All positions with this name, as `named`: several for a part with several positions, none for an unknown

@@ -16,7 +16,7 @@ from edge.core.gel_scars.free_views import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.without_marks import without_marks
-from edge.core.registration.pose import warped
+from edge.core.registration.pose import warp
 from edge.gateway.inspector import Inspection, Inspector, ScarFindings
 from edge.gateway.masking import masked
 from edge.store.scar_files import ScarFolder
@@ -179,5 +179,5 @@ def _reach(
     if inspector.expected is None:
         return None
     placed, usual = inspection.registered, inspector.expected.astype(np.float32)
-    here = usual if placed is None else warped(usual, placed.pose.inverse())
+    here = usual if placed is None else warp(usual, placed.pose.inverse())
     return reach(found.mask, found.relief) | (press.in_view(here) > 0)

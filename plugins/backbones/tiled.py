@@ -34,7 +34,7 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
         model.graph.input[0].type.tensor_type.shape.dim[place].dim_value = size
     _tap_shapes(model, tiles)
     facts = {entry.key: entry.value for entry in model.metadata_props}
-    helper.set_model_props(model, {**facts, TILES_KEY: tiles.written()})
+    helper.set_model_props(model, {**facts, TILES_KEY: tiles.to_json()})
     onnx.checker.check_model(model)
     return bytes(model.SerializeToString())
 

@@ -147,7 +147,7 @@ def test_a_file_that_is_no_trunk_is_refused(
 
 def test_the_layout_survives_writing() -> None:
     """What is written into the metadata is read back; anything else is refused."""
-    assert Tiles.read(TILES.written()) == TILES
+    assert Tiles.read(TILES.to_json()) == TILES
     for text in ("", "[]", "{}", '{"frame": 3}'):
         with pytest.raises(ValueError, match="not a layout"):
             Tiles.read(text)

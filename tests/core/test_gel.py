@@ -25,21 +25,19 @@ def test_states_at_their_edges(presses: int, state: GelState) -> None:
 
 @given(st.integers(0, 3000), st.integers(1, 2000), st.floats(0.01, 1.0), st.integers(0, 500))
 def test_a_gel_never_recovers(presses: int, limit: int, warn: float, more: int) -> None:
-    """More presses never make the state better, and counting in two steps is counting in one."""
+    """More presses never make the state better."""
     order = list(GelState)
     life = GelLife(presses, limit, warn)
-    assert order.index(life.state) <= order.index(life.pressed(more).state)
-    assert life.pressed(more).pressed() == life.pressed(more + 1)
+    assert order.index(life.state) <= order.index(GelLife(presses + more, limit, warn).state)
 
 
 def test_nonsense_is_refused() -> None:
-    """Negative presses, no limit, a warning beyond the limit, pressing backwards."""
+    """Negative presses, no limit, a warning beyond the limit."""
     for make in (
         lambda: GelLife(-1),
         lambda: GelLife(0, 0),
         lambda: GelLife(0, 10, 0.0),
         lambda: GelLife(0, 10, 1.1),
-        lambda: GelLife(5).pressed(-1),
     ):
         with pytest.raises(ValueError, match=r"found|not pressed"):
             make()

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from small_recordings import FakeClock
 
 from edge.core.overview.codes import Code, read_codes
-from edge.core.overview.presence import changed_share
+from edge.core.overview.presence import share_of_change
 from plugins.overviews.virtual_overview import VirtualOverviewOptions, plugin
 
 
@@ -32,7 +32,7 @@ def test_parts_come_in_order_and_again_from_the_start() -> None:
 
     assert [code.text for code in read_codes(again, ["qr"])] == ["A"]
     assert read_codes(empty, ["qr"]) == ()
-    assert changed_share(first, empty) > 0.1 > changed_share(drawn(4, parts=["A", ""])[3], empty)
+    assert share_of_change(first, empty) > 0.1 > share_of_change(drawn(4, parts=["A", ""])[3], empty)
 
 
 @pytest.mark.parametrize("parts", [[], ["587"], ["-1"], ["x"]])

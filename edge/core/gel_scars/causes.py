@@ -60,7 +60,7 @@ def remaining(excess: F32, without_marks: F32) -> float:
 
 
 def is_explained(left: float | None) -> bool:
-    """Whether the marks alone give the place. left: of `remaining`."""
+    """Tell whether the marks alone give the place. left: of `remaining`."""
     return left is not None and left <= _OF_THE_GEL
 
 
@@ -100,7 +100,7 @@ def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
 
 
 def together(blames: list[Blame]) -> Blame | None:
-    """Of all places of a press: damage counts before doubt, and doubt before the gel. None where there is none."""
+    """Choose the blame of a press: damage counts before doubt, and doubt before the gel; None without any place."""
     for cause in (Cause.PART, Cause.UNSURE, Cause.GEL):
         found = next((one for one in blames if one.cause is cause), None)
         if found is not None:

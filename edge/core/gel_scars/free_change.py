@@ -48,7 +48,7 @@ class Marks:
 
 
 def marks(first: View, now: View, left: View | None = None) -> Marks | None:
-    """Of the free gel; None where it has changed all over: the camera was moved, or another gel is mounted.
+    """Find the marks of the free gel; None where it has changed all over: a moved camera, or another gel.
 
     first, now: pictures of the free gel, means of several frames. left: what the press before added to it, whose rest
     may still be there. All float32 (h, w, 3). Errors: ValueError for two shapes.
@@ -58,9 +58,9 @@ def marks(first: View, now: View, left: View | None = None) -> Marks | None:
             f"two free-gel pictures have one shape (h, w, 3), found {first.shape} and {now.shape}"
         )
     detail = _detail(fit_levels(now, first).applied(now) - first)
-    doubtful = _moved(first)
+    doubtful = _apparent_change(first)
     if left is not None:
-        rest = _left_behind(detail, _detail(left))
+        rest = _find_rest(detail, _detail(left))
         detail = detail - rest
         doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
     seen = np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))).max(axis=2)
@@ -69,7 +69,7 @@ def marks(first: View, now: View, left: View | None = None) -> Marks | None:
 
 
 def _clear(levels: F32) -> Mask | None:
-    """Where a change is a mark, bool (h, w); single pixels are noise. None where it is one all over."""
+    """Find where a change is a mark, bool (h, w); single pixels are noise. None where all of it has changed."""
     typical = float(np.median(levels))
     if typical > _MARK_LEVELS:
         return None
@@ -79,7 +79,7 @@ def _clear(levels: F32) -> Mask | None:
 
 
 def _at(places: Mask, detail: View) -> View:
-    """What lies at these places and around, and 0 elsewhere."""
+    """Keep what lies at these places and around, and put 0 elsewhere."""
     if not places.any():
         return np.zeros_like(detail)
     scale = _scale(detail)
@@ -88,8 +88,8 @@ def _at(places: Mask, detail: View) -> View:
     return np.asarray(detail * share[..., None], np.float32)
 
 
-def _moved(first: View) -> F32:
-    """What would seem to change if the gel moved a little, levels, float32 (h, w)."""
+def _apparent_change(first: View) -> F32:
+    """Compute what would seem to change if the gel moved a little, levels, float32 (h, w)."""
     scale = _scale(first)
     across, down = (cv2.Sobel(first, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
     return np.float32(_MOVES_PX * scale) * _widest(
@@ -103,8 +103,8 @@ def _widest(view: View, reach: int) -> F32:
     return np.asarray(cv2.dilate(np.abs(view).max(axis=2), kernel), np.float32)
 
 
-def _left_behind(detail: View, left: View) -> View:
-    """The share of the last press that explains most of the change, by least squares, times that press."""
+def _find_rest(detail: View, left: View) -> View:
+    """Return the share of the last press that explains most of the change, by least squares, times that press."""
     energy = float(np.vdot(left, left))
     if energy <= 0:
         return np.zeros_like(left)

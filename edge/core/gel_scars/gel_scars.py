@@ -42,21 +42,22 @@ class Repeated:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """One press, with the scars known before it.
-
-    masked: bool (h, w) of the map, places that were not judged: under scars, or beyond the part's reach. highest: of
-    the map elsewhere. blind_mm2: area under scars where the press touches; blind_share: of the contact. blame: why the
-    rest exceeded the limit, None where it did not. is_new: whether a scar became known. repeated: None where no place
-    exceeded in five presses in a row; known scars are left out.
-    """
+    """One press, with the scars known before it."""
 
     masked: Mask
+    """bool (h, w) of the map: places that were not judged, under scars or beyond the part's reach."""
     highest: float
+    """The highest score of the map elsewhere."""
     blind_mm2: float
+    """Area under scars where the press touches."""
     blind_share: float
+    """The same area as a share of the contact."""
     blame: Blame | None
+    """Why the rest exceeded the limit; None where it did not."""
     is_new: bool
+    """A scar became known with this press."""
     repeated: Repeated | None = None
+    """None where no place exceeded in five presses in a row; known scars are left out."""
 
 
 @final
@@ -74,7 +75,7 @@ class GelScars:
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
     ) -> Judged:
-        """One press, in order. free: the gel just before it, left: what the press before added (`marks`).
+        """Judge one press, in order. free: the gel just before it, left: what the press before added (`marks`).
 
         is_masking: False judges known scars too.
         """
@@ -87,8 +88,8 @@ class GelScars:
         open_places = press.in_view(np.where(rest > press.limit, np.float32(1), np.float32(0))) > 0
         blames, scars = list[Blame](), np.zeros_like(before)
         if open_places.any():
-            blames, scars = self._blamed(press, excess, open_places, self._marks(free, left))
-        self.record = self.record.after(excess > 0, press.shown(), scars, press.place_mm)
+            blames, scars = self._blame_places(press, excess, open_places, self._marks(free, left))
+        self.record = self.record.after(excess > 0, press.extent(), scars, press.place_mm)
         contact = press.in_map(np.ones_like(before) if press.contact is None else press.contact)
         blind = scarred & contact
         return Judged(
@@ -98,13 +99,13 @@ class GelScars:
             float(blind.sum()) / max(1, int(contact.sum())),
             together(blames),
             bool((self.record.masked & ~before).any()),
-            self._repeated(press, np.where(before, np.float32(0), excess), outside),
+            self._find_repeated(press, np.where(before, np.float32(0), excess), outside),
         )
 
-    def _repeated(self, press: ScoredPress, excess: F32, outside: Mask) -> Repeated | None:
-        """The place that exceeded in the most presses in a row."""
+    def _find_repeated(self, press: ScoredPress, excess: F32, outside: Mask) -> Repeated | None:
+        """Find the place that exceeded in the most presses in a row."""
         near = _within(excess > 0, _HALO_PX)
-        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(press.shown(), 0, self._in_a_row))
+        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(press.extent(), 0, self._in_a_row))
         most = int(self._in_a_row.max())
         here = near & (self._in_a_row == most)
         if most < _REPEATED or not here.any():
@@ -119,15 +120,15 @@ class GelScars:
         )
 
     def _marks(self, free: View | None, left: View | None) -> Marks | None:
-        """Of the free gel; None where they are not known."""
+        """Find the marks of the free gel; None where they are not known."""
         if free is None or self.first is None or free.shape != self.first.shape:
             return None
         return marks(self.first, free, left)
 
-    def _blamed(
+    def _blame_places(
         self, press: ScoredPress, excess: F32, open_places: Mask, known: Marks | None
     ) -> tuple[list[Blame], Mask]:
-        """The cause of every connected place that is not masked completely, and the places to mask from now on."""
+        """Blame every connected place that is not masked completely; return also the places to mask from now on."""
         scars = np.zeros(excess.shape, bool)
         count, labels = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
         places = [place for place in (labels == n for n in range(1, count)) if (place & open_places).any()]
@@ -140,7 +141,7 @@ class GelScars:
         return blames, scars
 
     def _scar(self, place: Mask, known: Marks | None) -> Mask:
-        """Of a place that comes from the gel, what is masked: near its marks, or where it came back."""
+        """Choose what is masked of a place that comes from the gel: near its marks, or where it came back."""
         near = self.record.often(SEVERAL)
         if known is not None:
             near = near | _within(known.places, _HALO_PX)
@@ -162,7 +163,7 @@ def _outside(press: ScoredPress, excess: F32) -> tuple[Mask, Mask]:
 
 
 def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[float | None]:
-    """Of each place, the share that is left without the marks; None where they are not known.
+    """Compute the share of each place that is left without the marks; None where they are not known.
 
     The press is scored once more only where a mark lies near a place, and with less of the change where that leaves
     much: contact flattens a mark. judged: how far each place is above the limit, float32 (120, 160), 0 elsewhere.

@@ -20,33 +20,35 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class ScoredPress:
-    """One press as it was scored.
-
-    score_map: float32 (h, w) of the region, raw. limit: places above it are found. region: in the picture of `size`
-    (width, height), of `mm_per_pixel` (x, y). contact: bool (120, 160) of the view, None where it is not known. unseen:
-    bool (h, w), places that were not judged. place_mm: where the part lay, None where it is not known. without: the
-    score map of the same picture without a change of the gel, float32 (120, 160, 3) of the view in levels; None where
-    that cannot be scored. reach: where the part is or should be, bool (120, 160); None where that is not known, and
-    every place may be the part's.
-    """
+    """One press as it was scored."""
 
     score_map: F32
+    """float32 (h, w) of the region, raw."""
     limit: float
+    """Places above it count as found."""
     region: Region
+    """Its place in the picture of `size`."""
     size: tuple[int, int]
+    """(width, height)."""
     mm_per_pixel: tuple[float, float]
+    """(x, y)."""
     contact: Mask | None = None
+    """bool (120, 160) of the view; None where it is not known."""
     unseen: Mask | None = None
+    """bool (h, w): places that were not judged."""
     place_mm: tuple[float, float] | None = None
+    """Where the part lay; None where it is not known."""
     without: Callable[[View], F32 | None] = lambda change: None
+    """Score map without a change of the gel, (120, 160, 3) levels of the view; None where it cannot be scored."""
     reach: Mask | None = None
+    """Where the part is or should be, bool (120, 160); None where that is not known: it may be anywhere."""
 
     def excess(self) -> F32:
-        """How far each pixel of the view is above the limit, float32 (120, 160); 0 outside the region."""
+        """Measure how far each pixel of the view is above the limit, float32 (120, 160); 0 outside the region."""
         return self.in_view(np.maximum(self.score_map - np.float32(self.limit), 0))
 
-    def shown(self) -> Mask:
-        """The pixels of the view that were judged, bool (120, 160)."""
+    def extent(self) -> Mask:
+        """Find the pixels of the view that were judged, bool (120, 160)."""
         judged = np.ones(self.score_map.shape, bool) if self.unseen is None else ~self.unseen
         return np.asarray(self.in_view(judged.astype(np.float32)) > 0)
 
@@ -65,5 +67,5 @@ class ScoredPress:
         return touched_in(places, self.size, self.region)
 
     def area_mm2(self, places: Mask) -> float:
-        """Of places of the map."""
+        """Measure the area of places of the map."""
         return float(places.sum()) * self.mm_per_pixel[0] * self.mm_per_pixel[1]

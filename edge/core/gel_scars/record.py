@@ -51,7 +51,7 @@ class ScarRecord:
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Self:
-        """Of a new gel. shape: (h, w) of the view."""
+        """Make the record of a new gel. shape: (h, w) of the view."""
         return cls(np.zeros((PLANES, *shape), np.float32))
 
     @property
@@ -60,7 +60,7 @@ class ScarRecord:
         return np.asarray(self.planes[_MASK] > 0)
 
     def repeats(self, places: Mask) -> Repeats:
-        """At the place, of these, that exceeded most often. places: bool (h, w)."""
+        """Read the repeats of the place, among these, that exceeded most often. places: bool (h, w)."""
         if not places.any():
             return Repeats()
         at = int(np.where(places, self.planes[_HITS], -1).argmax())
@@ -70,7 +70,7 @@ class ScarRecord:
         return Repeats(float(hits), float(rate), float(np.sqrt(max(variance, 0.0))))
 
     def often(self, least: float) -> Mask:
-        """Where at least this number of presses, decayed, exceeded: bool (h, w)."""
+        """Find where at least this number of presses, decayed, exceeded: bool (h, w)."""
         return np.asarray(self.planes[_HITS] >= least)
 
     def after(
@@ -80,7 +80,7 @@ class ScarRecord:
         scars: Mask,
         place_mm: tuple[float, float] | None,
     ) -> "ScarRecord":
-        """With one more press. All masks: bool (h, w).
+        """Make the record with one more press. All masks: bool (h, w).
 
         exceeds: above the limit. shown: what the press shows of the gel. scars: to be masked from now on. place_mm:
         where the part lay, None where it is not known.

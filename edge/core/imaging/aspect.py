@@ -11,7 +11,7 @@ def cut_to_aspect(size: tuple[int, int], wanted: tuple[int, int]) -> tuple[float
 
 
 def cut_in_words(size: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """What happens to a picture of this size, such as `640x400 cut to 533x400 and scaled to 320x240`."""
+    """Describe what happens to a picture of this size, such as `640x400 cut to 533x400 and scaled to 320x240`."""
     x, y = cut_to_aspect(size, wanted)
     left = (round(size[0] * (1 - 2 * x)), round(size[1] * (1 - 2 * y)))
     cut = "" if left == size else f" cut to {left[0]}x{left[1]} in the middle and"

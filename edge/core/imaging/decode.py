@@ -32,7 +32,7 @@ def decode(frame: CameraFrame, profile: SensorProfile) -> Picture:
     The payload is a JPEG or a PNG; the JPEG is decoded at 1/decode_scale in the DCT domain. Errors: FrameCorrupt for
     bytes that are not a picture, end early, or have another native size.
     """
-    bgr = _resized(_cropped(frame, profile, profile.decode_scale), profile.size)
+    bgr = _resize(_crop(frame, profile, profile.decode_scale), profile.size)
     return Picture(_to_rgb(bgr), frame.timestamp_ns, frame.sequence)
 
 
@@ -42,21 +42,20 @@ def decode_view(frame: CameraFrame, profile: SensorProfile) -> NDArray[np.float3
     Decoded at the coarsest JPEG scale that still has a pixel for each of the view's. At 1/8 of 3280x2464 the crop's
     edge may be half a reduced pixel (4 camera pixels) off the picture's. Errors as `decode`.
     """
-    bgr = _resized(_cropped(frame, profile, _view_scale(profile)), VIEW_SIZE)
+    bgr = _resize(_crop(frame, profile, _view_scale(profile)), VIEW_SIZE)
     return _to_rgb(bgr).astype(np.float32)
 
 
-def _cropped(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.uint8]:
+def _crop(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.uint8]:
     if frame.damage is not None:
         raise FrameCorrupt(f"frame {frame.sequence} is {frame.damage}; look for lost USB packets")
-    found = frame.size
-    if found != profile.native:
+    if frame.size != profile.native:
         raise FrameCorrupt(
-            f"frame {frame.sequence} is {_sized(found)}, profile '{profile.name}' expects {_sized(profile.native)}; "
-            "choose the profile that fits the camera"
+            f"frame {frame.sequence} is {_size_text(frame.size)}, profile '{profile.name}' expects "
+            f"{_size_text(profile.native)}; choose the profile that fits the camera"
         )
     left, top, right, bottom = _crop_box(profile, scale)
-    return _reduced(frame, scale)[top:bottom, left:right]
+    return _reduce(frame, scale)[top:bottom, left:right]
 
 
 def _crop_box(profile: SensorProfile, scale: int) -> tuple[int, int, int, int]:
@@ -72,16 +71,16 @@ def _crop_box(profile: SensorProfile, scale: int) -> tuple[int, int, int, int]:
     )
 
 
-def _reduced(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
-    """BGR uint8 at 1/scale, rounded up as libjpeg does."""
+def _reduce(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
+    """Decode BGR uint8 at 1/scale, rounded up as libjpeg does."""
     if kind(frame.payload) == "jpg":
-        return _reduced_jpeg(frame, scale)
+        return _reduce_jpeg(frame, scale)
     bgr = _imdecode(frame, cv2.IMREAD_COLOR)
     height, width = bgr.shape[:2]
-    return _resized(bgr, (-(-width // scale), -(-height // scale)))
+    return _resize(bgr, (-(-width // scale), -(-height // scale)))
 
 
-def _reduced_jpeg(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
+def _reduce_jpeg(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
     bgr = _imdecode(frame, _FLAGS[scale])
     if _ends_without_data(bgr):
         raise FrameCorrupt(
@@ -111,7 +110,7 @@ def _ends_without_data(bgr: NDArray[np.uint8]) -> bool:
     return bool((tail == tail[0, 0]).all() and (head != tail[0, 0]).any())
 
 
-def _resized(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def _resize(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     if (bgr.shape[1], bgr.shape[0]) == size:
         return bgr
     return np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -129,5 +128,5 @@ def _view_scale(profile: SensorProfile) -> int:
     return next(fits, 1)
 
 
-def _sized(size: tuple[int, int] | None) -> str:
+def _size_text(size: tuple[int, int] | None) -> str:
     return "of unreadable size" if size is None else f"{size[0]}x{size[1]}"

@@ -28,7 +28,7 @@ class CameraFrame:
 
     @cached_property
     def damage(self) -> str | None:
-        """Why the payload is not one complete JPEG or PNG, or None; checked once."""
+        """The reason why the payload is not one complete JPEG or PNG, or None; checked once."""
         return damage(self.payload)
 
     @cached_property
@@ -36,8 +36,8 @@ class CameraFrame:
         """(width, height) by the payload's header, or None when it cannot be read; checked once."""
         return picture_size(self.payload)
 
-    def numbered(self, sequence: int) -> Self:
-        """The same frame with another sequence; what is known of its payload stays known."""
+    def renumber(self, sequence: int) -> Self:
+        """Give the frame another sequence; what is known of its payload stays known."""
         frame = replace(self, sequence=sequence)
         frame.__dict__.update(
             {name: self.__dict__[name] for name in ("damage", "size") if name in self.__dict__}

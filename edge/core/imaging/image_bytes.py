@@ -28,7 +28,7 @@ def kind(payload: bytes) -> str | None:
 
 
 def damage(payload: bytes) -> str | None:
-    """Why these bytes are not one complete JPEG or PNG, or None when both ends are present.
+    """Say why these bytes are not one complete JPEG or PNG, or None when both ends are present.
 
     Cameras may pad a JPEG with zero bytes, so only zeros are allowed after its end. A gap in the middle is not detected
     here; the transport must report it.
@@ -74,7 +74,7 @@ def _jpeg_size(payload: bytes) -> tuple[int, int] | None:
 
 
 def with_comment(payload: bytes, text: str) -> bytes:
-    """The same picture with a comment at its front: a JPEG COM segment (T.81 B.2.4.5) or a PNG tEXt chunk (11.3.4.3).
+    """Put a comment at the picture's front: a JPEG COM segment (T.81 B.2.4.5) or a PNG tEXt chunk (11.3.4.3).
 
     No pixel changes, but the bytes differ, so a copy is not taken for a frame that a hung camera sends twice.
     """

@@ -38,7 +38,9 @@ class Region:
         """The central square of a picture of size (width, height)."""
         x, y = (size[0] - side) // 2, (size[1] - side) // 2
         if min(x, y) < 0:
-            raise ConfigError(f"a centre region of {side}x{side} does not fit a picture of {_sized(size)}")
+            raise ConfigError(
+                f"a centre region of {side}x{side} does not fit a picture of {_size_text(size)}"
+            )
         return cls(x, y, side, side)
 
     @classmethod
@@ -69,7 +71,7 @@ class Region:
         region = cls(x, y, width, height)
         if not region.is_within(size):
             raise ConfigError(
-                f"region '{text}' reaches ({x + width}, {y + height}), outside the picture of {_sized(size)}; "
+                f"region '{text}' reaches ({x + width}, {y + height}), outside the picture of {_size_text(size)}; "
                 "move or shrink it"
             )
         return region
@@ -82,7 +84,7 @@ class Region:
         """The region of an array (h, w) or (h, w, c), as a view. Errors: ValueError where it reaches outside."""
         size = (pixels.shape[1], pixels.shape[0])
         if not self.is_within(size):
-            raise ValueError(f"region {self} reaches outside the picture of {_sized(size)}")
+            raise ValueError(f"region {self} reaches outside the picture of {_size_text(size)}")
         return pixels[self.y : self.y + self.height, self.x : self.x + self.width]
 
     def __str__(self) -> str:
@@ -99,5 +101,5 @@ def touched_in(mask: NDArray[np.bool_], size: tuple[int, int], region: Region) -
     return region.crop(np.asarray(pixels, dtype=np.bool_))
 
 
-def _sized(size: tuple[int, int]) -> str:
+def _size_text(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"

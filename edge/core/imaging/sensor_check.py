@@ -89,7 +89,7 @@ def check_sensor(rgb: NDArray[np.uint8], nominal: NominalColours) -> Rejection |
 
 
 def likely_cause(cells: F64, nominal: NominalColours) -> str:
-    """What most likely made the colours differ, and what to do about it: light, gel or unit, or kind of sensor.
+    """Say what most likely made the colours differ, and what to do about it: light, gel or unit, or kind of sensor.
 
     A gain of its own for each colour that explains all is the light. Where the colours still lie in the same pattern
     over the gel it is a gel or a unit of the same kind, which colours do not tell apart.
@@ -119,12 +119,12 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
 
 
 def is_other_kind(cells: F64, nominal: NominalColours) -> bool:
-    """Whether the colours run over the gel otherwise than with any unit of this kind of sensor."""
+    """Tell whether the colours run over the gel otherwise than with any unit of this kind of sensor."""
     return _common_pattern(cells, nominal.cells) < _OTHER_KIND
 
 
 def _common_pattern(cells: F64, nominal: F64) -> float:
-    """How alike the colours run over the gel: the mean correlation of the channels, -1 to 1."""
+    """Measure how alike the colours run over the gel: the mean correlation of the channels, -1 to 1."""
     flat, known = (one.reshape(-1, 3) - one.reshape(-1, 3).mean(axis=0) for one in (cells, nominal))
     scale = np.sqrt((flat**2).sum(axis=0) * (known**2).sum(axis=0))
     return float(np.mean((flat * known).sum(axis=0) / np.maximum(scale, 1e-9)))

@@ -12,21 +12,21 @@ __all__ = ["SensorProfile"]
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """Geometry and camera settings of one way of reading a sensor.
-
-    native: (width, height) of the camera's frames. border: fraction cut from each side, (x, y).
-    size: (width, height) of the picture after area resampling. decode_scale: 1, 2, 4 or 8, the JPEG reduction
-    (DCT domain: a different resampler, so it is part of the profile). pixels_per_mm: of the picture, along x.
-    controls: camera control name to value, V4L2 names.
-    """
+    """Geometry and camera settings of one way of reading a sensor."""
 
     name: str
     native: tuple[int, int]
+    """(width, height) of the camera's frames."""
     border: tuple[float, float]
+    """Fraction cut from each side, (x, y)."""
     size: tuple[int, int]
+    """(width, height) of the picture after area resampling."""
     decode_scale: int
+    """1, 2, 4 or 8: the JPEG reduction. Its DCT resampler differs, so it is part of the profile."""
     pixels_per_mm: float
+    """Of the picture, along x."""
     controls: Mapping[str, int] = field(default_factory=dict)
+    """Camera control name to value, V4L2 names."""
 
     @property
     def mm_per_pixel(self) -> tuple[float, float]:

@@ -60,18 +60,18 @@ class Tiles:
         return np.stack([frame[r : r + self.size, c : c + self.size] for r, c in self.places])
 
     def blend_rows(self, cells: int) -> NDArray[np.float64]:
-        """From the mosaic's rows to the frame's: float64 (frame cells, tiles * cells), each row sums to 1.
+        """Give the weights from the mosaic's rows to the frame's: float64 (frame cells, tiles * cells), rows sum to 1.
 
         cells: rows of one tile's grid. Errors: ValueError when the tiles do not start on whole cells.
         """
         return _blend(self.rows, self.size, self.frame[0], cells)
 
     def blend_columns(self, cells: int) -> NDArray[np.float64]:
-        """The same along the columns."""
+        """Give the weights from the mosaic's columns to the frame's, as `blend_rows`."""
         return _blend(self.columns, self.size, self.frame[1], cells)
 
-    def written(self) -> str:
-        """The layout as JSON, for a trunk's metadata."""
+    def to_json(self) -> str:
+        """Write the layout as JSON, for a trunk's metadata."""
         return json.dumps(
             {"frame": self.frame, "size": self.size, "rows": self.rows, "columns": self.columns}
         )

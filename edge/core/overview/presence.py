@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Zone", "changed_share"]
+__all__ = ["Zone", "share_of_change"]
 
 # Both pictures are compared at about this width: a part that matters is larger than 1/160 of the view.
 COMPARED_PX: Final = 160
@@ -39,13 +39,13 @@ class Zone:
 
 
 def _span(pixels: int, start: float, length: float) -> slice:
-    """At least one pixel."""
+    """Cut a span of at least one pixel."""
     first = min(int(start * pixels), pixels - 1)
     return slice(first, max(first + 1, round((start + length) * pixels)))
 
 
-def changed_share(grey: NDArray[np.uint8], empty: NDArray[np.uint8]) -> float:
-    """The share of pixels that differ from the empty station. Both uint8 (h, w); their sizes may differ.
+def share_of_change(grey: NDArray[np.uint8], empty: NDArray[np.uint8]) -> float:
+    """Measure the share of pixels that differ from the empty station. Both uint8 (h, w); their sizes may differ.
 
     A change of the light of the entire view is taken out: it is the median of the differences.
     """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.overview.codes import Code, CodeKind, TagFamily, read_codes
-from edge.core.overview.presence import Zone, changed_share
+from edge.core.overview.presence import Zone, share_of_change
 from edge.core.part_position import PartPosition
 
 __all__ = ["NamedBy", "OverviewRules", "OverviewView"]
@@ -40,38 +40,38 @@ class OverviewView:
 
 @dataclass(frozen=True)
 class OverviewRules:
-    """What a still must show.
-
-    codes: kinds to read; without any, no id is asked for. pattern: its group `part` is the part in a code's text;
-    without it the text is the part. parts: text, or that group, to the part or another name of a bundle, where they
-    differ. select: the code on the part selects its bundle.
-    zone: where the part is. empty: grey picture of the empty station, uint8 (h, w); without it presence is not checked.
-    present_share: a part changes at least this share of the region.
-    """
+    """What a still must show."""
 
     codes: tuple[CodeKind, ...] = ()
+    """Kinds to read; without any, no id is asked for."""
     family: TagFamily = "36h11"
     pattern: re.Pattern[str] | None = None
+    """Its group `part` is the part in a code's text; without a pattern the text is the part."""
     parts: Mapping[str, str] = field(default_factory=dict)
+    """That text to the part or another name of a bundle, where they differ."""
     select: bool = False
+    """The code on the part selects its bundle."""
     zone: Zone = field(default_factory=Zone)
+    """Where the part is."""
     empty: NDArray[np.uint8] | None = None
+    """Grey picture of the empty station, uint8 (h, w); without it presence is not checked."""
     present_share: float = 0.02
+    """A part changes at least this share of the region."""
 
     @property
     def is_asking(self) -> bool:
-        """Whether a press needs a still to be admitted; otherwise stills are only attached."""
+        """True where a press needs a still to be admitted; otherwise stills are only attached."""
         return bool(self.codes) or self.empty is not None
 
     def look(self, jpeg: bytes, grey: NDArray[np.uint8]) -> OverviewView:
-        """What a still says. grey: the same picture, uint8 (h, w)."""
+        """Look at a still. grey: the same picture, uint8 (h, w)."""
         seen = np.ascontiguousarray(self.zone.of(grey))
-        changed = None if self.empty is None else changed_share(seen, self.zone.of(self.empty))
+        changed = None if self.empty is None else share_of_change(seen, self.zone.of(self.empty))
         codes = read_codes(seen, self.codes, self.family) if self.codes else ()
         return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes)
 
     def _is_present(self, changed: float | None, codes: tuple[Code, ...]) -> bool | None:
-        """A code that can be read is a part."""
+        """Tell whether a part is there; a code that can be read is a part."""
         if codes:
             return True
         return None if changed is None else changed >= self.present_share
@@ -87,7 +87,7 @@ class OverviewRules:
         return self.parts.get(text, text)
 
     def refusal(self, view: OverviewView, selected: PartPosition, named_by: NamedBy) -> Rejection | None:
-        """Why a press is not admitted, or None. selected: what the bundle in use inspects."""
+        """Say why a press is not admitted, or None. selected: what the bundle in use inspects."""
         if not self.is_asking:
             return None
         if view.fault is not None:
@@ -101,13 +101,13 @@ class OverviewRules:
             )
         return self._other_part(view, selected, named_by) if self.codes else None
 
-    def selected_by(self, view: OverviewView, named_by: NamedBy) -> PartPosition | None:
-        """The one position that every code in view names; None where they name none, several or different ones."""
-        named = self._named(view, named_by)
+    def choose_position(self, view: OverviewView, named_by: NamedBy) -> PartPosition | None:
+        """Find the one position that every code in view names; None where they name none, several or different ones."""
+        named = self._find_positions(view, named_by)
         return next(iter(named)) if len(named) == 1 else None
 
-    def _named(self, view: OverviewView, named_by: NamedBy) -> frozenset[PartPosition]:
-        """The positions that every code in view names."""
+    def _find_positions(self, view: OverviewView, named_by: NamedBy) -> frozenset[PartPosition]:
+        """Find the positions that every code in view names."""
         parts = [self.part_in(code) for code in view.codes]
         each = [frozenset() if part is None else frozenset(named_by(part)) for part in parts]
         return frozenset.intersection(*each) if each else frozenset()
@@ -119,7 +119,7 @@ class OverviewRules:
                 Reason.NO_PART_ID,
                 f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the light",
             )
-        named = self._named(view, named_by)
+        named = self._find_positions(view, named_by)
         if selected in named:
             return None
         read = ", ".join(f"'{code.text}' ({code.kind})" for code in view.codes)

@@ -35,20 +35,23 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class ReferencePress:
-    """One press of a master piece. expected: the verdict that it must give. verdict: pass, fail, unsure, rejected or
-    error. reason: why it was rejected or is an error. is_start: the charts begin again with it."""
+    """One press of a master piece."""
 
     press_id: str
     time_ns: int
     gel_id: str
     bundle_id: str
     expected: str
+    """The verdict that it must give."""
     verdict: str
+    """Pass, fail, unsure, rejected or error."""
     score: float | None = None
     threshold: float | None = None
     imprint: Imprint = field(default_factory=Imprint)
     reason: str | None = None
+    """Why it was rejected or is an error."""
     is_start: bool = False
+    """The charts begin again with it."""
 
     @property
     def is_as_expected(self) -> bool:
@@ -59,7 +62,7 @@ class ReferencePress:
         return self.verdict in _SCORED
 
     def value(self, measure: Measure) -> float | None:
-        """None where it was not measured."""
+        """Read a measure of the press; None where it was not measured."""
         if not self.is_scored:
             return None
         value = self.score if measure.name == "score" else getattr(self.imprint, measure.name)
@@ -106,8 +109,8 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
             Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), found
         )
     concerned = [chart for chart in found if chart.presses[-1] is newest]
-    beyond = [*_wrong_verdict(newest), *_said(concerned, beyond=True)]
-    runs = _said(concerned, beyond=False)
+    beyond = [*_wrong_verdict(newest), *_sentences(concerned, beyond=True)]
+    runs = _sentences(concerned, beyond=False)
     change = _changes(presses)
     if beyond:
         return Judgement(Outcome.OUT_OF_LIMITS, (*beyond, *runs, *change), found)
@@ -155,7 +158,7 @@ def _without_turns(
 
 
 def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[ReferencePress]:
-    """Those since the charts began, of the newest gel and bundle as far as the measure depends on them."""
+    """Select presses since the charts began, of the newest gel and bundle as far as the measure depends on them."""
     begun = max((number for number, one in enumerate(presses) if one.is_start), default=0)
     kept = list(presses[begun:])
     if not kept or measure.scope == "place":
@@ -179,16 +182,16 @@ _RUNS: Final = {
 }
 
 
-def _said(found: Iterable[Chart], *, beyond: bool) -> list[str]:
-    """Sentences of the charts with a value beyond a limit, or of those with a run alone."""
+def _sentences(found: Iterable[Chart], *, beyond: bool) -> list[str]:
+    """Write sentences of the charts with a value beyond a limit, or of those with a run alone."""
     return [
-        f"{_found(chart, beyond=beyond)}; {chart.measure.what_to_do}"
+        f"{_sentence(chart, beyond=beyond)}; {chart.measure.what_to_do}"
         for chart in found
         if chart.signals and (Signal.BEYOND_LIMIT in chart.signals) == beyond
     ]
 
 
-def _found(chart: Chart, *, beyond: bool) -> str:
+def _sentence(chart: Chart, *, beyond: bool) -> str:
     measure, limits = chart.measure, chart.limits
     unit = f" {measure.unit}" if measure.unit else ""
     if beyond and limits is not None:
@@ -200,7 +203,7 @@ def _found(chart: Chart, *, beyond: bool) -> str:
 
 
 def _changes(presses: Sequence[ReferencePress]) -> tuple[str, ...]:
-    """What begins again with this press."""
+    """Say what begins again with this press."""
     if len(presses) < 2 or presses[-1].is_start:
         return ()
     before, newest = presses[-2], presses[-1]

@@ -50,7 +50,7 @@ class Limits:
 
     @classmethod
     def of(cls, values: Sequence[float], floor: float) -> Self:
-        """From values in the order in which they were taken, at least two.
+        """Compute limits from values in the order in which they were taken, at least two.
 
         floor: sigma is not less than this, above 0: values that repeat exactly would make every later one an alarm.
         """
@@ -68,12 +68,12 @@ class Limits:
         return self.centre + LIMIT_SIGMAS * self.sigma
 
     def sigmas(self, value: float) -> float:
-        """How far from the centre, signed."""
+        """Measure how far a value is from the centre, signed."""
         return (value - self.centre) / self.sigma
 
 
 def signals(values: Sequence[float], limits: Limits) -> tuple[Signal, ...]:
-    """What the last of the values says, oldest first; empty for nothing."""
+    """Find what the last of the values signals; empty for nothing. values: oldest first."""
     found = [limits.sigmas(value) for value in values]
     if not found:
         return ()

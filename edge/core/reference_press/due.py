@@ -15,7 +15,7 @@ def why_due(
     shifts: Sequence[datetime.time] = (),
     zone: datetime.tzinfo | None = None,
 ) -> str | None:
-    """Why one is due, as a sentence without its end, or None.
+    """Say why a reference press is due, as a sentence without its end, or None.
 
     last_ns, now_ns: wall clock, nanoseconds since 1970; last_ns None where there was none with this gel and
     bundle. every_h: hours, above 0.

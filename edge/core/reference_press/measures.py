@@ -26,20 +26,19 @@ class Imprint:
 
 @dataclass(frozen=True)
 class Measure:
-    """One chart. floor: the least sigma, so that exact repetition makes no false alarm. relative_floor: the same as a
-    share of the centre.
-
-    scope: the chart begins again with another bundle, with another gel, or neither: a place depends on the fixture.
-    what_to_do: the end of a sentence for the person at the station.
-    """
+    """One chart."""
 
     name: str
     title: str
     unit: str
     scope: Scope
+    """The chart begins again with another bundle, another gel, or neither: a place depends on the fixture."""
     floor: float
+    """The least sigma, so that exact repetition makes no false alarm."""
     relative_floor: float
+    """The least sigma as a share of the centre."""
     what_to_do: str
+    """The end of a sentence for the person at the station."""
 
 
 MEASURES: Final[tuple[Measure, ...]] = (

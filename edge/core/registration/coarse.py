@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.registration.pose import Pose, turned_slopes
+from edge.core.registration.pose import Pose, turn_slopes
 
 __all__ = ["Candidate", "CoarseSearch"]
 
@@ -40,7 +40,7 @@ class CoarseSearch:
     def __init__(self, slopes: F32, turns: int) -> None:
         self._grid = cv2.getOptimalDFTSize(math.ceil(_ROOM * max(slopes.shape[:2])))
         self._step_rad = 2 * math.pi / turns
-        turned = np.stack([turned_slopes(slopes, Pose(turn_rad=-k * self._step_rad)) for k in range(turns)])
+        turned = np.stack([turn_slopes(slopes, Pose(turn_rad=-k * self._step_rad)) for k in range(turns)])
         norms = np.sqrt((turned.astype(np.float64) ** 2).sum(axis=(1, 2, 3), keepdims=True))
         turned /= np.maximum(norms, np.finfo(np.float32).tiny).astype(np.float32)
         self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
@@ -66,11 +66,11 @@ class CoarseSearch:
         return best
 
     def roundness(self, slopes: F32) -> float:
-        """How well a part agrees with itself at the turn at which it agrees least, at most 1: a ball nearly 1."""
+        """Measure how well a part agrees with itself at the turn where it agrees least, at most 1: a ball nearly 1."""
         return float(self._matches(slopes).max(axis=(1, 2)).min())
 
     def _matches(self, slopes: F32) -> F32:
-        """Of each turn and shift, float32 (turns, grid, grid)."""
+        """Compute the match of each turn and shift, float32 (turns, grid, grid)."""
         across, down = self._spectra_of(slopes)
         product = self._spectra[0] * across
         product += self._spectra[1] * down
@@ -79,22 +79,22 @@ class CoarseSearch:
         return np.asarray(np.fft.irfft2(product, (self._grid, self._grid)), np.float32)
 
     def _between(self, found: F32, at: tuple[np.intp, ...]) -> Pose:
-        """The pose of a peak, between the turns and the cells: by a parabola along each axis."""
+        """Find the pose of a peak, between the turns and the cells, by a parabola along each axis."""
         turn, row, column = (float(k) + _vertex(found, at, axis) for axis, k in enumerate(at))
-        return Pose(self._signed(column), self._signed(row), turn * self._step_rad)
+        return Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
 
-    def _signed(self, shift: float) -> float:
-        """A place in the correlation, whose upper half are shifts to the left and up."""
+    def _to_shift(self, shift: float) -> float:
+        """Convert a place in the correlation, whose upper half are shifts to the left and up."""
         return (shift + self._grid // 2) % self._grid - self._grid // 2
 
     def _spectra_of(self, slopes: F32) -> NDArray[np.complex64]:
-        """Of slopes (..., h, w, 2): complex64 (..., 2, grid, grid // 2 + 1)."""
+        """Transform slopes (..., h, w, 2) to spectra, complex64 (..., 2, grid, grid // 2 + 1)."""
         planes = np.ascontiguousarray(np.moveaxis(slopes, -1, -3), np.float32)
         return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
 
 
 def _vertex(found: F32, at: tuple[np.intp, ...], axis: int) -> float:
-    """Of the parabola through a peak and its two neighbours along an axis, from the peak, at most half a step away."""
+    """Find the top of the parabola through a peak and its neighbours along an axis, within half a step of the peak."""
     n = found.shape[axis]
     before, peak, after = (
         float(found[(*at[:axis], (at[axis] + step) % n, *at[axis + 1 :])]) for step in (-1, 0, 1)

@@ -40,7 +40,7 @@ class SlopeColours:
 
     @classmethod
     def of(cls, differences: F32) -> "SlopeColours":
-        """From what presses add to the free gel, float32 (n, 3). Errors: ValueError where there is no relief."""
+        """Learn from what presses add to the free gel, float32 (n, 3). Errors: ValueError where there is no relief."""
         moments = differences.T.astype(np.float64) @ differences / max(1, len(differences))
         values, vectors = np.linalg.eigh(moments)
         return cls(vectors[:, 1:] * np.sqrt(np.maximum(values[1:], 0.0)))
@@ -49,16 +49,16 @@ class SlopeColours:
     def _inverse(self) -> F64:
         return np.asarray(np.linalg.pinv(self.matrix), np.float64)
 
-    def mirrored(self) -> "SlopeColours":
-        """The other of the two that explain the same colours."""
+    def mirror(self) -> "SlopeColours":
+        """Return the other of the two that explain the same colours."""
         return SlopeColours(self.matrix * [1.0, -1.0])
 
     def slopes(self, difference: F32) -> F32:
-        """float32 (h, w, 2) of colours (h, w, 3)."""
+        """Compute slopes, float32 (h, w, 2), of colours (h, w, 3)."""
         return np.asarray(cv2.transform(difference, self._inverse), np.float32)
 
-    def turned(self, turn_rad: float) -> F64:
-        """The colours' change when the part turns, float64 (3, 3); what is no slope's colour stays."""
+    def turn_matrix(self, turn_rad: float) -> F64:
+        """Compute the colours' change when the part turns, float64 (3, 3); colours that show no slope stay."""
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
         turn = np.array([[cos, -sin], [sin, cos]])
         return np.asarray(np.eye(3) + self.matrix @ (turn - np.eye(2)) @ self._inverse, np.float64)

@@ -2,7 +2,7 @@
 
 Source: Baker and Matthews 2004, "Lucas-Kanade 20 years on", the inverse compositional form. Only the places whose
 slopes change most with the pose are read: they carry nearly all of the information. A part pressed deeper shows steeper
-slopes, so the part is scaled to the press. Several poses are refined at once, for one costs nearly as much as six.
+slopes, so the part is scaled to the press. Several poses are refine at once, for one costs nearly as much as six.
 """
 
 import math
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.registration.pose import Pose, depth_inside, turned_slopes
+from edge.core.registration.pose import Pose, depth_inside, turn_slopes
 
 __all__ = ["Alignment", "FineSearch"]
 
@@ -65,8 +65,8 @@ class FineSearch:
         scale = np.array([1.0, 1.0, float(max(h, w)) ** 2])
         self._prior = np.diag(_PRIOR * scale)
 
-    def refined(self, slopes: F32, poses: Sequence[Pose], rounds: int) -> list[Pose]:
-        """The poses after that many rounds. slopes: of a press, in the size of the part's."""
+    def refine(self, slopes: F32, poses: Sequence[Pose], rounds: int) -> list[Pose]:
+        """Refine the poses in that many rounds. slopes: of a press, in the size of the part's."""
         found = list(poses)
         for _ in range(rounds):
             found, _ = self._round(slopes, found)
@@ -74,7 +74,7 @@ class FineSearch:
 
     def agreement(self, slopes: F32, pose: Pose) -> tuple[float, float]:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
-        moved = turned_slopes(slopes, pose)
+        moved = turn_slopes(slopes, pose)
         is_seen = depth_inside(pose, (self._w, self._h)) >= 0
         part = self._slopes * is_seen[..., None]
         energy = float(np.vdot(moved, moved))
@@ -82,9 +82,9 @@ class FineSearch:
         inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)
         return _correlation(part, moved), min(inside, 1.0)
 
-    def aligned(self, slopes: F32, pose: Pose, rounds: int) -> Alignment:
-        """The pose after that many rounds, with its match over all places and the covariance of the last round."""
-        before = self.refined(slopes, [pose], rounds - 1)
+    def align(self, slopes: F32, pose: Pose, rounds: int) -> Alignment:
+        """Align a pose in that many rounds; give its match over all places and the covariance of the last round."""
+        before = self.refine(slopes, [pose], rounds - 1)
         (pose,), covariance = self._round(slopes, before)
         return Alignment(pose, self.agreement(slopes, pose)[0], covariance[0])
 
@@ -105,7 +105,7 @@ class FineSearch:
         return np.concatenate(turned, axis=1), weight
 
     def _steps(self, moved: F32, weight: F32) -> tuple[list[Pose], F64]:
-        """For each pose the part's move that explains the press best, and the covariance of that move (n, 3, 3)."""
+        """Compute for each pose the part's move that explains the press best, and its covariance (n, 3, 3)."""
         sums = (weight @ self._sums).astype(np.float64)
         gain = np.maximum((moved @ self._part) / np.maximum(sums[:, 9], _TINY), _LEAST_GAIN)
         error = moved - gain[:, None].astype(np.float32) * (self._part * np.tile(weight, 2))
@@ -122,7 +122,7 @@ class FineSearch:
 
 
 def _derivatives(slopes: F32, is_turning: bool) -> F32:
-    """Of a part's slopes by its move right, down and clockwise, float32 (3, h, w, 2)."""
+    """Differentiate a part's slopes by its move right, down and clockwise, float32 (3, h, w, 2)."""
     h, w = slopes.shape[:2]
     across = cv2.Sobel(slopes, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
     down = cv2.Sobel(slopes, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)

@@ -33,8 +33,8 @@ class FreeLight:
         self._inverse = 1 / self._light
         self._small = _level_view(free)
 
-    def added(self, rgb: U8) -> F32:
-        """What a press adds, float32 (h, w, 3), levels in the middle of the gel. rgb: uint8 (h, w, 3)."""
+    def find_change(self, rgb: U8) -> F32:
+        """Find what a press adds, float32 (h, w, 3), levels in the middle of the gel. rgb: uint8 (h, w, 3)."""
         levels = fit_levels(_level_view(rgb), self._small)
         scale, offset = levels.gain.astype(np.float64), levels.offset.astype(np.float64)
         matrix = np.concatenate([np.diag(scale), offset[:, None]], axis=1)
@@ -51,8 +51,8 @@ class FreeLight:
         """The levels of the press that adds this, float32 (h, w, 3), neither rounded nor clipped."""
         return np.asarray(self._free + self._light * added, np.float32)
 
-    def changed(self, levels: F32, change: F32, weight: F32) -> U8:
-        """A picture with these levels and a weighted change of what is added, uint8 (h, w, 3). weight: (h, w)."""
+    def apply_change(self, levels: F32, change: F32, weight: F32) -> U8:
+        """Make a picture with these levels and a weighted change of what is added, uint8 (h, w, 3). weight: (h, w)."""
         shows = cv2.multiply(cv2.cvtColor(weight, cv2.COLOR_GRAY2RGB), self._light)
         return np.asarray(cv2.add(levels, cv2.multiply(change, shows, dst=shows), dtype=cv2.CV_8U), np.uint8)
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Pose", "depth_inside", "turned_slopes", "warped"]
+__all__ = ["Pose", "depth_inside", "turn_slopes", "warp"]
 
 F32 = NDArray[np.float32]
 
@@ -38,8 +38,8 @@ class Pose:
             ]
         )
 
-    def scaled(self, factor: float) -> "Pose":
-        """The same pose in pixels of another size."""
+    def scale(self, factor: float) -> "Pose":
+        """Scale the pose to pixels of another size."""
         return Pose(self.x_px * factor, self.y_px * factor, self.turn_rad)
 
     def after(self, first: "Pose") -> "Pose":
@@ -57,15 +57,15 @@ class Pose:
         return Pose(-cos * self.x_px - sin * self.y_px, sin * self.x_px - cos * self.y_px, -self.turn_rad)
 
 
-def warped(picture: F32, pose: Pose, flags: int = cv2.INTER_LINEAR) -> F32:
-    """A picture of the press as the bank sees it, float32 (h, w) or (h, w, c); 0 where it left the field."""
+def warp(picture: F32, pose: Pose, flags: int = cv2.INTER_LINEAR) -> F32:
+    """Move a picture of the press to where the bank sees it, float32 (h, w) or (h, w, c); 0 where it left the field."""
     size = picture.shape[1], picture.shape[0]
     moved = cv2.warpAffine(picture, pose.matrix(size), size, flags=flags | cv2.WARP_INVERSE_MAP)
     return np.asarray(moved, np.float32)
 
 
 def depth_inside(pose: Pose, size: tuple[int, int]) -> F32:
-    """How far inside the press's field each place of the bank lies, float32 (h, w), pixels; below 0 outside it.
+    """Measure how far inside the press's field each place of the bank lies, float32 (h, w), pixels; below 0 outside.
 
     size: (w, h) of the picture, whose outermost pixel centres are its border.
     """
@@ -80,8 +80,8 @@ def depth_inside(pose: Pose, size: tuple[int, int]) -> F32:
     return depth
 
 
-def turned_slopes(slopes: F32, pose: Pose) -> F32:
-    """Slopes of the press as the bank sees them, float32 (h, w, 2): moved, and turned as the part is."""
+def turn_slopes(slopes: F32, pose: Pose) -> F32:
+    """Move and turn slopes of the press to what the bank sees, float32 (h, w, 2)."""
     cos, sin = math.cos(pose.turn_rad), math.sin(pose.turn_rad)
     turn = np.array([[cos, sin], [-sin, cos]], np.float32)
-    return np.asarray(cv2.transform(warped(slopes, pose), turn), np.float32)
+    return np.asarray(cv2.transform(warp(slopes, pose), turn), np.float32)

@@ -12,12 +12,12 @@ __all__ = ["SIDE_PX", "PoseSearch", "shrunk"]
 F32 = NDArray[np.float32]
 
 SIDE_PX = 112
-"""The longer side of the picture in which a pose is found; half of that where candidates are refined."""
+"""The longer side of the picture in which a pose is found; half of that where candidates are refine."""
 
 # Cells along the longer side, and turns, of the coarse search; a peak is found between them. With 28 cells 2 of 336
 # presses of six simulated parts got a worse pose, with 32 to 56 cells and 36 to 72 turns at most one.
 _COARSE_CELLS, _TURNS = 32, 36
-# Poses that are refined, and how often; one more round moves none by a hundredth of a pixel.
+# Poses that are refine, and how often; one more round moves none by a hundredth of a pixel.
 _CANDIDATES, _FIRST_ROUNDS, _FINE_ROUNDS = 8, 3, 2
 _INSIDE_POWER = 0.05
 
@@ -47,13 +47,13 @@ class PoseSearch:
         """The best pose, in pixels of these slopes, float32 (h, w, 2) in the size of the part's."""
         small = shrunk(slopes, SIDE_PX // 2)
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
-        tried = self._middle.refined(small, [found.pose.scaled(self._cell) for found in first], _FIRST_ROUNDS)
+        tried = self._middle.refine(small, [found.pose.scale(self._cell) for found in first], _FIRST_ROUNDS)
         best = max(tried, key=lambda pose: _worth(*self._middle.agreement(small, pose)))
-        return self._fine.aligned(slopes, best.scaled(self._factor), _FINE_ROUNDS)
+        return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
 
 
 def _worth(match: float, inside: float) -> float:
-    """What a pose is worth: a regular part agrees with itself a pitch further on, where less of it lies in the field.
+    """Weigh a pose: a regular part agrees with itself a pitch further on, where less of it lies in the field.
 
     The small power lets a clearly better match win all the same.
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.core.registration.colours import SlopeColours
 from edge.core.registration.fine import Alignment
 from edge.core.registration.light import FreeLight
-from edge.core.registration.pose import Pose, depth_inside, warped
+from edge.core.registration.pose import Pose, depth_inside, warp
 from edge.core.registration.pose_search import PoseSearch, shrunk
 
 __all__ = ["PartInPose", "PoseUncertainty", "Registered", "Registrar"]
@@ -30,23 +30,23 @@ _FADE_SHARE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class PartInPose:
-    """What is needed to find a part.
-
-    free: the free gel, uint8 (h, w, 3). template: the mean nominal press in the bank's pose, uint8 (h, w, 3). learnt:
-    bool (h, w), places of the bank that enough nominal presses show. colours: of slopes. is_turning: False where the
-    part has no turn. least_match: below it a press shows no such part. least_seen: the share of the part that must lie
-    in the field. scores_relief_to_end: relief is scored up to the end of what a press shows, and only
-    flat places keep the seam unscored; bundles of earlier fits leave all of it unscored.
-    """
+    """What is needed to find a part."""
 
     free: U8
+    """The free gel, uint8 (h, w, 3)."""
     template: U8
+    """The mean nominal press in the bank's pose, uint8 (h, w, 3)."""
     learnt: Mask
+    """bool (h, w): places of the bank that enough nominal presses show."""
     colours: SlopeColours
     is_turning: bool = True
+    """False where the part has no turn."""
     least_match: float = 0.5
+    """Below it a press shows no such part."""
     least_seen: float = 0.5
+    """The share of the part that must lie in the field."""
     scores_relief_to_end: bool = True
+    """Score relief up to the end of what a press shows; bundles of earlier fits leave the seam unscored."""
 
     def __post_init__(self) -> None:
         if not self.free.shape == self.template.shape == (*self.learnt.shape, 3):
@@ -71,20 +71,21 @@ class PoseUncertainty:
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """A press in the bank's pose.
-
-    rgb: uint8 (h, w, 3), the mean nominal press where nothing is seen. seen: bool (h, w), learnt places that lie in the
-    press's field. pose: where the part lay. match: correlation with the mean nominal press, at most 1. seen_share: of
-    the part, the share that lies in the field. refusal: why the pose cannot be trusted, None where it can.
-    """
+    """A press in the bank's pose."""
 
     rgb: U8
+    """uint8 (h, w, 3), the mean nominal press where nothing is seen."""
     seen: Mask
+    """bool (h, w): learnt places that lie in the press's field."""
     pose: Pose
+    """Where the part lay."""
     uncertainty: PoseUncertainty
     match: float
+    """Correlation with the mean nominal press, at most 1."""
     seen_share: float
+    """The share of the part that lies in the field."""
     refusal: str | None = None
+    """Why the pose cannot be trusted; None where it can."""
 
     def score(self, score_map: F32) -> float:
         """The highest score of a map in the bank's pose, of places that are seen."""
@@ -96,7 +97,7 @@ class Registered:
         The highest score keeps its value: interpolation would lower it.
         """
         lowest = np.float32(score_map.min())
-        moved = warped(np.where(self.seen, score_map - lowest, 0).astype(np.float32), self.pose.inverse())
+        moved = warp(np.where(self.seen, score_map - lowest, 0).astype(np.float32), self.pose.inverse())
         if self.seen.any():
             peak = np.unravel_index(int(np.where(self.seen, score_map, -np.inf).argmax()), score_map.shape)
             x, y = self.pose.matrix((score_map.shape[1], score_map.shape[0])) @ np.array(
@@ -111,7 +112,7 @@ class Registered:
     @cached_property
     def unseen_in_press(self) -> Mask:
         """Places of the press, bool (h, w), of which no bank was learnt."""
-        return np.asarray(warped(self.seen.astype(np.float32), self.pose.inverse()) < 0.5)
+        return np.asarray(warp(self.seen.astype(np.float32), self.pose.inverse()) < 0.5)
 
 
 class Registrar:
@@ -120,12 +121,12 @@ class Registrar:
     def __init__(self, part: PartInPose) -> None:
         self.part = part
         self.light = FreeLight(part.free)
-        self._template = self.light.added(part.template) * part.learnt[..., None]
+        self._template = self.light.find_change(part.template) * part.learnt[..., None]
         self._ground = self.light.levels(self._template)
         slopes = part.colours.slopes(shrunk(self._template))
         self._search = PoseSearch(slopes, part.is_turning)
         self._factor = max(part.learnt.shape) / max(slopes.shape)
-        self._shown = shown(part.colours.slopes(self._template)) & part.learnt
+        self._shown = find_relief(part.colours.slopes(self._template)) & part.learnt
         self._shown_px = max(1, int(np.count_nonzero(self._shown)))
         self._away = depth_of(part.learnt)
         to_end = self._shown if part.scores_relief_to_end else np.zeros_like(self._shown)
@@ -137,16 +138,16 @@ class Registrar:
             raise ValueError(
                 f"a press to register is uint8 {self.part.free.shape}, found {rgb.dtype} {rgb.shape}"
             )
-        added = self.light.added(rgb)
+        added = self.light.find_change(rgb)
         found = self._search.find(self.part.colours.slopes(shrunk(added)))
-        pose = found.pose.scaled(self._factor)
-        moved = turned_colours(added, pose, self.part.colours)
+        pose = found.pose.scale(self._factor)
+        moved = turn_colours(added, pose, self.part.colours)
         away = field_depth(pose, self.part.learnt.shape)
         seen_share = int(np.count_nonzero((away >= 1) & self._shown)) / self._shown_px
         np.minimum(away, self._away, out=away)
         moved -= self._template
         return Registered(
-            self.light.changed(self._ground, moved, faded(away)),
+            self.light.apply_change(self._ground, moved, fade(away)),
             away >= self._least_depth,
             pose,
             self._uncertainty(found),
@@ -175,32 +176,32 @@ class Registrar:
 
 
 def in_pose(added: F32, pose: Pose, colours: SlopeColours) -> tuple[F32, Mask]:
-    """What a press adds, (h, w, 3), and the places that its field shows, bool (h, w), as the bank sees both."""
-    return turned_colours(added, pose, colours), np.asarray(field_depth(pose, added.shape[:2]) >= 1)
+    """Bring to the bank's pose what a press adds, (h, w, 3), and the places that its field shows, bool (h, w)."""
+    return turn_colours(added, pose, colours), np.asarray(field_depth(pose, added.shape[:2]) >= 1)
 
 
-def turned_colours(added: F32, pose: Pose, colours: SlopeColours) -> F32:
-    """What a press adds, float32 (h, w, 3), as the bank sees it."""
+def turn_colours(added: F32, pose: Pose, colours: SlopeColours) -> F32:
+    """Bring to the bank's pose what a press adds, float32 (h, w, 3)."""
     return np.asarray(
-        cv2.transform(warped(added, pose, cv2.INTER_CUBIC), colours.turned(-pose.turn_rad)), np.float32
+        cv2.transform(warp(added, pose, cv2.INTER_CUBIC), colours.turn_matrix(-pose.turn_rad)), np.float32
     )
 
 
 def field_depth(pose: Pose, shape: tuple[int, ...]) -> F32:
-    """How far from the end of what a press shows a place of the bank lies, float32 (h, w), px; 0 and less: unseen."""
+    """Measure how far each place of the bank lies inside what a press shows, float32 (h, w), px; 0 and less: unseen."""
     depth = depth_inside(pose, (shape[1], shape[0]))
     depth -= np.float32(_RIM_PX - 1)
     return depth
 
 
 def depth_of(shows: Mask) -> F32:
-    """How far from the end of these places each of them lies, float32 (h, w), pixels; 0 for the others."""
+    """Measure how far inside these places each of them lies, float32 (h, w), pixels; 0 for the others."""
     framed = cv2.copyMakeBorder(shows.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     return np.asarray(cv2.distanceTransform(framed, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
 
 
-def faded(away: F32) -> F32:
-    """How much each place shows of a press, 0 to 1: it fades into what fills it, for a seam would score.
+def fade(away: F32) -> F32:
+    """Weigh how much each place shows of a press, 0 to 1: it fades into what fills it, for a seam would score.
 
     away: from the end of what the press shows, as `depth_of`.
     """
@@ -211,8 +212,8 @@ def _fade_px(shape: tuple[int, ...]) -> int:
     return max(1, round(_FADE_SHARE * max(shape)))
 
 
-def shown(slopes: F32) -> Mask:
-    """Where a part has relief, bool (h, w), and what such places enclose narrowly. slopes: float32 (h, w, 2)."""
+def find_relief(slopes: F32) -> Mask:
+    """Find where a part has relief, bool (h, w), and what such places enclose narrowly. slopes: float32 (h, w, 2)."""
     steep = cv2.blur(np.linalg.norm(slopes, axis=2).astype(np.float32), (5, 5))
     relief = (steep > _RELIEF_SHARE * float(steep.max())).astype(np.uint8)
     side = 2 * round(_CLOSED_SHARE * max(relief.shape)) + 1

@@ -22,7 +22,7 @@ def test_the_bytes_are_searched_once_also_after_the_frame_is_numbered() -> None:
     payload = Watched(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes())
     frame = CameraFrame(payload, 7, 0)
     assert frame.damage is None
-    later = frame.numbered(41)
+    later = frame.renumber(41)
 
     assert (later.damage, later.sequence, later.timestamp_ns, later.size) == (None, 41, 7, (64, 48))
     assert later.payload is payload

@@ -12,7 +12,7 @@ from overview_stills import blank, encoded, with_data_matrix, with_qr, with_tag
 
 from edge.core.imaging.quality import Reason
 from edge.core.overview.codes import Code, CodeKind, read_codes
-from edge.core.overview.presence import Zone, changed_share
+from edge.core.overview.presence import Zone, share_of_change
 from edge.core.overview.rules import OverviewRules, OverviewView
 from edge.core.part_position import PartPosition
 from edge.extras import is_installed
@@ -141,7 +141,7 @@ def test_codes_that_name_one_position_select_it(texts: list[str], position: Part
     rules = OverviewRules(codes=("qr",), select=True)
     view = OverviewView(b"", codes=tuple(Code("qr", text) for text in texts))
 
-    assert rules.selected_by(view, named_by) == position
+    assert rules.choose_position(view, named_by) == position
     assert position is None or reason(view, rules, position) is None
 
 
@@ -178,8 +178,8 @@ def test_presence_is_a_change_of_the_empty_station() -> None:
     part[:120, :160] = 180
     rules = OverviewRules(empty=empty)
 
-    assert changed_share(part, empty) == pytest.approx(0.25, abs=0.02)
-    assert changed_share(empty + np.uint8(40), empty) == 0.0
+    assert share_of_change(part, empty) == pytest.approx(0.25, abs=0.02)
+    assert share_of_change(empty + np.uint8(40), empty) == 0.0
     assert reason(looked(part, rules), rules) is None
     assert reason(looked(empty, rules), rules) is Reason.NO_PART
     assert looked(part, rules).is_present is True

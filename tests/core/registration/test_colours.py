@@ -20,13 +20,13 @@ def _error(found: SlopeColours, turn: float) -> float:
     slopes, colours = _colours(1)
     cos, sin = math.cos(turn), math.sin(turn)
     turned = slopes @ np.array([[cos, sin], [-sin, cos]]) @ parts.SENSOR.T
-    return float(np.abs(colours @ found.turned(turn).T - turned).max())
+    return float(np.abs(colours @ found.turn_matrix(turn).T - turned).max())
 
 
 def test_colours_turn_with_the_part() -> None:
     """Learnt without a calibration, but for a reflection: one of the two turns colours as the sensor does."""
     learnt = SlopeColours.of(_colours()[1])
-    right, wrong = sorted((learnt, learnt.mirrored()), key=lambda one: _error(one, 1.2))
+    right, wrong = sorted((learnt, learnt.mirror()), key=lambda one: _error(one, 1.2))
 
     assert _error(right, 1.2) < 1.5
     assert _error(wrong, 1.2) > 20
@@ -37,7 +37,7 @@ def test_what_is_no_slope_stays() -> None:
     colours = SlopeColours.of(_colours()[1])
     no_slope = np.cross(*colours.matrix.T)
 
-    np.testing.assert_allclose(colours.turned(2.0) @ no_slope, no_slope, rtol=1e-9)
+    np.testing.assert_allclose(colours.turn_matrix(2.0) @ no_slope, no_slope, rtol=1e-9)
 
 
 def test_a_light_from_one_side_is_refused() -> None:

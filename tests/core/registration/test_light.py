@@ -11,7 +11,8 @@ def test_a_part_shows_the_same_in_the_corner_as_in_the_middle() -> None:
     """The light is a tenth weaker in the corner; what the part adds is divided by it."""
     light = FreeLight(parts.free_gel())
     middle, corner = (
-        float(np.abs(light.added(parts.press(parts.BALL, Pose(x, x), noise=0))).max()) for x in (0.0, 42.0)
+        float(np.abs(light.find_change(parts.press(parts.BALL, Pose(x, x), noise=0))).max())
+        for x in (0.0, 42.0)
     )
 
     assert 0.95 < corner / middle < 1.05
@@ -20,7 +21,7 @@ def test_a_part_shows_the_same_in_the_corner_as_in_the_middle() -> None:
 def test_what_is_added_gives_the_press_again() -> None:
     """To the level of a picture."""
     light, press = FreeLight(parts.free_gel()), parts.press(parts.BLOCK, Pose(3.0, 4.0, 1.0))
-    again = light.picture(light.added(press)).astype(np.float64)
+    again = light.picture(light.find_change(press)).astype(np.float64)
 
     assert float(np.abs(again - press).mean()) < 0.6
 
@@ -28,11 +29,11 @@ def test_what_is_added_gives_the_press_again() -> None:
 def test_a_change_is_shown_by_its_weight() -> None:
     """Without weight the picture stays, with all of it it is that of the sum, and between it lies between."""
     light = FreeLight(parts.free_gel())
-    part = light.added(parts.press(parts.BLOCK, noise=0))
-    other = light.added(parts.press(parts.OTHER, noise=0))
+    part = light.find_change(parts.press(parts.BLOCK, noise=0))
+    other = light.find_change(parts.press(parts.OTHER, noise=0))
     change, ones = other - part, np.ones(part.shape[:2], np.float32)
     none, half, all_of_it = (
-        light.changed(light.levels(part), change, ones * share) for share in (0.0, 0.5, 1.0)
+        light.apply_change(light.levels(part), change, ones * share) for share in (0.0, 0.5, 1.0)
     )
 
     for found, expected in ((none, part), (half, (part + other) / 2), (all_of_it, other)):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from edge.core.registration.pose import Pose, warped
+from edge.core.registration.pose import Pose, warp
 
 
 def test_a_pose_after_its_inverse_is_none() -> None:
@@ -37,7 +37,7 @@ def test_a_press_is_seen_where_the_bank_has_it() -> None:
     """A place that lies 3 px to the right in the press is brought back; what left the field is 0."""
     picture = np.zeros((9, 9), np.float32)
     picture[4, 7] = 1
-    moved = warped(picture + 1, Pose(3.0, 0.0))
+    moved = warp(picture + 1, Pose(3.0, 0.0))
 
     assert moved[4, 4] == 2
     assert (moved[:, 7:] == 0).all()

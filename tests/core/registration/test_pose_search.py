@@ -9,7 +9,7 @@ import turned_parts as parts
 
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.fine import FineSearch
-from edge.core.registration.pose import Pose, depth_inside, turned_slopes, warped
+from edge.core.registration.pose import Pose, depth_inside, turn_slopes, warp
 from edge.core.registration.pose_search import PoseSearch, shrunk
 
 SIDE = 112
@@ -30,7 +30,7 @@ def test_the_fast_search_finds_what_an_exhaustive_one_finds(true: Pose) -> None:
     """The coarse search at twice the turns and nearly twice the cells, then ten rounds: 0.01 px and 0.01 degrees."""
     part, press = _slopes(Pose()), _slopes(true)
     (first, *_) = CoarseSearch(shrunk(part, SIDE // 2), 72).candidates(shrunk(press, SIDE // 2), 1)
-    (slow,) = FineSearch(part).refined(press, [first.pose.scaled(2)], 10)
+    (slow,) = FineSearch(part).refine(press, [first.pose.scale(2)], 10)
 
     assert max(_apart(slow, PoseSearch(part).find(press).pose)) < 0.01
 
@@ -39,8 +39,8 @@ def test_poses_refined_together_are_those_refined_alone() -> None:
     """Within what float32 sums in another order give; one of them shows half of the part only."""
     search, press = FineSearch(_slopes(Pose())), _slopes(POSES[0])
     near = [Pose(3.2 + x, -7.1 - x, 0.9 + turn) for x, turn in ((50.0, 0.02), (-1.0, 0.05), (1.5, -0.04))]
-    together = search.refined(press, near, 2)
-    alone = [search.refined(press, [pose], 2)[0] for pose in near]
+    together = search.refine(press, near, 2)
+    alone = [search.refine(press, [pose], 2)[0] for pose in near]
 
     assert max(max(_apart(one, other)) for one, other in zip(together, alone, strict=True)) < 1e-3
 
@@ -50,7 +50,7 @@ def test_a_step_is_that_of_least_squares_in_float64() -> None:
     side, move = 32, Pose(0.2, -0.15, 0.01)
     part = parts.slopes(parts.CROSS, Pose(), side)
     press = parts.slopes(parts.CROSS, move, side).astype(np.float32)
-    (found,) = FineSearch(part.astype(np.float32)).refined(press, [Pose()], 1)
+    (found,) = FineSearch(part.astype(np.float32)).refine(press, [Pose()], 1)
 
     steps = np.diag([1e-4, 1e-4, 1e-5])
     changes = [parts.slopes(parts.CROSS, Pose(*step), side) - part for step in steps]
@@ -68,7 +68,7 @@ def test_a_step_is_that_of_least_squares_in_float64() -> None:
 def test_the_field_is_where_a_picture_of_ones_lies(pose: Pose) -> None:
     """The depth is at least 0 where a press's picture shows, and grows by one per pixel towards its middle."""
     depth = depth_inside(pose, (SIDE, SIDE - 20))
-    seen = warped(np.ones((SIDE - 20, SIDE), np.float32), pose) > 0.99
+    seen = warp(np.ones((SIDE - 20, SIDE), np.float32), pose) > 0.99
     is_clear = np.abs(depth) > 0.05
     inner = cv2.erode((depth > 1).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
     down, right = np.gradient(depth)
@@ -82,7 +82,7 @@ def test_agreement_counts_only_what_both_show() -> None:
     """A part that has left the field in part agrees fully in the rest, and the share inside is that of its energy."""
     part, pose = _slopes(Pose()), Pose(30.0, 0.0, 0.0)
     match, inside = FineSearch(part).agreement(_slopes(pose), pose)
-    moved = turned_slopes(_slopes(pose), pose).astype(np.float64)
+    moved = turn_slopes(_slopes(pose), pose).astype(np.float64)
     energy = (_slopes(pose).astype(np.float64) ** 2).sum()
 
     assert match == pytest.approx(1.0, abs=1e-3)

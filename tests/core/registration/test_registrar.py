@@ -14,7 +14,7 @@ from calibration.fitting.registration import LearntPose, learn_pose
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose, depth_inside
 from edge.core.registration.pose_search import PoseSearch
-from edge.core.registration.registrar import Registrar, depth_of, shown
+from edge.core.registration.registrar import Registrar, depth_of, find_relief
 
 
 @cache
@@ -144,7 +144,10 @@ def test_relief_is_scored_up_to_the_end_of_what_the_press_shows(to_end: bool) ->
     part = replace(registrar("BLOCK").part, scores_relief_to_end=to_end)
     found = Registrar(part).register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4)))
     light = FreeLight(part.free)
-    relief = shown(part.colours.slopes(light.added(part.template) * part.learnt[..., None])) & part.learnt
+    relief = (
+        find_relief(part.colours.slopes(light.find_change(part.template) * part.learnt[..., None]))
+        & part.learnt
+    )
     depth = np.minimum(depth_inside(found.pose, (parts.SIDE, parts.SIDE)) - 1, depth_of(part.learnt))
 
     np.testing.assert_array_equal(found.seen[relief], depth[relief] >= (1 if to_end else 4))
@@ -177,12 +180,12 @@ def test_the_map_comes_back_to_where_the_damage_lies() -> None:
 @pytest.mark.parametrize("what", ["free gel", "other part", "flat part"])
 def test_what_is_not_the_part_is_refused(what: str) -> None:
     """The free gel, another part, and a part without relief have no pose, and a sentence says so."""
-    shown = {
+    find_relief = {
         "free gel": parts.free_gel(),
         "other part": parts.press(parts.OTHER, Pose(3.0, 2.0, 0.3)),
         "flat part": parts.press(((0.0, 0.0, 60.0, 0.5),)),
     }[what]
-    refusal = registrar("BLOCK").register(shown).refusal
+    refusal = registrar("BLOCK").register(find_relief).refusal
 
     assert refusal is not None
     assert "not recognised" in refusal
@@ -193,7 +196,7 @@ def test_a_second_part_does_not_lead_away() -> None:
     true = Pose(-6.0, 4.0, 0.9)
     beside = tuple((x / 3 + 38, y / 3 - 38, radius / 2, height / 2) for x, y, radius, height in parts.OTHER)
     both = parts.slopes(parts.BLOCK, true) + parts.slopes(beside, Pose())
-    added = registrar("BLOCK").light.added(parts.press(parts.BLOCK, true))
+    added = registrar("BLOCK").light.find_change(parts.press(parts.BLOCK, true))
     rgb = registrar("BLOCK").light.picture((added * 0 + both @ parts.SENSOR.T).astype(np.float32))
     found = registrar("BLOCK").register(rgb)
 
