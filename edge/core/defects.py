@@ -29,8 +29,8 @@ def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defe
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(above, connectivity=8)
     if count == 1:  # the background alone
         return []
-    found = [_defect(stats[n], centroids[n], float(score_map[labels == n].max())) for n in range(1, count)]
-    return sorted(found, key=lambda defect: -defect.score)
+    defects = [_defect(stats[n], centroids[n], float(score_map[labels == n].max())) for n in range(1, count)]
+    return sorted(defects, key=lambda defect: -defect.score)
 
 
 def _defect(stats: NDArray[np.int32], centroid: NDArray[np.float64], peak: float) -> Defect:

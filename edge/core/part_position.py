@@ -20,11 +20,11 @@ class PartPosition(NamedTuple):
 
 def find_part(known: Collection[PartPosition], part: str, position: str | None) -> PartPosition:
     """The position of the part; None for a part with one position. Errors: ValueError, which names those known."""
-    found = [one for one in known if one.part == part and position in (None, one.position)]
-    if len(found) == 1:
-        return found[0]
-    words = ", ".join(map(str, found or known))
-    if found:
+    positions = [one for one in known if one.part == part and position in (None, one.position)]
+    if len(positions) == 1:
+        return positions[0]
+    words = ", ".join(map(str, positions or known))
+    if positions:
         raise ValueError(f"part '{part}' has several positions here ({words}); name one of them")
     asked = part if position is None else f"{part}/{position}"
     raise ValueError(f"this station has no bundle for '{asked}'; it has {words}")
@@ -37,10 +37,10 @@ def find_named(known: Collection[PartPosition], names: Mapping[str, PartPosition
     """
     if name in names:
         return names[name]
-    for one in known:
-        if name == str(one):
-            return one
-    if any(one.part == name for one in known):
+    for position in known:
+        if name == str(position):
+            return position
+    if any(position.part == name for position in known):
         return find_part(known, name, None)
     candidates = sorted({*names, *map(str, known)})
     raise ValueError(f"no part of this station is named '{name:.64}'; {suggestion(name, candidates)}")

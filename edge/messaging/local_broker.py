@@ -45,8 +45,8 @@ def _mosquitto() -> str | None:
 
 def available_brokers() -> list[BrokerKind]:
     """The brokers that can be started here, the better one first."""
-    found: list[BrokerKind] = ["mosquitto"] if _mosquitto() else []
-    return [*found, "amqtt"] if find_spec("amqtt") else found
+    kinds: list[BrokerKind] = ["mosquitto"] if _mosquitto() else []
+    return [*kinds, "amqtt"] if find_spec("amqtt") else kinds
 
 
 class LocalBroker:

@@ -244,10 +244,10 @@ def _press_id(message: Message) -> str | None:
     if kind not in ("result", "last") or message.content_type != "application/json":
         return None
     try:
-        found = json.loads(message.payload).get("press_id")
+        press_id = json.loads(message.payload).get("press_id")
     except (ValueError, AttributeError):  # a damaged row
         return None
-    return found if isinstance(found, str) else None
+    return press_id if isinstance(press_id, str) else None
 
 
 def _kind(message: Message) -> str:

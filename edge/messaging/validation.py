@@ -119,13 +119,13 @@ class StationsCheck:
         root, marker, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
         if not marker or re.fullmatch(r"cmd/[^/]+", topic):
             return []
-        found = [] if topic != "asyncapi" else self._learn(root, message)
+        faults = [] if topic != "asyncapi" else self._learn(root, message)
         if root not in self._documents:
             if len(self._waiting[root]) < MOST_WAITING:
                 self._waiting[root].append(message)
-            return found
+            return faults
         waiting = [*self._waiting.pop(root, []), message]
-        return [*found, *(fault for one in waiting for fault in self._check(root, one))]
+        return [*faults, *(fault for one in waiting for fault in self._check(root, one))]
 
     def _learn(self, root: str, message: Received) -> list[str]:
         try:

@@ -54,12 +54,12 @@ def _flags(before: set[str], after: set[str]) -> Iterator[str]:
 
 def _cpu() -> dict[str, str]:
     """The first processor of /proc/cpuinfo; empty where there is none."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        return found
+        return entries
     for line in lines:
         name, _, value = line.partition(":")
-        found.setdefault(name.strip(), value.strip())
-    return found
+        entries.setdefault(name.strip(), value.strip())
+    return entries

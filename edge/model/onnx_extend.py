@@ -113,12 +113,12 @@ def _has_subgraph(attribute: memoryview) -> bool:
 
 
 def _first_name(entry: memoryview) -> str:
-    found = (
+    names = (
         bytes(value)
         for number, value in fields(entry)
         if number == _FIRST_NAME and isinstance(value, memoryview)
     )
-    return next(found, b"").decode("utf-8", "replace")
+    return next(names, b"").decode("utf-8", "replace")
 
 
 def _encode_additions(

@@ -77,13 +77,13 @@ def output_names(data: bytes) -> list[str]:
 
 def metadata(data: bytes) -> dict[str, str]:
     """The model's metadata, key to value, without opening a session. Errors: GraphRefused."""
-    budget, found = _Budget(), {}
+    budget, properties = _Budget(), {}
     for number, entry in _fields(memoryview(data), budget):
         if number == METADATA_FIELD and isinstance(entry, memoryview):
             pair = {n: bytes(v) for n, v in _fields(entry, budget) if isinstance(v, memoryview)}
             key, value = (pair.get(n, b"").decode("utf-8", "replace") for n in (1, 2))
-            found[key] = value
-    return found
+            properties[key] = value
+    return properties
 
 
 def fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:

@@ -35,11 +35,11 @@ def score_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
 
 def plan_for(manifest: Manifest, costs: Costs) -> Plan:
     """Plan one more press with this bundle; without such scores the plan is `never`, no error."""
-    found = manifest.facts.get(PRESS_AGAIN)
-    if not isinstance(found, Mapping):
+    scores = manifest.facts.get(PRESS_AGAIN)
+    if not isinstance(scores, Mapping):
         return Plan("the bundle has no scores of damaged presses and of pieces pressed twice; fit it again")
     try:
-        entry = _Entry.model_validate(found)
+        entry = _Entry.model_validate(scores)
     except ValidationError as error:
         return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
     limit = manifest.threshold
@@ -49,13 +49,13 @@ def plan_for(manifest: Manifest, costs: Costs) -> Plan:
     return plan(KnownScores(entry.sound, tuple(entry.damaged.values())), limit.value, rate, costs)
 
 
-def again_sentence(found: Plan) -> str:
+def again_sentence(plan: Plan) -> str:
     """Say for `inspect`, `check` and the log whether one more press pays."""
-    if found.bound is None:
-        return f"never: {found.why}"
+    if plan.bound is None:
+        return f"never: {plan.why}"
     return (
-        f"pays up to a score of {found.bound:.4g}: {found.presses:.3f} presses a piece, false alarms at most "
-        f"{_shares(found.false_alarms)}, rendered damage missed {_shares(found.misses)}"
+        f"pays up to a score of {plan.bound:.4g}: {plan.presses:.3f} presses a piece, false alarms at most "
+        f"{_shares(plan.false_alarms)}, rendered damage missed {_shares(plan.misses)}"
     )
 
 

@@ -12,10 +12,10 @@ __all__ = ["check_revision"]
 
 def check_revision(manifest: Manifest, newest: int | None, where: str) -> None:
     """newest: revision of the newest bundle in use here, None where none had one. Errors: BundleMismatch."""
-    found = manifest.revision
-    if newest is None or (found is not None and found >= newest):
+    revision = manifest.revision
+    if newest is None or (revision is not None and revision >= newest):
         return
-    has = "no revision" if found is None else f"revision {found}"
+    has = "no revision" if revision is None else f"revision {revision}"
     raise BundleMismatch(
         f"bundle {where} for {manifest.part}/{manifest.position} has {has}, and revision {newest} was in use here: it "
         'is older; use the newer one, or set inspection.older = "allowed" to go back on purpose'

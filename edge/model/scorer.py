@@ -178,17 +178,17 @@ class Scorer:
         return difference
 
     def _check_golden_map(self, number: int, scored: Scored, expected: NDArray[np.float64]) -> None:
-        tolerance, found = self.bundle.manifest.tolerance, np.asarray(map_peaks(scored.score_map))
-        if found.shape != expected.shape:
+        tolerance, peaks = self.bundle.manifest.tolerance, np.asarray(map_peaks(scored.score_map))
+        if peaks.shape != expected.shape:
             raise BundleCorrupt(
-                f"bundle {self._where}: golden map {number} is {expected.shape}, found {found.shape}"
+                f"bundle {self._where}: golden map {number} is {expected.shape}, found {peaks.shape}"
             )
-        beyond = np.abs(found - expected) - (tolerance.score_map + tolerance.relative * np.abs(expected))
+        beyond = np.abs(peaks - expected) - (tolerance.score_map + tolerance.relative * np.abs(expected))
         if beyond.max() > 0:
             row, column = np.unravel_index(int(beyond.argmax()), beyond.shape)
             raise BundleCorrupt(
                 f"bundle {self._where}: the score map of golden frame {number} differs in block ({row}, {column}): "
-                f"{found[row, column]:.6g}, expected {expected[row, column]:.6g}; fit again on this kind of machine"
+                f"{peaks[row, column]:.6g}, expected {expected[row, column]:.6g}; fit again on this kind of machine"
             )
 
     def _check_taps(self) -> dict[str, tuple[int, int, int]]:
@@ -214,9 +214,9 @@ class Scorer:
     def _check_frames_input(self, session: ort.InferenceSession, name: str) -> None:
         inputs = {i.name: i for i in session.get_inputs()}
         if list(inputs) != [FRAMES] or inputs[FRAMES].type != ORT_TYPES["uint8"]:
-            found = ", ".join(f"{i.name} {i.type}" for i in inputs.values())
+            listed = ", ".join(f"{i.name} {i.type}" for i in inputs.values())
             raise BundleCorrupt(
-                f"bundle {self._where}: {name} has inputs {found}, expected one, '{FRAMES}' uint8 (n, h, w, 3)"
+                f"bundle {self._where}: {name} has inputs {listed}, expected one, '{FRAMES}' uint8 (n, h, w, 3)"
             )
 
     def _check_bank(self) -> dict[str, tuple[int, ...]]:
@@ -351,10 +351,10 @@ class _Pipe:
         return score_map, score, (middle - start) * 1e3, (end - middle) * 1e3
 
 
-def _fits(found: tuple[int, ...], wanted: list[Any]) -> bool:
+def _fits(shape: tuple[int, ...], wanted: list[Any]) -> bool:
     """Tell whether a shape agrees with a graph input's, whose free sizes are names or None."""
-    return len(found) == len(wanted) and all(
-        not isinstance(size, int) or size == n for n, size in zip(found, wanted, strict=True)
+    return len(shape) == len(wanted) and all(
+        not isinstance(size, int) or size == n for n, size in zip(shape, wanted, strict=True)
     )
 
 

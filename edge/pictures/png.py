@@ -33,12 +33,12 @@ def encode(rgb: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> byt
 
 def texts(png: bytes) -> dict[str, str]:
     """The texts in a PNG, keyword to text. Errors: ValueError for bytes that are not a PNG."""
-    found = {}
+    entries = {}
     for kind, data in _chunks(png):
         if kind == b"iTXt":
             keyword, _, rest = data.partition(b"\0")
-            found[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[2].decode()
-    return found
+            entries[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[2].decode()
+    return entries
 
 
 def _text_chunk(keyword: str, text: str) -> bytes:

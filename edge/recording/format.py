@@ -295,9 +295,9 @@ def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
 
 def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
     """Find where in the index the first `keep` lines end, in bytes."""
-    found = _read_header(folder)
-    if found != header:
-        raise RecordingError(f"recording {folder} is of {found}, not of {header}; choose another folder")
+    present = _read_header(folder)
+    if present != header:
+        raise RecordingError(f"recording {folder} is of {present}, not of {header}; choose another folder")
     try:
         lines = (folder / _INDEX).read_bytes().split(b"\n")[:-1]
     except OSError as error:

@@ -70,13 +70,13 @@ def images_in(folder: Path, pattern: str = "**/*") -> list[Path]:
     if not folder.is_dir():
         hint = "; a film is read with --from-video" if folder.suffix.lower() in VIDEO_SUFFIXES else ""
         raise DatasetError(f"{folder} is not a folder of press images{hint}")
-    found = sorted(
+    images = sorted(
         (path for path in folder.glob(pattern) if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()),
         key=lambda path: _natural(path.relative_to(folder).as_posix()),
     )
-    if not found:
+    if not images:
         raise DatasetError(f"{folder} has no JPEG or PNG file that matches '{pattern}'")
-    return found
+    return images
 
 
 def record_images(

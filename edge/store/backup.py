@@ -100,9 +100,9 @@ def _copy(database: Path, part: Path) -> None:
         source.execute("COMMIT")  # the backup takes its own read lock
         source.backup(copy, pages=-1)
         copy.execute("PRAGMA journal_mode = DELETE")
-        found = copy.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if found != "ok":
+        answer = copy.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if answer != "ok":
         raise StoreError(
-            f"database {database} is damaged ({' '.join(str(found).split())}), and so is its copy; none is kept. "
+            f"database {database} is damaged ({' '.join(str(answer).split())}), and so is its copy; none is kept. "
             "`gelgate db check` says more"
         )

@@ -33,16 +33,16 @@ def find_press(database: Path, prefix: str) -> KnownPress:
         raise ArchiveError(
             f"'{prefix:.60}' is no press id; give the 26 letters and digits of a result's press_id, or their beginning"
         )
-    found = list(_presses(database, "press_id >= ? AND press_id < ?", (wanted, wanted + "~"), _SHOWN + 1))
-    if len(found) > 1:
-        ids = ", ".join(press.press_id for press in found[:_SHOWN])
-        more = " and more" if len(found) > _SHOWN else ""
+    presses = list(_presses(database, "press_id >= ? AND press_id < ?", (wanted, wanted + "~"), _SHOWN + 1))
+    if len(presses) > 1:
+        ids = ", ".join(press.press_id for press in presses[:_SHOWN])
+        more = " and more" if len(presses) > _SHOWN else ""
         raise ArchiveError(f"'{prefix}' is the beginning of {ids}{more}; give more of the id")
-    if not found:
+    if not presses:
         raise ArchiveError(
             f"no press {prefix:.60} is in {_describe(database)}; is it of another station, or older?"
         )
-    return found[0]
+    return presses[0]
 
 
 def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:

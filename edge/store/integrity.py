@@ -54,12 +54,12 @@ def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
     with open_read_only(path, "checking", any_version=True) as connection:
         connection.set_progress_handler(is_over, ASKED_EVERY)
         try:
-            (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+            (answer,) = connection.execute("PRAGMA quick_check(1)").fetchone()
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
                 raise
             raise TimeoutError(f"the check of database {path} was ended") from error
-    return None if found == "ok" else f"database {path} is damaged ({' '.join(str(found).split())})"
+    return None if answer == "ok" else f"database {path} is damaged ({' '.join(str(answer).split())})"
 
 
 def _file(connection: sqlite3.Connection) -> Iterator[Finding]:
@@ -147,11 +147,11 @@ def _counts(connection: sqlite3.Connection, counts: dict[str, Count]) -> Iterato
 def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     """Its totals are those of its rows, each row can be sent, and each waiting result has its press."""
     totals = connection.execute("SELECT rows, bytes FROM outbox_size").fetchone()
-    found = connection.execute("SELECT count(*), coalesce(sum(bytes), 0) FROM outbox").fetchone()
-    if totals != found:
+    counted = connection.execute("SELECT count(*), coalesce(sum(bytes), 0) FROM outbox").fetchone()
+    if totals != counted:
         yield Finding(
             "outbox",
-            f"it has {found[0]} rows of {found[1]} bytes, its totals say {totals[0]} and {totals[1]}",
+            f"it has {counted[0]} rows of {counted[1]} bytes, its totals say {totals[0]} and {totals[1]}",
         )
     (orphans,) = connection.execute(
         "SELECT count(*) FROM settled WHERE row_id NOT IN (SELECT row_id FROM outbox)"

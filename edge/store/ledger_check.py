@@ -98,10 +98,10 @@ def _of_link(
         return
     if newest.get((link.kind, link.ref), link.link) != link.link:
         return
-    found = read_row(connection, link.kind, link.ref)
-    if found is None and not _is_retired(connection, start, link):
+    row = read_row(connection, link.kind, link.ref)
+    if row is None and not _is_retired(connection, start, link):
         yield f"{_describe(link)} was removed"
-    elif found is not None and hashlib.sha256(canonical(found)).digest() != link.content:
+    elif row is not None and hashlib.sha256(canonical(row)).digest() != link.content:
         yield f"{_describe(link)} was changed after it was written"
 
 
@@ -166,8 +166,8 @@ def _check_head(connection: sqlite3.Connection, start: _Start, held: Head) -> It
         )
         return
     row = connection.execute("SELECT hash FROM ledger_chain WHERE link = ?", (held.link,)).fetchone()
-    found = row[0] if row else start.hash if held.link == start.link else None
-    if found is None or found.hex() != held.sha256:
+    sha256 = row[0] if row else start.hash if held.link == start.link else None
+    if sha256 is None or sha256.hex() != held.sha256:
         yield Finding(
             PART,
             f"the head {held} is not in the chain: the ledger was written again, or replaced by an old copy; look for "

@@ -285,8 +285,8 @@ class Store:
         if serial in self._compared:
             return
         with self._database.writing(f"comparing the counts of sensor {serial}") as connection:
-            found = recover(connection, self._counts.read().get(serial), serial, time_ns)
-        self.findings += [f"database {self.path}: {sentence}" for sentence in found]
+            sentences = recover(connection, self._counts.read().get(serial), serial, time_ns)
+        self.findings += [f"database {self.path}: {sentence}" for sentence in sentences]
         self._compared.add(serial)
 
     def _mount_first(self, connection: sqlite3.Connection, serial: str, time_ns: int) -> None:

@@ -140,8 +140,8 @@ def check_contact(touch: Touch | None, nominal: NominalContact, size: tuple[int,
         return Rejection(
             Reason.NO_CONTACT, "nothing touches the gel where the part should be; check the part and grip"
         )
-    found = {"x_px": touch.x * size[0], "y_px": touch.y * size[1], "area": touch.area}
-    for name, value in found.items():
+    measures = {"x_px": touch.x * size[0], "y_px": touch.y * size[1], "area": touch.area}
+    for name, value in measures.items():
         low, high = getattr(nominal, name)
         if not low <= value <= high:
             what, unit = _WORDS[name]

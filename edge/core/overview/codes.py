@@ -32,12 +32,12 @@ def read_codes(
     grey: NDArray[np.uint8], kinds: Sequence[CodeKind], family: TagFamily = "36h11"
 ) -> tuple[Code, ...]:
     """Every code of these kinds, sorted, each once. grey: uint8 (h, w). Not for two threads at once."""
-    found = {
+    codes = {
         *(_qr_codes(grey) if "qr" in kinds else ()),
         *(_april_tags(grey, family) if "apriltag" in kinds else ()),
         *(_data_matrices(grey) if "datamatrix" in kinds else ()),
     }
-    return tuple(sorted(found, key=lambda code: (code.kind, code.text)))
+    return tuple(sorted(codes, key=lambda code: (code.kind, code.text)))
 
 
 def _qr_codes(grey: NDArray[np.uint8]) -> list[Code]:
@@ -58,10 +58,10 @@ def _data_matrices(grey: NDArray[np.uint8]) -> list[Code]:
     """The text as it is in the code, without brackets around the fields of GS1."""
     import zxingcpp
 
-    found = zxingcpp.read_barcodes(
+    barcodes = zxingcpp.read_barcodes(
         grey, formats=zxingcpp.BarcodeFormat.DataMatrix, text_mode=zxingcpp.TextMode.Plain
     )
-    return [Code("datamatrix", printable(one.text)[:MOST_LETTERS]) for one in found if one.text]
+    return [Code("datamatrix", printable(one.text)[:MOST_LETTERS]) for one in barcodes if one.text]
 
 
 @cache

@@ -103,24 +103,24 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
     """The newest, last press against the others. Errors: ValueError for none."""
     if not presses:
         raise ValueError("a judgement needs a press")
-    newest, found = presses[-1], charts(presses, learn)
+    newest, drawn = presses[-1], charts(presses, learn)
     if not newest.is_scored:
         return Judgement(
-            Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), found
+            Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), drawn
         )
-    concerned = [chart for chart in found if chart.presses[-1] is newest]
+    concerned = [chart for chart in drawn if chart.presses[-1] is newest]
     beyond = [*_wrong_verdict(newest), *_sentences(concerned, beyond=True)]
     runs = _sentences(concerned, beyond=False)
     change = _changes(presses)
     if beyond:
-        return Judgement(Outcome.OUT_OF_LIMITS, (*beyond, *runs, *change), found)
+        return Judgement(Outcome.OUT_OF_LIMITS, (*beyond, *runs, *change), drawn)
     if runs:
-        return Judgement(Outcome.WARNING, (*runs, *change), found)
+        return Judgement(Outcome.WARNING, (*runs, *change), drawn)
     waiting = [chart for chart in concerned if chart.limits is None]
     if waiting:
         learning = f"limits are learnt: {min(c.learnt for c in waiting)} of {learn} presses"
-        return Judgement(Outcome.LEARNING, (learning, *change), found)
-    return Judgement(Outcome.IN_LIMITS, change, found)
+        return Judgement(Outcome.LEARNING, (learning, *change), drawn)
+    return Judgement(Outcome.IN_LIMITS, change, drawn)
 
 
 def _chart(measure: Measure, presses: Sequence[ReferencePress], learn: int) -> Chart:
@@ -159,13 +159,15 @@ def _without_turns(
 
 def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[ReferencePress]:
     """Select presses since the charts began, of the newest gel and bundle as far as the measure depends on them."""
-    begun = max((number for number, one in enumerate(presses) if one.is_start), default=0)
+    begun = max((number for number, press in enumerate(presses) if press.is_start), default=0)
     kept = list(presses[begun:])
     if not kept or measure.scope == "place":
         return kept
     newest = kept[-1]
-    kept = [one for one in kept if one.gel_id == newest.gel_id]
-    return kept if measure.scope == "gel" else [one for one in kept if one.bundle_id == newest.bundle_id]
+    kept = [press for press in kept if press.gel_id == newest.gel_id]
+    return (
+        kept if measure.scope == "gel" else [press for press in kept if press.bundle_id == newest.bundle_id]
+    )
 
 
 def _wrong_verdict(newest: ReferencePress) -> Iterable[str]:

@@ -74,11 +74,11 @@ class Limits:
 
 def signals(values: Sequence[float], limits: Limits) -> tuple[Signal, ...]:
     """Find what the last of the values signals; empty for nothing. values: oldest first."""
-    found = [limits.sigmas(value) for value in values]
-    if not found:
+    distances = [limits.sigmas(value) for value in values]
+    if not distances:
         return ()
-    side = math.copysign(1.0, found[-1])
-    last = [side * far for far in found[-RUN_LENGTH:]]
+    side = math.copysign(1.0, distances[-1])
+    last = [side * far for far in distances[-RUN_LENGTH:]]
     said = {
         Signal.BEYOND_LIMIT: last[-1] > LIMIT_SIGMAS,
         Signal.TWO_OF_THREE: last[-1] > WARNING_SIGMAS

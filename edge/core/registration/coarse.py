@@ -50,19 +50,19 @@ class CoarseSearch:
 
         Those that fit much worse than the best are left out. slopes: of a press, in cells.
         """
-        found = self._matches(slopes)
+        matches = self._matches(slopes)
         best: list[Candidate] = []
         while len(best) < count:
-            at = np.unravel_index(int(found.argmax()), found.shape)
-            match = float(found[at])
+            at = np.unravel_index(int(matches.argmax()), matches.shape)
+            match = float(matches[at])
             if best and match < _NEARLY * best[0].match:
                 break
-            best.append(Candidate(self._between(found, at), match))
+            best.append(Candidate(self._between(matches, at), match))
             turns, rows, columns = (
                 np.arange(k - away, k + away + 1) % n
-                for k, away, n in zip(at, _APART, found.shape, strict=True)
+                for k, away, n in zip(at, _APART, matches.shape, strict=True)
             )
-            found[np.ix_(turns, rows, columns)] = -1
+            matches[np.ix_(turns, rows, columns)] = -1
         return best
 
     def roundness(self, slopes: F32) -> float:
@@ -78,9 +78,9 @@ class CoarseSearch:
         product *= np.float32(1 / max(norm, float(np.finfo(np.float32).tiny)))
         return np.asarray(np.fft.irfft2(product, (self._grid, self._grid)), np.float32)
 
-    def _between(self, found: F32, at: tuple[np.intp, ...]) -> Pose:
+    def _between(self, matches: F32, at: tuple[np.intp, ...]) -> Pose:
         """Find the pose of a peak, between the turns and the cells, by a parabola along each axis."""
-        turn, row, column = (float(k) + _vertex(found, at, axis) for axis, k in enumerate(at))
+        turn, row, column = (float(k) + _vertex(matches, at, axis) for axis, k in enumerate(at))
         return Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
 
     def _to_shift(self, shift: float) -> float:
@@ -93,11 +93,11 @@ class CoarseSearch:
         return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
 
 
-def _vertex(found: F32, at: tuple[np.intp, ...], axis: int) -> float:
+def _vertex(matches: F32, at: tuple[np.intp, ...], axis: int) -> float:
     """Find the top of the parabola through a peak and its neighbours along an axis, within half a step of the peak."""
-    n = found.shape[axis]
+    n = matches.shape[axis]
     before, peak, after = (
-        float(found[(*at[:axis], (at[axis] + step) % n, *at[axis + 1 :])]) for step in (-1, 0, 1)
+        float(matches[(*at[:axis], (at[axis] + step) % n, *at[axis + 1 :])]) for step in (-1, 0, 1)
     )
     bend = 2 * peak - before - after
     return 0.0 if bend <= 0 else max(-0.5, min(0.5, (after - before) / (2 * bend)))

@@ -67,10 +67,10 @@ class FineSearch:
 
     def refine(self, slopes: F32, poses: Sequence[Pose], rounds: int) -> list[Pose]:
         """Refine the poses in that many rounds. slopes: of a press, in the size of the part's."""
-        found = list(poses)
+        refined = list(poses)
         for _ in range(rounds):
-            found, _ = self._round(slopes, found)
-        return found
+            refined, _ = self._round(slopes, refined)
+        return refined
 
     def agreement(self, slopes: F32, pose: Pose) -> tuple[float, float]:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""

@@ -139,8 +139,8 @@ class Registrar:
                 f"a press to register is uint8 {self.part.free.shape}, found {rgb.dtype} {rgb.shape}"
             )
         added = self.light.find_change(rgb)
-        found = self._search.find(self.part.colours.slopes(shrunk(added)))
-        pose = found.pose.scale(self._factor)
+        alignment = self._search.find(self.part.colours.slopes(shrunk(added)))
+        pose = alignment.pose.scale(self._factor)
         moved = turn_colours(added, pose, self.part.colours)
         away = field_depth(pose, self.part.learnt.shape)
         seen_share = int(np.count_nonzero((away >= 1) & self._shown)) / self._shown_px
@@ -150,14 +150,14 @@ class Registrar:
             self.light.apply_change(self._ground, moved, fade(away)),
             away >= self._least_depth,
             pose,
-            self._uncertainty(found),
-            found.match,
+            self._uncertainty(alignment),
+            alignment.match,
             seen_share,
-            self._refusal(found.match, seen_share),
+            self._refusal(alignment.match, seen_share),
         )
 
-    def _uncertainty(self, found: Alignment) -> PoseUncertainty:
-        x, y, turn = np.sqrt(np.maximum(np.diag(found.covariance), 0)).tolist()
+    def _uncertainty(self, alignment: Alignment) -> PoseUncertainty:
+        x, y, turn = np.sqrt(np.maximum(np.diag(alignment.covariance), 0)).tolist()
         return PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None)
 
     def _refusal(self, match: float, seen_share: float) -> str | None:

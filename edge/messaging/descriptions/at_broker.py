@@ -28,15 +28,15 @@ def station_at(
     topic_filter: as of `station_filter`. Errors: SinkUnavailable without a broker; ConfigError where no station
     describes itself there, or several do.
     """
-    found: dict[str, Mapping[str, Any]] = {}
+    documents: dict[str, Mapping[str, Any]] = {}
     with listening(broker, topic_filter.removesuffix("#") + "asyncapi") as (_, inbox):
         end = time.monotonic() + wait_s
         while (message := next_message(inbox, max(0.0, end - time.monotonic()))) is not None:
             if (document := _document(message.payload)) is not None:
-                found[message.topic.removesuffix("/asyncapi")] = document
-    if len(found) != 1:
-        raise ConfigError(_not_one(broker, topic_filter, sorted(found)))
-    root, document = found.popitem()
+                documents[message.topic.removesuffix("/asyncapi")] = document
+    if len(documents) != 1:
+        raise ConfigError(_not_one(broker, topic_filter, sorted(documents)))
+    root, document = documents.popitem()
     info = document.get("info")
     version = info.get("version") if isinstance(info, dict) else None
     return replace(DescribedStation.of_root(root), version=str(version)), document
