@@ -94,7 +94,7 @@ docs: $(VENV)/.test
 measure: $(VENV)/.test
 	$(BIN)/python tests/project/measure.py
 
-# Predicted against measured a90 on simulated parts, and a90 on real presses; the table of docs/detectability.md.
+# Predicted against measured a90 on simulated parts, and a90 on real presses; the table of docs/limits.md.
 detectability: $(VENV)/.test
 	$(BIN)/pytest tests/bench/test_detectability.py -m bench -s
 
