@@ -1,7 +1,7 @@
 """A bundle carried over to another gel of its sensor by a few presses: the bank stays, its limit is found again.
 
 The trunk and the bank hold what the part looks like, and lose little by a new gel; the scores shift, so the limit, the
-coarse colours, the free gel and the golden frames are those of the new gel. docs/new-gel.md has the measurements.
+coarse colours, the free gel and the golden frames are those of the new gel. docs/gel.md has the measurements.
 """
 
 from collections.abc import Sequence

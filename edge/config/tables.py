@@ -161,7 +161,7 @@ class ContactTable(Table):
 
 
 class GelTable(Table):
-    """When the gel is due, and what its scars mean for a press: see gel-scars.md."""
+    """When the gel is due, and what its scars mean for a press: see gel.md."""
 
     limit_presses: int = Field(
         default=DEFAULT_LIMIT_PRESSES,
@@ -183,7 +183,7 @@ class GelTable(Table):
     unproven: Literal["off", "warn", "refuse"] = Field(
         default="warn",
         description="what a bundle does that is not yet proven on the mounted gel. off: nothing; warn: the alarm "
-        "`gel_proof`; refuse: the same, and presses of parts are rejected; see new-gel.md",
+        "`gel_proof`; refuse: the same, and presses of parts are rejected; see gel.md",
     )
     most_blind_share: float = Field(
         default=0.05,

@@ -1,6 +1,6 @@
 """Gel or part: the cause of one connected place above the limit.
 
-The rules, in order; the numbers are chosen on simulated gels, see docs/gel-scars.md.
+The rules, in order; the numbers are chosen on simulated gels, see docs/gel.md.
 """
 
 from dataclasses import dataclass

@@ -29,7 +29,7 @@ _LEFT_DOUBT = 0.3
 # A marker dot or a dark rim moves by a fraction of a pixel between presses: what such a move would change is no mark.
 _MOVES_PX = 0.25
 # A change of this many levels is a mark, or of this many times the median change where the pictures are noisier. Chosen
-# on simulated gels (docs/gel-scars.md): every scar that makes a sound part fail has more.
+# on simulated gels (docs/gel.md): every scar that makes a sound part fail has more.
 _MARK_LEVELS = 1.2
 _MARK_TIMES = 5.0
 # A mark is wider than what is clearly seen of it: its change counts up to this distance, and fades there over this many

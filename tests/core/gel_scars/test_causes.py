@@ -33,7 +33,7 @@ FIXTURE = Repeats(hits=3.5, rate=1.0, spread_mm=0.1)
     ],
 )
 def test_each_rule(left: float | None, repeats: Repeats, wide_mm: float, cause: Cause) -> None:
-    """As docs/gel-scars.md says, with a sentence why."""
+    """As docs/gel.md says, with a sentence why."""
     found = blame(left, repeats, wide_mm)
 
     assert found.cause is cause

@@ -1,4 +1,4 @@
-"""docs/new-gel.md: its numbers are the program's."""
+"""docs/gel.md: its numbers are the program's."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from edge.config.tables import GelTable
 from edge.core.binomial import trials_needed
 from edge.core.gel_proof import PROVEN_RATE
 
-PAGE = (Path(__file__).parents[2] / "docs" / "new-gel.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "gel.md").read_text(encoding="utf-8")
 
 
 def test_the_presses_that_prove_a_bundle_are_the_program_s() -> None:
