@@ -48,9 +48,9 @@ class Act:
 
 def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
     """Add it, and return its number."""
-    number = connection.execute(
+    (number,) = connection.execute(
         "INSERT INTO acts (time_ns, running_ns, who, verb, request, arguments, signature, outcome, sentence, before, "
-        "after) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "after) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING act_id",
         (
             act.time_ns,
             running_ns,
@@ -64,13 +64,13 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
             _json(act.before),
             _json(act.after),
         ),
-    ).lastrowid
+    ).fetchone()
     if act.outcome != "refused":
-        ledger_chain.append(connection, "act", int(number or 0))
+        ledger_chain.append(connection, "act", number)
     _remove_old(connection, "= 'refused'", KEPT_REFUSALS)
     if removed := _remove_old(connection, "IS NOT 'refused'", KEPT_ACTS):
         ledger_chain.note_removed_acts(connection, removed)
-    return int(number or 0)
+    return int(number)
 
 
 def _remove_old(connection: sqlite3.Connection, condition: str, kept: int) -> int:

@@ -67,6 +67,7 @@ def test_the_simulation_decides_as_the_station() -> None:
         assert ((verdict.kind is Kind.FAIL), 1 + is_second) == (bool(is_fail), count)
 
 
+@pytest.mark.lab
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.95])
 def test_the_promised_rate_of_false_alarms_holds_for_two_presses(correlation: float) -> None:
     """Over many fits, sound pieces fail at most as often as promised, whatever two presses have in common."""
@@ -81,6 +82,7 @@ def test_the_promised_rate_of_false_alarms_holds_for_two_presses(correlation: fl
     assert float(np.mean(alarms)) <= ALPHA
 
 
+@pytest.mark.lab
 def test_what_is_planned_comes_true() -> None:
     """Presses a piece, false alarms and misses on new pieces are those that the plan states, on average over fits."""
     rng = np.random.default_rng(2)
@@ -186,6 +188,12 @@ def test_only_a_press_a_little_above_the_threshold_asks(
 ) -> None:
     """A pass stays a pass, and what is far above fails at once."""
     assert is_asked(decide(score, 1.0), bound) is expected
+
+
+@pytest.mark.parametrize(("score", "expected"), [(0.989, False), (0.991, True), (1.009, True)])
+def test_a_press_within_the_tolerance_asks(score: float, expected: bool) -> None:
+    """Rounding decides whether such a score passes: a second press is asked for on both sides of the threshold."""
+    assert is_asked(Verdict(Kind.UNSURE, score, 1.0, 0.01), 2.0) is expected
 
 
 def test_a_press_that_asks_is_unsure() -> None:

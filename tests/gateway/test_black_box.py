@@ -16,7 +16,7 @@ from stepped_station import SteppedStation
 
 from edge.gateway.recorder import PressReport
 from edge.store.integrity import check_database
-from edge.store.press_archive import ArchivedPress, ArchiveFolder
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive
 
 
 class Played:
@@ -323,6 +323,16 @@ def test_the_size_is_kept_as_well(tmp_path: Path, recording: Path, bundle: Path)
 
     assert 0 < size <= 1_000_000
     assert played.ids[2] in ArchiveFolder(played.archive).press_ids()
+
+
+def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: Played) -> None:
+    """The newest press stays whatever its size, and takes the place of the one before."""
+    press = made.record(0)
+    archive = PressArchive(tmp_path / "small", 10, 1)
+
+    for press_id in made.ids[:2]:
+        archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
+        assert ArchiveFolder(tmp_path / "small").press_ids() == [press_id]
 
 
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:

@@ -79,6 +79,24 @@ def test_what_the_gateway_writes_is_a_sound_chain(used: Path) -> None:
     assert ledger(used) == []
 
 
+def test_a_gel_that_did_not_change_gets_no_further_link(used: Path) -> None:
+    """One link when a gel is installed and one when it is removed: what happens to another gel adds none."""
+    with Store(used) as store:
+        store.replace_gel("S-1", T0)
+    links = "SELECT count(*) FROM ledger_chain WHERE kind = 'gel' GROUP BY ref ORDER BY min(link)"
+
+    assert rows(used, links) == [(2,), (2,), (1,)]
+
+
+@pytest.mark.parametrize("outcome", [None, "done", "refused"])
+def test_an_act_is_known_by_the_number_of_its_row(used: Path, outcome: str | None) -> None:
+    """Whatever became of it: the end of an act is written by this number."""
+    with Store(used) as store:
+        number, _ = store.begin_act(Act(T0, "a person", "relearn", outcome=outcome), 60)
+
+    assert rows(used, "SELECT max(act_id) FROM acts") == [(number,)]
+
+
 def test_every_press_moves_the_head(path: Path, make_press: MakePress, messages_of: MessagesOf) -> None:
     """And the head that a press returns is that of the database."""
     with Store(path) as store:
