@@ -20,6 +20,7 @@ LAB = {
     "acquisition",
     "benchmark",
     "detectability",
+    "docs/test_msa.py",
     "docs/test_studies.py",
     "gauge_study",
     "gel_change",

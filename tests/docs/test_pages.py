@@ -3,23 +3,17 @@
 import importlib
 import importlib.util
 import re
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, UnionType
-from typing import Any, Union, get_args, get_origin
+from types import ModuleType
 
 import pytest
-import typer
-from pydantic import BaseModel
 
-from edge import registry
-from edge.cli import EXIT_CODES, EXIT_MEANINGS, build
+from edge.cli import EXIT_CODES, EXIT_MEANINGS
 from edge.cli.run import EXAMPLE
 from edge.config import Config, load_config
 from edge.core import errors
 from edge.gateway.command_table import COMMANDS, station_handlers
 from edge.gateway.loop_calls import LoopCalls
-from edge.messaging.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -59,82 +53,12 @@ def test_what_an_example_imports_is_there(page: str, module: str, name: str) -> 
     assert hasattr(importlib.import_module(module), name), f"docs/{page}: {module} has no {name}"
 
 
-def test_examples_are_found() -> None:
-    """The pattern finds the imports of the pages that have some."""
-    assert {"export.md", "plugins.md", "simulator.md", "studies.md", "tradeoff.md"} <= {
-        one for one, *_ in IMPORTS
-    }
-
-
-def test_every_command_is_in_the_manual_with_its_options() -> None:
-    """Taken from the built application, not from the generator."""
-    missing = []
-    for path, command in commands(typer.main.get_command(build())):
-        section = PRINTED["cli.md"].partition(f"\n## {path}\n")[2].partition("\n## ")[0]
-        names = [
-            name for one in command.params if one.name != "help" for name in one.opts if name.startswith("-")
-        ]
-        missing += (
-            [path] if not section else [f"{path} {name}" for name in names if f"`{name}`" not in section]
-        )
-
-    assert missing == []
-
-
-def commands(command: Any, path: str = "gelgate") -> Iterator[tuple[str, Any]]:
-    inner = getattr(command, "commands", None)
-    if inner is None:
-        yield path, command
-    for name, one in (inner or {}).items():
-        yield from commands(one, f"{path} {name}")
-
-
-def test_every_key_of_the_configuration_is_in_the_manual() -> None:
-    """Keys of the file, and options of every plugin in its own section."""
-    page = PRINTED["config.md"]
-    missing = [key for key in keys(Config) if f"`{key}`" not in page and f"## [{key}]" not in page]
-    for kind, place in (
-        ("devices", "device"),
-        *((kind, kind) for kind in ("sinks", "triggers", "actuators")),
-    ):
-        for name in registry.names(kind):
-            section = page.partition(f"## {place}: {name}\n")[2].partition("\n## ")[0]
-            assert section, name
-            options = registry.options(kind, name)
-            missing += [
-                f"{name}.{key}" for key in keys(options) if not re.search(rf"`(\w+\.)?{key}`", section)
-            ]
-
-    assert missing == []
-
-
-def keys(model: type[BaseModel]) -> Iterator[str]:
-    """Every key of a table and of the tables in it."""
-    for name, field in model.model_fields.items():
-        yield name
-        for inner in models(field.annotation):
-            yield from keys(inner)
-
-
-def models(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    if get_origin(annotation) in (Union, UnionType, list, tuple):
-        for inner in get_args(annotation):
-            yield from models(inner)
-
-
 def test_every_key_says_what_it_means() -> None:
     """No meaning is empty in a table of keys."""
     rows = [line for line in PRINTED["config.md"].splitlines() if line.startswith("| `")]
 
     assert len(rows) > 30
     assert [row for row in rows if re.search(r"\|\s*\|$", row)] == []
-
-
-def test_every_topic_is_in_the_manual() -> None:
-    """The page's table of topics is that of the program."""
-    assert [topic for topic, *_ in TOPICS if f"`{topic}`" not in PRINTED["mqtt.md"]] == []
 
 
 def test_every_command_verb_is_in_the_manual() -> None:

@@ -90,14 +90,6 @@ def test_commands_on_the_pages_exist(page: Path) -> None:
     assert {line: why for line in shown(page) if (why := fault(line)) is not None} == {}
 
 
-def test_the_readme_shows_the_way_from_sensor_to_verdict() -> None:
-    """The commands of a first day are there, and the check above really looks at them."""
-    verbs = {line.split()[1] for line in shown(ROOT / "README.md") if line.startswith("gelgate ")}
-
-    assert {"devices", "record", "fit", "check", "run", "watch", "gel"} <= verbs
-    assert {"make demo", "make test"} <= set(shown(ROOT / "README.md"))
-
-
 def test_continuous_integration_runs_the_commands_of_the_readme() -> None:
     """Its first commands are the README's two, as they are written there; nothing is installed or set before them."""
     readme = [line for line in fenced(ROOT / "README.md") if line.startswith("make ")]
@@ -122,18 +114,6 @@ def test_what_needs_torch_is_run_where_torch_is() -> None:
 
     assert asking
     assert {path for path in asking if not any(path.is_relative_to(ROOT / word) for word in words)} == set()
-
-
-def test_what_is_skipped_says_so_in_a_sentence() -> None:
-    """No test leaves it to pytest to say that a package could not be imported."""
-    skips = {
-        f"{path.relative_to(ROOT)}: {call}"
-        for path in (ROOT / "tests").rglob("*.py")
-        for call in re.findall(r"pytest\.importorskip\([^)]*\)", path.read_text(encoding="utf-8"))
-        if "reason=" not in call
-    }
-
-    assert skips == set()
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,11 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
 from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.command_table import COMMANDS
 from edge.gateway.commands import Change, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
 from edge.messaging.status_payloads import StatePayload
-from edge.messaging.topic_reference import reference
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import Store
@@ -44,13 +42,6 @@ def result(**changes: object) -> ResultPayload:
         "gel_limit_presses": 1000,
     }
     return ResultPayload(**{**fields, **changes})
-
-
-def test_the_reference_page_is_the_one_the_models_print() -> None:
-    """docs/mqtt.md is current; `gelgate station topics > docs/mqtt.md` makes it so."""
-    page = Path(__file__).resolve().parents[2] / "docs" / "mqtt.md"
-
-    assert page.read_text(encoding="utf-8") == reference(COMMANDS)
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
