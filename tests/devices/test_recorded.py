@@ -4,8 +4,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from small_recordings import PERIOD_NS, SERIAL, FakeClock, jpeg, write_recording
+from small_recordings import PERIOD_NS, SERIAL, jpeg, write_recording
 
+from edge.clock import ManualClock
 from edge.core.errors import RecordingEnded, RecordingError
 from plugins.devices.recorded import RecordedOptions, plugin
 
@@ -13,7 +14,7 @@ from plugins.devices.recorded import RecordedOptions, plugin
 @pytest.mark.parametrize(("pace", "expected_ns"), [(1.0, 3 * PERIOD_NS), (2.0, 3 * PERIOD_NS / 2), (0.0, 0)])
 def test_pace(tmp_path: Path, pace: float, expected_ns: float) -> None:
     """Four frames are three intervals; twice as fast halves them; 0 waits for nothing."""
-    clock = FakeClock()
+    clock = ManualClock()
     device = plugin.open(RecordedOptions(recording=write_recording(tmp_path / "r", 4), pace=pace), clock)
     start = clock.monotonic_ns()
     for _ in range(4):
@@ -23,7 +24,7 @@ def test_pace(tmp_path: Path, pace: float, expected_ns: float) -> None:
 
 def test_on_demand_a_frame_has_its_recorded_time(tmp_path: Path) -> None:
     """No time passes, and the frames are still a period apart, also from the end to the start of a loop."""
-    clock = FakeClock()
+    clock = ManualClock()
     options = RecordedOptions(recording=write_recording(tmp_path / "r", 3), pace=0, loop=True)
     device = plugin.open(options, clock)
     frames = [device.read(clock.monotonic_ns() + 10**9) for _ in range(7)]
@@ -36,7 +37,7 @@ def test_on_demand_a_frame_has_its_recorded_time(tmp_path: Path) -> None:
 
 def test_loop(tmp_path: Path) -> None:
     """With loop it starts over, at the recorded pace."""
-    clock = FakeClock()
+    clock = ManualClock()
     device = plugin.open(RecordedOptions(recording=write_recording(tmp_path / "r", 2), loop=True), clock)
     frames = [device.read(clock.monotonic_ns() + 10**9) for _ in range(5)]
     assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (0, 1, 0, 1, 0)]
@@ -44,7 +45,7 @@ def test_loop(tmp_path: Path) -> None:
 
 def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
     """No frames, with loop or without, is an end and not an endless loop."""
-    clock = FakeClock()
+    clock = ManualClock()
     for loop in (False, True):
         folder = write_recording(tmp_path / f"r{loop}", 0)
         with pytest.raises(RecordingEnded):
@@ -62,4 +63,4 @@ def test_survey(tmp_path: Path) -> None:
     assert seen.identity is None
     assert "not a recording" in (seen.refusal or "")
     with pytest.raises(RecordingError):
-        plugin.open(bad, FakeClock())
+        plugin.open(bad, ManualClock())

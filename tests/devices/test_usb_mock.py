@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 import usb.core
 import usb.util
-from small_recordings import SERIAL, FakeClock, jpeg, write_recording
+from small_recordings import SERIAL, jpeg, write_recording
 
+from edge.clock import ManualClock
 from edge.core.errors import (
     DeviceBusy,
     DeviceLost,
@@ -26,8 +27,8 @@ SECOND = 1_000_000_000
 
 
 @pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock()
+def clock() -> ManualClock:
+    return ManualClock()
 
 
 def options_for(tmp_path: Path, *faults: str, frames: int = 8, **more: object) -> UsbMockOptions:
@@ -35,7 +36,7 @@ def options_for(tmp_path: Path, *faults: str, frames: int = 8, **more: object) -
     return UsbMockOptions.model_validate({"recording": recording, "pace": 0.0, "faults": faults, **more})
 
 
-def read(device: Device, clock: FakeClock, within_s: float = 5) -> bytes:
+def read(device: Device, clock: ManualClock, within_s: float = 5) -> bytes:
     return device.read(clock.monotonic_ns() + round(within_s * SECOND)).payload
 
 
@@ -44,7 +45,7 @@ def sensor_on(bench: Bench) -> usb.core.Device:
 
 
 class TestDescriptors:
-    def test_pyusb_finds_and_prints_the_sensor(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_pyusb_finds_and_prints_the_sensor(self, tmp_path: Path, clock: ManualClock) -> None:
         """pyusb reads strings and prints the whole tree: two interfaces, eight alternate settings, 500 mA."""
         device = sensor_on(plugin.bench(options_for(tmp_path), clock))
         printed = str(device)
@@ -56,7 +57,7 @@ class TestDescriptors:
         settings = [(i.bInterfaceNumber, i.bAlternateSetting) for i in device.get_active_configuration()]
         assert settings == [(0, 0), *((1, alternate) for alternate in range(8))]
 
-    def test_total_length_is_the_sum_of_all_descriptors(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_total_length_is_the_sum_of_all_descriptors(self, tmp_path: Path, clock: ManualClock) -> None:
         """wTotalLength counts every byte that a host would read."""
         configuration = sensor_on(plugin.bench(options_for(tmp_path), clock)).get_active_configuration()
         total = configuration.bLength + len(configuration.extra_descriptors)
@@ -65,7 +66,7 @@ class TestDescriptors:
             total += sum(endpoint.bLength + len(endpoint.extra_descriptors) for endpoint in interface)
         assert configuration.wTotalLength == total
 
-    def test_the_one_mode_is_the_recordings(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_the_one_mode_is_the_recordings(self, tmp_path: Path, clock: ManualClock) -> None:
         """A recording of 3280x2464 frames makes the real sensor's one mode: MJPEG at a nominal 25 fps."""
         folder = write_recording(tmp_path / "r", [jpeg(0, (3280, 2464))], size=(3280, 2464))
         device = sensor_on(plugin.bench(UsbMockOptions(recording=folder), clock))
@@ -74,7 +75,7 @@ class TestDescriptors:
         (mode,) = format_.modes
         assert (mode.width, mode.height, mode.nominal_fps) == (3280, 2464, 25.0)
 
-    def test_webcam_with_the_same_id_is_refused(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_webcam_with_the_same_id_is_refused(self, tmp_path: Path, clock: ManualClock) -> None:
         """Both devices have 0c45:636d; only the product string makes a sensor, and the refusal says so."""
         options = options_for(tmp_path)
         plugin.bench(options, clock)
@@ -83,14 +84,14 @@ class TestDescriptors:
         assert "shared by webcams" in (refused[0].refusal or "")
         assert [one.identity.serial for one in plugin.discover(options) if one.identity] == [SERIAL]
 
-    def test_a_webcam_alone_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_a_webcam_alone_is_not_opened(self, tmp_path: Path, clock: ManualClock) -> None:
         """With the sensor unplugged, the matching id of the webcam is not enough; the message names what was seen."""
         options = options_for(tmp_path)
         plugin.bench(options, clock).unplug()
         with pytest.raises(DeviceNotFound, match=r"USB 2\.0 Camera"):
             plugin.open(options, clock)
 
-    def test_another_serial_is_not_opened(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_another_serial_is_not_opened(self, tmp_path: Path, clock: ManualClock) -> None:
         """The message names the serial of the other sensor."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
@@ -99,7 +100,7 @@ class TestDescriptors:
         with pytest.raises(DeviceNotFound, match=SERIAL):
             choose(discover(bench.bus), "AAAABBBB")
 
-    def test_serial_option_changes_the_product_with_it(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_serial_option_changes_the_product_with_it(self, tmp_path: Path, clock: ManualClock) -> None:
         """The product string ends with the serial and a dash, as on real sensors."""
         options = options_for(tmp_path, serial="28D8PXEC")
         (identity,) = (one.identity for one in plugin.discover(options) if one.identity)
@@ -107,7 +108,7 @@ class TestDescriptors:
 
 
 class TestKernelDriver:
-    def test_claiming_a_bound_interface_is_busy(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_claiming_a_bound_interface_is_busy(self, tmp_path: Path, clock: ManualClock) -> None:
         """errno 16 until uvcvideo is detached, as on Linux; identity strings work all the time."""
         device = sensor_on(plugin.bench(options_for(tmp_path), clock))
         assert device.product.startswith("GelSight Mini")
@@ -117,7 +118,7 @@ class TestKernelDriver:
         device.detach_kernel_driver(0)
         usb.util.claim_interface(device, 1)
 
-    def test_detaching_control_releases_streaming_too(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_detaching_control_releases_streaming_too(self, tmp_path: Path, clock: ManualClock) -> None:
         """Seen with uvcvideo on a real kernel: both are released together, and bound together."""
         device = sensor_on(plugin.bench(options_for(tmp_path), clock))
         device.detach_kernel_driver(0)
@@ -128,7 +129,7 @@ class TestKernelDriver:
             device.attach_kernel_driver(1)
         assert refused.value.errno == errno.EBUSY
 
-    def test_closing_gives_the_sensor_back_to_the_kernel(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_closing_gives_the_sensor_back_to_the_kernel(self, tmp_path: Path, clock: ManualClock) -> None:
         """After close, uvcvideo is bound, nothing is claimed and the stream is off."""
         options = options_for(tmp_path)
         device = plugin.open(options, clock)
@@ -137,7 +138,7 @@ class TestKernelDriver:
         device.close()
         assert (sensor.alternate, sensor.claims, sensor.kernel_driver) == (0, {}, {0: True, 1: True})
 
-    def test_a_failed_opening_gives_everything_back(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_a_failed_opening_gives_everything_back(self, tmp_path: Path, clock: ManualClock) -> None:
         """Another handle holds the streaming interface: busy, and control is bound to the kernel as before."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
@@ -152,12 +153,12 @@ class TestKernelDriver:
 
 
 class TestFaults:
-    def test_drop(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_drop(self, tmp_path: Path, clock: ManualClock) -> None:
         """A dropped frame is missing; the next one follows."""
         device = plugin.open(options_for(tmp_path, "drop@1"), clock)
         assert [read(device, clock), read(device, clock)] == [jpeg(0), jpeg(2)]
 
-    def test_error_bit(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_error_bit(self, tmp_path: Path, clock: ManualClock) -> None:
         """One packet with the error bit invalidates its frame and no other."""
         device = plugin.open(options_for(tmp_path, "error_bit@1"), clock)
         assert read(device, clock) == jpeg(0)
@@ -165,26 +166,26 @@ class TestFaults:
             read(device, clock)
         assert read(device, clock) == jpeg(2)
 
-    def test_lost_packet(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_lost_packet(self, tmp_path: Path, clock: ManualClock) -> None:
         """A missing packet invalidates the frame, even if both ends of the JPEG are present."""
         device = plugin.open(options_for(tmp_path, "lost_packet@1"), clock)
         assert read(device, clock) == jpeg(0)
         with pytest.raises(FrameCorrupt, match="lost on the bus"):
             read(device, clock)
 
-    def test_truncated(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_truncated(self, tmp_path: Path, clock: ManualClock) -> None:
         """Half a JPEG is refused by its missing end marker."""
         device = plugin.open(options_for(tmp_path, "truncate@0"), clock)
         with pytest.raises(FrameCorrupt, match="FFD9"):
             read(device, clock)
         assert read(device, clock) == jpeg(1)
 
-    def test_stale(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_stale(self, tmp_path: Path, clock: ManualClock) -> None:
         """The frame that comes twice is delivered once."""
         device = plugin.open(options_for(tmp_path, "stale@1"), clock)
         assert [read(device, clock), read(device, clock)] == [jpeg(0), jpeg(2)]
 
-    def test_stall_for_a_time(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_stall_for_a_time(self, tmp_path: Path, clock: ManualClock) -> None:
         """Nothing for two seconds; the frames go on after it, none lost."""
         device = plugin.open(options_for(tmp_path, "stall@1:2"), clock)
         assert read(device, clock) == jpeg(0)
@@ -192,7 +193,7 @@ class TestFaults:
             read(device, clock, within_s=1)
         assert read(device, clock, within_s=2) == jpeg(1)
 
-    def test_stall_until_opened_again(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_stall_until_opened_again(self, tmp_path: Path, clock: ManualClock) -> None:
         """A stall without an end lasts until the stream is started again."""
         options = options_for(tmp_path, "stall@1")
         device = plugin.open(options, clock)
@@ -202,7 +203,7 @@ class TestFaults:
         device.close()
         assert read(plugin.open(options, clock), clock) == jpeg(1)
 
-    def test_faults_at_run_time(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_faults_at_run_time(self, tmp_path: Path, clock: ManualClock) -> None:
         """A test can damage the next frame of a running sensor."""
         options = options_for(tmp_path)
         device = plugin.open(options, clock)
@@ -211,7 +212,7 @@ class TestFaults:
         with pytest.raises(FrameCorrupt):
             read(device, clock)
 
-    def test_wrong_size_is_corrupt(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_wrong_size_is_corrupt(self, tmp_path: Path, clock: ManualClock) -> None:
         """A picture of another size than the negotiated mode is refused, with both sizes."""
         folder = write_recording(tmp_path / "r", [jpeg(0), jpeg(0, (32, 32))])
         device = plugin.open(UsbMockOptions(recording=folder, pace=0), clock)
@@ -227,7 +228,7 @@ class TestFaults:
 
 
 class TestPlugging:
-    def test_unplug_in_a_frame(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_unplug_in_a_frame(self, tmp_path: Path, clock: ManualClock) -> None:
         """Unplugged between two packets of one frame: lost, and half a frame is not delivered."""
         folder = write_recording(tmp_path / "r", 3, size=(640, 480))
         options = UsbMockOptions(recording=folder, pace=0)
@@ -240,7 +241,7 @@ class TestPlugging:
             read(device, clock)
         assert stream.enumerate_devices() is not None
 
-    def test_replugged_at_another_port_is_the_same_sensor(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_replugged_at_another_port_is_the_same_sensor(self, tmp_path: Path, clock: ManualClock) -> None:
         """Address and port change, the serial does not, the recording continues, and the old handle stays invalid."""
         options = options_for(tmp_path)
         bench = plugin.bench(options, clock)
@@ -258,7 +259,7 @@ class TestPlugging:
         assert second.identity == first.identity
         assert read(second, clock) == jpeg(1)
 
-    def test_scripted_unplugging_comes_back(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_scripted_unplugging_comes_back(self, tmp_path: Path, clock: ManualClock) -> None:
         """Unplugged for half a second, then found again."""
         options = options_for(tmp_path, "unplug@1:0.5")
         device = plugin.open(options, clock)
@@ -273,7 +274,7 @@ class TestPlugging:
 
 
 class TestPace:
-    def test_delivers_at_the_recorded_times(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_delivers_at_the_recorded_times(self, tmp_path: Path, clock: ManualClock) -> None:
         """25 fps nominal, 18.75 recorded: eight frames take 8 / 18.75 seconds."""
         device = plugin.open(options_for(tmp_path, pace=1.0), clock)
         start = clock.monotonic_ns()
@@ -281,7 +282,7 @@ class TestPace:
             read(device, clock)
         assert (clock.monotonic_ns() - start) / 1e9 == pytest.approx(8 / 18.75, abs=1e-6)
 
-    def test_a_late_reader_gets_no_burst(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_a_late_reader_gets_no_burst(self, tmp_path: Path, clock: ManualClock) -> None:
         """After a pause of ten seconds one frame is waiting, and the period starts again."""
         device = plugin.open(options_for(tmp_path, pace=1.0), clock)
         read(device, clock)
@@ -291,20 +292,20 @@ class TestPace:
             read(device, clock)
         assert (clock.monotonic_ns() - start) / 1e9 == pytest.approx(2 / 18.75, abs=1e-6)
 
-    def test_loop(self, tmp_path: Path, clock: FakeClock) -> None:
+    def test_loop(self, tmp_path: Path, clock: ManualClock) -> None:
         """With loop the recording starts over."""
         device = plugin.open(options_for(tmp_path, frames=2, loop=True), clock)
         assert [read(device, clock) for _ in range(4)] == [jpeg(0), jpeg(1), jpeg(0), jpeg(1)]
 
 
-def test_an_empty_recording_is_over_at_once(tmp_path: Path, clock: FakeClock) -> None:
+def test_an_empty_recording_is_over_at_once(tmp_path: Path, clock: ManualClock) -> None:
     """No frames, even with loop, is an end."""
     device = plugin.open(options_for(tmp_path, frames=0, loop=True), clock)
     with pytest.raises(RecordingEnded):
         read(device, clock)
 
 
-def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: FakeClock) -> None:
+def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: ManualClock) -> None:
     """The second one gets an error with the process number; after close it succeeds."""
     import os
 
@@ -316,7 +317,7 @@ def test_two_openings_of_one_sensor_are_busy(tmp_path: Path, clock: FakeClock) -
     plugin.open(options, clock).close()
 
 
-def test_png_frames_are_sent_as_jpeg(tmp_path: Path, clock: FakeClock) -> None:
+def test_png_frames_are_sent_as_jpeg(tmp_path: Path, clock: ManualClock) -> None:
     """An MJPEG mode has no PNG; numbered copies stay apart on the way."""
     from edge.core.imaging.image_bytes import with_comment
 
@@ -328,7 +329,7 @@ def test_png_frames_are_sent_as_jpeg(tmp_path: Path, clock: FakeClock) -> None:
     assert b"copy 1" in frames[1]
 
 
-def test_controls_are_pinned_before_the_stream(tmp_path: Path, clock: FakeClock) -> None:
+def test_controls_are_pinned_before_the_stream(tmp_path: Path, clock: ManualClock) -> None:
     """Old and new names reach the camera, automatics first; what cannot be set is reported, not raised."""
     controls = {
         "exposure_absolute": 180,

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recordings import PRODUCT, SERIAL, FakeClock, jpeg
+from small_recordings import PRODUCT, SERIAL, jpeg
 
+from edge.clock import ManualClock
 from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound, DeviceStalled, FrameCorrupt
 from edge.core.ports import Device, DeviceIdentity
 from plugins.devices.v4l2.controls import control_ids, control_name, pin_v4l2_controls
@@ -168,7 +169,7 @@ class FakeCapture:
 
 
 def sensor_with(
-    capture: FakeCapture, clock: FakeClock, *, present: bool = True
+    capture: FakeCapture, clock: ManualClock, *, present: bool = True
 ) -> tuple[V4l2Sensor, list[str]]:
     closed: list[str] = []
     sensor = V4l2Sensor(
@@ -180,7 +181,7 @@ def sensor_with(
 class TestSensor:
     def test_bytes_are_the_cameras(self) -> None:
         """Frames are new, in order, untouched; a repeated one is dropped and counted."""
-        clock = FakeClock()
+        clock = ManualClock()
         sensor, _ = sensor_with(FakeCapture(jpeg(0), jpeg(0), jpeg(1)), clock)
         frames = [sensor.read(clock.monotonic_ns() + 1) for _ in range(2)]
         assert isinstance(sensor, Device)
@@ -190,7 +191,7 @@ class TestSensor:
     @pytest.mark.parametrize(("present", "says"), [(True, "stopped sending"), (False, "was unplugged")])
     def test_the_first_false_is_the_end(self, present: bool, says: str) -> None:
         """After an unplug OpenCV always gives False: one DeviceLost, decided by asking the bus, and no busy loop."""
-        clock = FakeClock()
+        clock = ManualClock()
         sensor, _ = sensor_with(FakeCapture(jpeg(0)), clock, present=present)
         sensor.read(clock.monotonic_ns() + 1)
         for _ in range(2):
@@ -203,7 +204,7 @@ class TestSensor:
     )
     def test_a_bad_frame_is_corrupt(self, payload: bytes, says: str) -> None:
         """Cut, of another size, or converted by OpenCV after all; the next is good."""
-        clock = FakeClock()
+        clock = ManualClock()
         sensor, _ = sensor_with(FakeCapture(payload, jpeg(1)), clock)
         with pytest.raises(FrameCorrupt, match=says):
             sensor.read(clock.monotonic_ns() + 1)
@@ -211,7 +212,7 @@ class TestSensor:
 
     def test_a_repeated_frame_is_stalled(self) -> None:
         """A driver that repeats its buffer is not taken for a live camera."""
-        clock = FakeClock()
+        clock = ManualClock()
 
         class Stuck(FakeCapture):
             def read(self) -> tuple[bool, object]:
@@ -226,7 +227,7 @@ class TestSensor:
     def test_close_gives_back_once(self) -> None:
         """Capture and lock are released once."""
         capture = FakeCapture(jpeg(0))
-        sensor, closed = sensor_with(capture, FakeClock())
+        sensor, closed = sensor_with(capture, ManualClock())
         sensor.close()
         sensor.close()
         assert (capture.released, closed) == (1, ["lock"])

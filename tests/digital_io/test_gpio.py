@@ -4,15 +4,15 @@ import errno
 
 import pytest
 from fake_gpio import FALLING, RISING, FakeKernel
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
 from plugins.digital_io.gpio import ButtonOptions, GpioButton, GpioRelays, RelaysOptions
 
 
 def test_a_line_that_drives_keeps_its_level_and_an_input_starts_off() -> None:
     """The driver decides what is safe; a floating input says nothing about a relay."""
-    kernel = FakeKernel(FakeClock())
+    kernel = FakeKernel(ManualClock())
     kernel.levels = {5: True, 6: None}
     GpioRelays(kernel, RelaysOptions(lines=(5, 6)))
 
@@ -21,7 +21,7 @@ def test_a_line_that_drives_keeps_its_level_and_an_input_starts_off() -> None:
 
 def test_a_line_that_keeps_its_level_is_a_fault() -> None:
     """Each write is read back."""
-    kernel = FakeKernel(FakeClock())
+    kernel = FakeKernel(ManualClock())
     relays = GpioRelays(kernel, RelaysOptions(lines=(5, 6)))
     kernel.stuck = {6}
     relays.write(1, True)
@@ -31,7 +31,7 @@ def test_a_line_that_keeps_its_level_is_a_fault() -> None:
 
 def test_edges_that_come_together_are_read_one_by_one() -> None:
     """A short press between two reads is a press."""
-    kernel = FakeKernel(FakeClock())
+    kernel = FakeKernel(ManualClock())
     button = GpioButton(kernel, ButtonOptions(line=17), kernel.clock)
     kernel.edges.extend([RISING, FALLING, FALLING, RISING])
 
@@ -49,7 +49,7 @@ def test_edges_that_come_together_are_read_one_by_one() -> None:
 )
 def test_every_refusal_of_the_kernel_is_a_sentence(number: int, kind: type[DeviceError], words: str) -> None:
     """With the line, the chip and what to do."""
-    kernel = FakeKernel(FakeClock())
+    kernel = FakeKernel(ManualClock())
     kernel.error = OSError(number, "No such device")
     with pytest.raises(kind, match=words):
         GpioRelays(kernel, RelaysOptions(lines=(5,)))
@@ -59,7 +59,7 @@ def test_every_refusal_of_the_kernel_is_a_sentence(number: int, kind: type[Devic
 
 def test_closing_releases_the_lines_once() -> None:
     """Another program can then use them."""
-    kernel = FakeKernel(FakeClock())
+    kernel = FakeKernel(ManualClock())
     relays = GpioRelays(kernel, RelaysOptions(lines=(5,)))
     relays.close()
     relays.close()

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.errors import DeviceNotFound, DeviceStalled
 from plugins.digital_io.dcttech_relay import RelayOptions, discover_relays, open_relay
 from plugins.digital_io.hid_bus import HidHandle, HidInfo
@@ -57,7 +57,7 @@ def keys(*usages: int, modifiers: int = 0) -> bytes:
 
 
 def presses(options: PedalOptions, *reports: bytes) -> list[bool | None]:
-    pedal = open_pedal(Reports([PEDAL], *reports), options, FakeClock())
+    pedal = open_pedal(Reports([PEDAL], *reports), options, ManualClock())
     return [pedal.read(10**12) for _ in reports]
 
 
@@ -93,9 +93,9 @@ def test_the_sensor_and_a_mouse_are_no_pedals() -> None:
 def test_a_missing_pedal_is_one_sentence() -> None:
     """With what was seen instead."""
     with pytest.raises(DeviceNotFound, match="no pedal is plugged in; check its cable"):
-        open_pedal(Reports([SENSOR]), PedalOptions(), FakeClock())
+        open_pedal(Reports([SENSOR]), PedalOptions(), ManualClock())
     with pytest.raises(DeviceNotFound, match="has the serial '', expected 'A1'"):
-        open_pedal(Reports([PEDAL]), PedalOptions(serial="A1"), FakeClock())
+        open_pedal(Reports([PEDAL]), PedalOptions(serial="A1"), ManualClock())
 
 
 def test_a_board_that_answers_otherwise_is_refused_and_released() -> None:
@@ -139,7 +139,7 @@ def test_two_boards_must_be_told_apart() -> None:
 
 def test_a_relay_that_does_not_switch_is_a_fault() -> None:
     """Each write is read back."""
-    bus = VirtualHidBus(VirtualHidOptions(), FakeClock())
+    bus = VirtualHidBus(VirtualHidOptions(), ManualClock())
     board = open_relay(bus, RelayOptions())
     board.write(3, True)
     assert bus.relays[2]
@@ -150,7 +150,7 @@ def test_a_relay_that_does_not_switch_is_a_fault() -> None:
 
 def test_the_virtual_pedal_follows_its_script() -> None:
     """Down at 1 s and 2 s, for 0.3 s each."""
-    clock = FakeClock(0)
+    clock = ManualClock(0)
     pedal = trigger.open(VirtualHidOptions(presses_s=(1.0, 2.0)), clock)
     found = []
     while clock.monotonic_ns() < 3e9:
@@ -162,7 +162,7 @@ def test_the_virtual_pedal_follows_its_script() -> None:
 
 def test_the_virtual_board_keeps_a_log(tmp_path: Path) -> None:
     """One line for each switching, with the seconds since its first use."""
-    options, clock = VirtualHidOptions(log=tmp_path / "log.jsonl", unplugged_s=(5, 6)), FakeClock(0)
+    options, clock = VirtualHidOptions(log=tmp_path / "log.jsonl", unplugged_s=(5, 6)), ManualClock(0)
     board = actuator.open(options, clock)
     clock.sleep(1.5)
     board.write(2, True)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from small_recordings import SERIAL, FakeClock, jpeg, write_recording
+from small_recordings import SERIAL, jpeg, write_recording
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.backoff import Backoff
 from edge.core.errors import (
     DeviceLost,
@@ -70,7 +70,7 @@ def take_until(state: AcquisitionState, acquisition: Acquisition, seen: list[byt
 class ScriptedDevice:
     """Reads from a list: a payload, or an error to raise."""
 
-    def __init__(self, script: list[bytes | Exception], clock: FakeClock) -> None:
+    def __init__(self, script: list[bytes | Exception], clock: ManualClock) -> None:
         self.identity = DeviceIdentity("GelSight Mini R0B 2BNN-4ZE7", SERIAL, (64, 48), 25.0)
         self.closed = 0
         self._script, self._clock = script, clock
@@ -89,7 +89,7 @@ class ScriptedDevice:
 def test_every_frame_of_a_recording_as_fast_as_read(tmp_path: Path) -> None:
     """At pace 0 nothing is dropped, however slow the consumer: the reader waits for it."""
     options = options_for(tmp_path, frames=40)
-    clock = FakeClock()
+    clock = ManualClock()
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=3) as acquisition:
         frames = all_frames(acquisition)
         status = acquisition.status
@@ -99,7 +99,7 @@ def test_every_frame_of_a_recording_as_fast_as_read(tmp_path: Path) -> None:
 
 def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
     """Four frames are kept; the fifth makes the queue the newest alone, so the consumer is not left four behind."""
-    clock = FakeClock()
+    clock = ManualClock()
     device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock, depth=4) as acquisition:
         wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
@@ -111,7 +111,7 @@ def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
 
 def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> None:
     """24 frames of 50 ms and no consumer: the kept frames end with the newest and span at most 0.8 s."""
-    clock = FakeClock()
+    clock = ManualClock()
     device = ScriptedDevice([*(jpeg(seed) for seed in range(24)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock) as acquisition:
         wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
@@ -123,7 +123,7 @@ def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> No
 
 def test_who_gets_the_end_finds_its_state() -> None:
     """The state is ENDED before `next` raises: a consumer that looks at it then is not a moment too early."""
-    clock = FakeClock()
+    clock = ManualClock()
     taken: list[CameraFrame | None] = []
 
     def note(status: AcquisitionStatus) -> None:
@@ -139,7 +139,7 @@ def test_who_gets_the_end_finds_its_state() -> None:
 def test_faults_are_counted(tmp_path: Path) -> None:
     """Corrupt and stale frames are counted and never delivered; the rest arrives in order."""
     options = options_for(tmp_path, "error_bit@1", "truncate@3", "stale@5")
-    clock = FakeClock()
+    clock = ManualClock()
     with Acquisition(lambda: plugin.open(options, clock), clock) as acquisition:
         frames = all_frames(acquisition)
         status = acquisition.status
@@ -174,7 +174,7 @@ def test_pulled_twenty_times(tmp_path: Path) -> None:
 def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
     """A stream that stops is closed and opened again, which ends this stall; no frame is lost."""
     options = options_for(tmp_path, "stall@3")
-    clock = FakeClock()
+    clock = ManualClock()
     with Acquisition(
         lambda: plugin.open(options, clock), clock, stall_after_s=2, backoff=quick()
     ) as acquisition:
@@ -185,7 +185,7 @@ def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
 
 def test_changes_are_published_once() -> None:
     """State and fault are published when they change, and only then."""
-    clock = FakeClock()
+    clock = ManualClock()
     said: list[tuple[AcquisitionState, str | None]] = []
     openings: list[Device | Exception] = [
         DeviceNotFound("nothing"),
@@ -218,7 +218,7 @@ def test_changes_are_published_once() -> None:
 
 def test_a_reconnection_leaves_a_gap() -> None:
     """Frames before and after a loss are not consecutive, so they are not taken for one movement."""
-    clock = FakeClock()
+    clock = ManualClock()
     devices = [
         ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
         ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
@@ -229,7 +229,7 @@ def test_a_reconnection_leaves_a_gap() -> None:
 
 def test_pauses_grow_with_failures_in_a_row_and_frames_end_the_row() -> None:
     """The pauses are the shared `Backoff`: three failures make the row three long, a frame starts a new row."""
-    clock, backoff = FakeClock(), quick()
+    clock, backoff = ManualClock(), quick()
     rows: list[int] = []
     openings: list[Device | Exception] = [
         DeviceNotFound("none"),
@@ -253,7 +253,7 @@ def test_pauses_grow_with_failures_in_a_row_and_frames_end_the_row() -> None:
 def test_another_sensor_is_not_taken_for_the_first() -> None:
     """Another sensor plugged in while running: refused with both serials and closed, so wear is not counted on its
     gel."""
-    clock = FakeClock()
+    clock = ManualClock()
     other = ScriptedDevice([jpeg(1)], clock)
     other.identity = DeviceIdentity("GelSight Mini R0B 28D8-PXEC", "28D8PXEC", (64, 48), 25.0)
     first = ScriptedDevice([jpeg(0), DeviceLost("pulled")], clock)
@@ -271,7 +271,7 @@ def test_another_sensor_is_not_taken_for_the_first() -> None:
 
 def test_every_device_is_closed_once() -> None:
     """A device is closed in every case that ends its use."""
-    clock = FakeClock()
+    clock = ManualClock()
     devices = [
         ScriptedDevice([DeviceLost("pulled")], clock),
         ScriptedDevice([jpeg(0), RecordingEnded("over")], clock),
@@ -284,7 +284,7 @@ def test_every_device_is_closed_once() -> None:
 
 def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
     """A recording that does not exist is not retried: `next` raises the error."""
-    clock = FakeClock()
+    clock = ManualClock()
     options = UsbMockOptions(recording=tmp_path / "nowhere")
     with (
         Acquisition(lambda: plugin.open(options, clock), clock) as acquisition,
@@ -295,7 +295,7 @@ def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
 
 def test_rate_is_measured() -> None:
     """Frames 50 ms apart are 20 fps."""
-    clock = FakeClock()
+    clock = ManualClock()
     device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
     with Acquisition(lambda: device, clock) as acquisition:
         all_frames(acquisition)
@@ -304,7 +304,7 @@ def test_rate_is_measured() -> None:
 
 def test_nothing_yet_is_none(tmp_path: Path) -> None:
     """No frame in time is None, not an error."""
-    clock = FakeClock()
+    clock = ManualClock()
 
     def never() -> Device:
         raise DeviceNotFound("nothing")
@@ -316,7 +316,7 @@ def test_nothing_yet_is_none(tmp_path: Path) -> None:
 def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -> None:
     """Closing does not hang on a full queue, and closing twice is harmless."""
     options = options_for(tmp_path, frames=20)
-    clock = FakeClock()
+    clock = ManualClock()
     acquisition = Acquisition(lambda: plugin.open(options, clock), clock, depth=2)
     acquisition.start()
     wait_for(lambda: acquisition.status.frames == 2)
@@ -329,7 +329,7 @@ def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -
 def test_a_wait_for_the_consumer_is_not_the_sensors_silence(tmp_path: Path) -> None:
     """An inspection of ten seconds, while the queue is full: the sensor is not opened again."""
     options = options_for(tmp_path, frames=20)
-    clock = FakeClock()
+    clock = ManualClock()
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=2) as acquisition:
         wait_for(lambda: acquisition.status.frames == 2)
         clock.sleep(10)
@@ -341,7 +341,7 @@ def test_a_wait_for_the_consumer_is_not_the_sensors_silence(tmp_path: Path) -> N
 
 def test_the_reader_steps_without_a_thread_and_without_time() -> None:
     """Open, a frame, a broken one, unplugged, a pause, opened again, a frame: in the order in which steps are taken."""
-    clock = FakeClock()
+    clock = ManualClock()
     devices = [
         ScriptedDevice(
             [jpeg(0), FrameCorrupt("half a frame"), DeviceLost("the sensor was unplugged")], clock
@@ -371,7 +371,7 @@ def test_the_reader_steps_without_a_thread_and_without_time() -> None:
 
 def test_a_pause_of_the_computer_is_not_the_sensors_silence() -> None:
     """Suspended for three seconds, or as busy: the frames that wait are read, and the sensor is not opened again."""
-    clock = FakeClock()
+    clock = ManualClock()
 
     class Punctual(ScriptedDevice):
         def read(self, deadline_ns: int) -> CameraFrame:
@@ -391,7 +391,7 @@ def test_a_pause_of_the_computer_is_not_the_sensors_silence() -> None:
 
 def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
     """Short waits until the two seconds are over by the clock, then a fault; no thread sleeps for it."""
-    clock = FakeClock()
+    clock = ManualClock()
     acquisition = Acquisition(lambda: ScriptedDevice([DeviceStalled("nothing yet")] * 2, clock), clock)
     assert acquisition.step() == 0.0
     assert acquisition.step() == 0.0
@@ -404,7 +404,7 @@ def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
 
 def test_a_sensor_that_is_opened_again_and_repeats_its_last_frame_stays_a_fault() -> None:
     """A camera that hangs still has its last frame: opening it again makes it no new one. Then it works again."""
-    clock = FakeClock()
+    clock = ManualClock()
     silent: list[bytes | Exception] = [DeviceStalled("no new frame")]
     hung = [ScriptedDevice([jpeg(0), *silent * 2], clock) for _ in range(4)]
     waiting = [*hung, ScriptedDevice([jpeg(0), jpeg(1), RecordingEnded("over")], clock)]

@@ -3,15 +3,14 @@
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.gateway.clock_guard import ClockGuard
 
 
-class SetClock(FakeClock):
+class SetClock(ManualClock):
     """A clock whose wall time a test sets."""
 
     set_s = 0.0

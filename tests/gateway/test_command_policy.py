@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
@@ -26,7 +26,7 @@ VERBS = frozenset(command.verb for command in COMMANDS)
 class Bench:
     """A store, a clock and three verbs that note what is done: `trigger`, `relearn` and `replace_gel`."""
 
-    def __init__(self, store: Store, clock: FakeClock) -> None:
+    def __init__(self, store: Store, clock: ManualClock) -> None:
         self.done: list[str] = []
         self.store, self.clock = store, clock
         self.policy = CommandPolicy(
@@ -70,7 +70,7 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    clock = FakeClock(1_780_000_000 * 10**9)
+    clock = ManualClock(1_780_000_000 * 10**9)
     with Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns) as store:
         yield Bench(store, clock)
 

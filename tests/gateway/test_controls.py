@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_recordings import FakeClock, write_recording
+from small_recordings import write_recording
 
+from edge.clock import ManualClock
 from edge.config import PluginTable
 from edge.gateway.opening import device_opener
 from plugins.devices import usb_mock
@@ -16,13 +17,13 @@ def test_profile_controls_reach_the_camera(tmp_path: Path, monkeypatch: pytest.M
     opened: list[Any] = []
     real_open = usb_mock.UsbMock.open
 
-    def noting_open(self: usb_mock.UsbMock, options: usb_mock.UsbMockOptions, clock: FakeClock) -> object:
+    def noting_open(self: usb_mock.UsbMock, options: usb_mock.UsbMockOptions, clock: ManualClock) -> object:
         opened.append(options)
         return real_open(self, options, clock)
 
     monkeypatch.setattr(usb_mock.UsbMock, "open", noting_open)
     options = {"recording": str(write_recording(tmp_path / "r", 2)), "pace": 0, "controls": {"gain": 7}}
-    clock = FakeClock()
+    clock = ManualClock()
     table = PluginTable(plugin="usb_mock", options=options)
     opener = device_opener(table, {"gain": 0, "gamma": 140}, clock)
     for _ in range(2):
@@ -35,4 +36,4 @@ def test_profile_controls_reach_the_camera(tmp_path: Path, monkeypatch: pytest.M
 def test_a_device_without_controls_is_left_alone(tmp_path: Path) -> None:
     """A recording has no camera to set."""
     table = PluginTable(plugin="recorded", options={"recording": str(write_recording(tmp_path / "r", 1))})
-    device_opener(table, {"gain": 0}, FakeClock())().close()
+    device_opener(table, {"gain": 0}, ManualClock())().close()

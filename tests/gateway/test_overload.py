@@ -4,9 +4,9 @@ import json
 from dataclasses import replace
 
 import pytest
-from small_recordings import FakeClock
 
 from edge.cli.run import summary_text
+from edge.clock import ManualClock
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.gateway.acquisition import AcquisitionStatus
@@ -99,7 +99,7 @@ def test_stats_say_what_became_of_the_frames() -> None:
     summary.see(AcquisitionStatus(frames=100, corrupt=4, stale=5, dropped=16), undecodable=1)
     summary.add(rejected("stale: old", 0.05))
     summary.add(scored(191.0))
-    StationStatus(said.append, FakeClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
+    StationStatus(said.append, ManualClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
 
     stats = json.loads(said[-1].payload)
     names = (
@@ -117,7 +117,7 @@ def test_stats_say_what_became_of_the_frames() -> None:
 def test_the_alarm_is_raised_and_cleared_on_its_topic() -> None:
     """The sentence while it lasts, an empty payload when it is over."""
     said: list[Message] = []
-    status = StationStatus(said.append, FakeClock())
+    status = StationStatus(said.append, ManualClock())
     status.overload("this machine is too slow")
     status.overload(None)
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 from overview_stills import blank, encoded, with_tag
-from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock
 from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import picture_size, with_comment
@@ -28,7 +28,7 @@ class ScriptedCamera:
 
     identity = IDENTITY
 
-    def __init__(self, clock: FakeClock, payloads: Sequence[bytes], end: Exception) -> None:
+    def __init__(self, clock: ManualClock, payloads: Sequence[bytes], end: Exception) -> None:
         self._clock, self._payloads, self._end = clock, list(payloads), end
 
     def read(self, deadline_ns: int) -> CameraFrame:
@@ -40,7 +40,7 @@ class ScriptedCamera:
 
 
 def overview_of(
-    clock: FakeClock,
+    clock: ManualClock,
     payloads: Sequence[bytes],
     rules: OverviewRules | None = None,
     end: Exception | None = None,
@@ -149,7 +149,7 @@ def test_a_station_keeps_the_newest_still_alone(tmp_path: Path, recording: Path,
 
 def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
     """With codes a press is refused with the camera's fault; without, results go on without a still."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(clock, [])
     overview.camera.step()
     overview.camera.step()
@@ -166,7 +166,7 @@ def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
 
 def test_the_newest_still_counts() -> None:
     """A camera gives more pictures than there are presses: those between are dropped."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(
         clock, [encoded(with_tag(n)) for n in (1, 2, 3)], OverviewRules(codes=("apriltag",))
     )
@@ -179,7 +179,7 @@ def test_the_newest_still_counts() -> None:
 
 def test_the_still_is_of_the_moment_when_the_contact_began() -> None:
     """A picture that comes while the sensor covers the part changes nothing."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(
         clock, [encoded(with_tag(1)), encoded(with_tag(2))], OverviewRules(codes=("apriltag",))
     )
@@ -194,7 +194,7 @@ def test_the_still_is_of_the_moment_when_the_contact_began() -> None:
 
 def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
     """A slow camera's picture counts for max_age_s, not longer: an older one may show another part."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(clock, [encoded(blank())])
     overview.camera.step()
     overview.camera.step()
@@ -211,7 +211,7 @@ def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
 
 def test_a_still_that_waited_too_long_is_too_old() -> None:
     """The camera stopped while nothing was pressed."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(clock, [encoded(blank())])
     overview.camera.step()
     overview.camera.step()
@@ -223,7 +223,7 @@ def test_a_still_that_waited_too_long_is_too_old() -> None:
 
 def test_a_recording_that_is_over_gives_no_still() -> None:
     """And its end is no end of the station."""
-    clock = FakeClock()
+    clock = ManualClock()
     overview = overview_of(clock, [], end=RecordingEnded("recording r has ended after 0 frames"))
     overview.start()
     with pytest.raises(RecordingEnded):
@@ -273,7 +273,7 @@ def test_a_broken_still_is_a_fault_and_no_error(payload: bytes, word: str) -> No
 
 def test_a_camera_that_hangs_is_refused_though_its_bytes_differ() -> None:
     """The same picture with other bytes at the next press: nothing is known of the part; then it works again."""
-    clock, still = FakeClock(), encoded(blank())
+    clock, still = ManualClock(), encoded(blank())
     pictures = [still, with_comment(still, "2"), with_comment(still, "3"), encoded(blank() + 1)]
     overview = overview_of(clock, pictures)
     faults = []

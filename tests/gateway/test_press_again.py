@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 from command_line import gelgate
-from small_recordings import FakeClock
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
+from edge.clock import ManualClock
 from edge.core.press_again import Costs
 from edge.gateway.inspector import Inspection
 from edge.gateway.press_again import AgainRule, PressAgain
@@ -187,7 +187,7 @@ def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bund
     """Both lie above, so the piece fails, with the score of its second press."""
     bundle = Bundle.load(again_bundle)
     rule = AgainRule(True, Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01), 30.0)
-    again = PressAgain(rule, FakeClock(), lambda sentence: None)
+    again = PressAgain(rule, ManualClock(), lambda sentence: None)
     again.use(bundle)
     first = again.judged(Inspection(bundle.manifest.decide(0.2)))
     again.recorded("01ARZ3NDEKTSV4RRFFQ69G5FAV")

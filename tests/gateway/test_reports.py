@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
 from edge.cli.describe import Format, described_text
+from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.ports import Message
 from edge.gateway.acquisition import AcquisitionStatus
@@ -38,7 +38,7 @@ def test_the_interval_of_the_counters_is_configured(
 def test_a_station_is_online_until_it_ends() -> None:
     """Plain words: also while it is halted, for it runs; the state says that it does not inspect."""
     said: list[Message] = []
-    status = StationStatus(said.append, FakeClock())
+    status = StationStatus(said.append, ManualClock())
 
     status.set_waiting_for("the sensor")
     status.set_fault("device", "no sensor")
@@ -51,7 +51,7 @@ def test_a_station_is_online_until_it_ends() -> None:
 def test_the_counters_name_the_raised_alarms() -> None:
     """One message has them all, for a dashboard that comes later than the alarms."""
     said: list[Message] = []
-    status = StationStatus(said.append, FakeClock())
+    status = StationStatus(said.append, ManualClock())
     status.alarm("overload", "too slow")
     status.alarm("gel", "worn")
     status.alarm("disk", "full")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from small_recordings import FakeClock
 
 from calibration.fitting.nominal_presses import read_presses
 from edge import registry
+from edge.clock import ManualClock
 from edge.core.contact.mask import Touch
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
@@ -107,7 +107,7 @@ class Listener:
 
 def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> list[bytes]:
     """The gateway's chain, from a device that plays at the recorded times."""
-    clock, listener = FakeClock(), Listener()
+    clock, listener = ManualClock(), Listener()
     plugin = registry.device(device)
     sensor = plugin.open(plugin.Options.model_validate({"recording": folder, "pace": pace}), clock)
     pipeline = PressPipeline(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]

@@ -4,10 +4,9 @@ import socket
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock
 from station import station_config
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
 from edge.gateway.gateway import Gateway
 from edge.gateway.service_manager import ServiceManager
@@ -56,7 +55,7 @@ def test_a_run_is_ready_alive_and_stopping(
 
 def test_it_is_reported_three_times_in_the_longest_silence() -> None:
     """A turn every 0.2 s is not a message every 0.2 s."""
-    manager, clock = Manager(), FakeClock()
+    manager, clock = Manager(), ManualClock()
     service = ServiceManager(clock, {"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "30000000"})
     for _ in range(300):
         service.alive()
@@ -70,7 +69,7 @@ def test_it_is_reported_three_times_in_the_longest_silence() -> None:
 @pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "/nowhere/x", "WATCHDOG_USEC": "1"}])
 def test_without_systemd_nothing_happens(environment: dict[str, str]) -> None:
     """As in a terminal or a container."""
-    service = ServiceManager(FakeClock(), environment)
+    service = ServiceManager(ManualClock(), environment)
     service.ready()
     service.alive()
     service.stopping()

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import DeviceIdentity
 from edge.gateway import snapshots
@@ -24,7 +24,7 @@ def frame(number: int, size: int = 10) -> CameraFrame:
 
 
 def bench(folder: Path, frames: int = 100, size: int = 10) -> Snapshots:
-    found = Snapshots(folder / "snapshots", FakeClock())
+    found = Snapshots(folder / "snapshots", ManualClock())
     for number in range(frames):
         found.see(frame(number, size))
     return found
@@ -59,7 +59,7 @@ def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
 
 def test_a_stream_that_stops_does_not_hold_back_what_is_there(tmp_path: Path) -> None:
     """The frames after the request never come; after a time those before it are written."""
-    clock = FakeClock()
+    clock = ManualClock()
     found = Snapshots(tmp_path / "snapshots", clock)
     found.see(frame(0))
     folder = found.request(1, 1)
@@ -83,7 +83,7 @@ def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pyt
 
 def test_no_frame_is_kept_where_nobody_may_ask(tmp_path: Path) -> None:
     """A station without the command spends no memory on it."""
-    found = Snapshots(None, FakeClock())
+    found = Snapshots(None, ManualClock())
     found.see(frame(0))
 
     assert len(found._ring) == 0

@@ -7,11 +7,10 @@ from typing import Any
 
 import pytest
 from fake_io import FakeRelay
-from small_recordings import FakeClock
 from station import JSONL, station_config
 from stepped_station import SteppedStation
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
 from edge.core.digital_io import OutputRule, StationView
 from edge.core.errors import ConfigError, DeviceNotFound
@@ -147,7 +146,7 @@ def test_no_light_shows_the_verdict_of_an_earlier_press(
 
 def test_a_verdict_does_not_outlive_the_state_ready() -> None:
     """Halted and ready again: nothing was judged since, so nothing is shown."""
-    relay = FakeRelay(clock := FakeClock())
+    relay = FakeRelay(clock := ManualClock())
     rules = [OutputRule(1, frozenset({"pass"})), OutputRule(2, frozenset({"fail"}))]
     driver = ActuatorDriver(relay.open, rules, clock, print, print, watchdog_ns=10**12)
     io = StationIo(drivers=[driver])
@@ -162,7 +161,7 @@ def test_a_verdict_does_not_outlive_the_state_ready() -> None:
 
 def test_a_pass_that_is_recorded_after_the_next_press_began_is_not_shown() -> None:
     """The database was slow: the light would be the other part's."""
-    relay = FakeRelay(clock := FakeClock())
+    relay = FakeRelay(clock := ManualClock())
     driver = ActuatorDriver(
         relay.open, [OutputRule(1, frozenset({"pass"}))], clock, print, print, watchdog_ns=10**12
     )

@@ -4,8 +4,8 @@ import json
 
 import pytest
 import tiny
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.ports import DeviceIdentity, Message
 from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
 from edge.gateway.status import StationStatus
@@ -39,7 +39,7 @@ class Heard:
 def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
     """A sensor alone is not enough: before the free gel is learnt no press is detected."""
     heard = Heard()
-    status = StationStatus(heard, FakeClock())
+    status = StationStatus(heard, ManualClock())
     status.set_waiting_for("the sensor")
     status.set_waiting_for("the free gel")
     status.set_waiting_for(None)
@@ -52,7 +52,7 @@ def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
 def test_one_fault_cleared_is_not_ready_while_another_lasts() -> None:
     """The sensor comes back while the disk is still full."""
     heard = Heard()
-    status = StationStatus(heard, FakeClock())
+    status = StationStatus(heard, ManualClock())
     status.set_fault("device", "the sensor is gone.")
     status.set_fault("store", "the disk is full.")
     status.clear_fault("device")
@@ -67,7 +67,7 @@ def test_one_fault_cleared_is_not_ready_while_another_lasts() -> None:
 def test_a_fault_that_lasts_is_said_once() -> None:
     """And again when its sentence is another."""
     heard = Heard()
-    status = StationStatus(heard, FakeClock())
+    status = StationStatus(heard, ManualClock())
 
     assert [status.set_fault("store", text) for text in ("full", "full", "read-only")] == [True, False, False]
     assert heard.reasons == ["full", "read-only"]
@@ -75,7 +75,7 @@ def test_a_fault_that_lasts_is_said_once() -> None:
 
 def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
     """The log has an overload once, not every ten seconds."""
-    status = StationStatus(Heard(), FakeClock())
+    status = StationStatus(Heard(), ManualClock())
     for text in ("96 of 179 frames were dropped", "40 of 100 frames were dropped", None, "again"):
         status.overload(text)
 
@@ -95,7 +95,7 @@ def test_info_says_what_the_fit_warned_of_what_is_promised_and_what_it_chose() -
     }
     facts = tiny.tiny_files(provenance=Provenance(created="2026-01-01", warnings=(said,)), facts=chosen)
     identity = DeviceIdentity("Mini", "1", (640, 480), 25.0)
-    StationStatus(heard, FakeClock()).info(Bundle.in_memory(*facts), identity)
+    StationStatus(heard, ManualClock()).info(Bundle.in_memory(*facts), identity)
 
     assert heard.info["warnings"] == [said]
     assert heard.info["backbone_choice"] == why
@@ -119,7 +119,7 @@ def test_an_overview_camera_that_is_away_is_an_alarm_and_no_halt(
 ) -> None:
     """As severe as what it causes, and cleared when it is back; the state does not change."""
     said: list[Message] = []
-    status = StationStatus(said.append, FakeClock())
+    status = StationStatus(said.append, ManualClock())
     status.overview_changed(lost, is_needed=is_needed)
     alarm = json.loads(said[-1].payload)
     status.overview_changed(AcquisitionStatus(AcquisitionState.STREAMING), is_needed=is_needed)

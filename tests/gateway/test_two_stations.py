@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
-from small_recordings import FakeClock, jpeg
+from small_recordings import jpeg
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound
 from edge.gateway.preflight import preflight
@@ -58,7 +59,7 @@ def test_a_station_that_names_no_serial_refuses_to_choose(
 ) -> None:
     """Both serials are in the sentence, so that one can be copied into the configuration."""
     config = load_config(station(tmp_path / "left", recording, bundle, None, RIGHT))
-    with preflight(config, FakeClock()) as checked:
+    with preflight(config, ManualClock()) as checked:
         (fault,) = [finding for finding in checked.findings if isinstance(finding.error, DeviceNotFound)]
 
     assert "2 sensors are plugged in (" in fault.text
@@ -68,7 +69,7 @@ def test_a_station_that_names_no_serial_refuses_to_choose(
 
 def test_one_sensor_is_read_by_one_station(recording: Path) -> None:
     """Another serial of the same recording is another sensor."""
-    plugin, clock = UsbMock(), FakeClock()
+    plugin, clock = UsbMock(), ManualClock()
 
     def options(serial: str) -> UsbMockOptions:
         return UsbMockOptions(recording=recording, pace=0, serial=serial)
@@ -85,7 +86,7 @@ def test_one_sensor_is_read_by_one_station(recording: Path) -> None:
 
 def test_two_sensors_of_one_bus_deliver_their_own_frames(tmp_path: Path) -> None:
     """Read in turn; when one is unplugged the other goes on."""
-    clock = FakeClock()
+    clock = ManualClock()
     bus = VirtualBus(clock)
     payloads = {LEFT: [jpeg(n) for n in range(8)], RIGHT: [jpeg(n) for n in range(100, 108)]}
     cameras = {}

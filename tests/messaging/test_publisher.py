@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from scripted_sink import HandClock, ScriptedSink, record
+from scripted_sink import ScriptedSink, record
 
 import edge.messaging.publisher
+from edge.clock import ManualClock
 from edge.core.errors import StoreError
 from edge.core.ports import Message
 from edge.messaging.publisher import Publisher
@@ -29,7 +30,7 @@ def outbox(path: Path) -> Iterator[Outbox]:
 
 
 def publisher(path: Path, **sinks: ScriptedSink) -> Publisher:
-    return Publisher(path, sinks, RetainedState(), HandClock(), random.Random(1))
+    return Publisher(path, sinks, RetainedState(), ManualClock(), random.Random(1))
 
 
 def test_stopping_sends_what_is_there_and_closes_the_sinks(

@@ -8,8 +8,9 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from scripted_sink import HandClock, ScriptedSink, drain, worker
+from scripted_sink import ScriptedSink, drain, worker
 
+from edge.clock import ManualClock
 from edge.core.ports import Message
 from edge.logs import Text
 from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
@@ -39,7 +40,7 @@ def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accep
     path: Path, make_press: MakePress
 ) -> None:
     """A thousand refusals a minute would be work for nothing; a corrected rule needs one row to be seen."""
-    sink, clock = ScriptedSink(), HandClock()
+    sink, clock = ScriptedSink(), ManualClock()
     sink.refuses = {"result"}
     put(path, make_press, *(Message("result", b"%d" % n) for n in range(3 * OFFERED_ROWS)))
     with Outbox(path) as outbox:
@@ -118,7 +119,7 @@ def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_pres
                 raise KeyError("unexpected")
             super().send(message)
 
-    sink, clock = Broken(), HandClock()
+    sink, clock = Broken(), ManualClock()
     put(path, make_press, Message("result", b'{"n":1}'))
     with Outbox(path) as outbox:
         outbox.register(["mqtt"])

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from scripted_sink import HandClock, ScriptedSink, drain, record, worker
+from scripted_sink import ScriptedSink, drain, record, worker
 
+from edge.clock import ManualClock
 from edge.core.backoff import Backoff
 from edge.core.errors import StoreError
 from edge.core.ports import Message
@@ -154,7 +155,7 @@ def test_a_lost_acknowledgement_means_the_same_press_twice(
 
 def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, make_press: MakePress) -> None:
     """It is counted and kept; within a minute it is offered again."""
-    sink, clock = ScriptedSink(), HandClock()
+    sink, clock = ScriptedSink(), ManualClock()
     outbox.register(["mqtt"])
     one = worker(outbox, sink, clock=clock)
     sink.refuses = {"huge"}

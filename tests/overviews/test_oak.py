@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from overview_benches import FILM_SIZE, film
-from small_recordings import FakeClock
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.errors import (
     ConfigError,
     DeviceBusy,
@@ -112,7 +111,7 @@ def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "depthai", None)
 
     with pytest.raises(ConfigError, match=r"pip install 'gelgate\[oak\]'"):
-        plugin.open(OakOptions(), FakeClock())
+        plugin.open(OakOptions(), ManualClock())
 
 
 @needs_depthai
@@ -169,7 +168,7 @@ class ScriptedQueue:
 def camera_with(*answers: object) -> tuple[OakCamera, ScriptedQueue]:
     queue = ScriptedQueue(*answers)
     pipeline = SimpleNamespace(stop=lambda: None)
-    return OakCamera(IDENTITY, pipeline, queue, FakeClock(), is_film=False), queue
+    return OakCamera(IDENTITY, pipeline, queue, ManualClock(), is_film=False), queue
 
 
 def test_no_picture_by_the_deadline_is_a_stall() -> None:
@@ -234,7 +233,7 @@ def test_it_opens_one_device_that_is_there(serials: tuple[str, ...], wanted: str
     dai = ScriptedDepthai(*serials)
 
     with pytest.raises(DeviceNotFound, match=f"seen: {', '.join(serials) or 'none'};"):
-        _camera(dai, OakOptions(serial=wanted), FakeClock())
+        _camera(dai, OakOptions(serial=wanted), ManualClock())
     assert dai.opened == []
 
 
@@ -243,5 +242,5 @@ def test_a_device_that_does_not_start_is_busy() -> None:
     dai = ScriptedDepthai("A", "B")
 
     with pytest.raises(DeviceBusy, match=r"OAK B does not start \(X_LINK_DEVICE_ALREADY_IN_USE"):
-        _camera(dai, OakOptions(serial="B"), FakeClock())
+        _camera(dai, OakOptions(serial="B"), ManualClock())
     assert dai.opened == ["B"]

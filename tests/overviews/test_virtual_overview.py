@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.overview.codes import Code, read_codes
 from edge.core.overview.presence import share_of_change
 from plugins.overviews.virtual_overview import VirtualOverviewOptions, plugin
 
 
 def drawn(number: int, **options: object) -> list[NDArray[np.uint8]]:
-    camera = plugin.open(VirtualOverviewOptions.model_validate(options), FakeClock())
+    camera = plugin.open(VirtualOverviewOptions.model_validate(options), ManualClock())
     payloads = [np.frombuffer(camera.read(0).payload, np.uint8) for _ in range(number)]
     return [np.asarray(cv2.imdecode(one, cv2.IMREAD_GRAYSCALE), np.uint8) for one in payloads]
 

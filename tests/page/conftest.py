@@ -5,20 +5,20 @@ from pathlib import Path
 
 import pytest
 from page_messages import ROOT
-from small_recordings import FakeClock
 from station import press_recording, small_bundle
 
+from edge.clock import ManualClock
 from edge.core.sink_context import Station
 from plugins.sinks.page import PageOptions, PageSink
 
 
 @pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock()
+def clock() -> ManualClock:
+    return ManualClock()
 
 
 @pytest.fixture
-def sink(clock: FakeClock) -> Iterator[PageSink]:
+def sink(clock: ManualClock) -> Iterator[PageSink]:
     """It only shows."""
     opened = PageSink(PageOptions(), Station(ROOT, "press2"), clock, port=0)
     yield opened

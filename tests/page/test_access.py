@@ -4,8 +4,8 @@ from ipaddress import ip_network
 from typing import Any
 
 import pytest
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.page.access import MOST_ADDRESSES, WRONG_PER_MINUTE, Access, TokenGate, change_refusal
 
 OWN = {"host": "gateway:8080", "content-type": "application/json"}
@@ -110,7 +110,7 @@ def test_another_page_may_not(more: dict[str, str], status: int) -> None:
 
 
 def gate(**options: Any) -> TokenGate:
-    return TokenGate(options.get("token", b"correct-horse"), options.get("clock", FakeClock()))
+    return TokenGate(options.get("token", b"correct-horse"), options.get("clock", ManualClock()))
 
 
 def test_who_has_the_token_is_admitted() -> None:
@@ -148,7 +148,7 @@ def test_without_a_token_nobody_is_admitted() -> None:
 
 def test_guessing_is_limited_and_does_not_fill_the_table() -> None:
     """Ten wrong ones a minute from one address; then the right one is refused too, and nothing is recorded."""
-    clock = FakeClock()
+    clock = ManualClock()
     one = gate(clock=clock)
     wrong = [one.refusal("10.0.0.1", f"Bearer guess-{n}") for n in range(WRONG_PER_MINUTE + 5)]
     right = one.refusal("10.0.0.1", "Bearer correct-horse")

@@ -12,9 +12,9 @@ import pytest
 from page_messages import ROOT, TOKEN, ask, asked
 from parts import parts_config, threshold, variant
 from ports import free_port
-from small_recordings import FakeClock
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock
 from edge.core.sink_context import PageRequests, Station
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
@@ -70,7 +70,7 @@ def token_file(folder: Path) -> Path:
 @pytest.fixture
 def alone(tmp_path: Path) -> Iterator[Bench]:
     """The station's table of requests without a station: one verb for the page, one over MQTT."""
-    clock = FakeClock(1_780_000_000 * 10**9)
+    clock = ManualClock(1_780_000_000 * 10**9)
     policy = CommandPolicy(ROOT, frozenset({"trigger"}), page=frozenset({"replace_gel"}))
     with Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns) as store:
         done = Commands(

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 from page_messages import ROOT, T0_NS, TOKEN, ask, asked, gel, press, state
 from ports import free_port
-from small_recordings import FakeClock
 
 from edge.cli.page import page
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.gel import GelState
 from edge.core.ports import Message
@@ -172,7 +171,7 @@ def test_a_malformed_message_ends_nothing_and_is_not_shown(topic: str, payload: 
 def served(broker: LocalBroker, tmp_path: Path) -> Iterator[Callable[..., tuple[int, Store]]]:
     """A station at the broker that serves signed requests, and its page here with this secret; gives port and store."""
     with ExitStack() as opened:
-        clock = FakeClock(time.time_ns())
+        clock = ManualClock(time.time_ns())
         store = opened.enter_context(Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns))
         policy = CommandPolicy(ROOT, frozenset(), frozenset({"select_part"}), SECRET)
         handlers = {"select_part": lambda asked: Change({"part": asked["name"]}), "replace_gel": None}
@@ -254,7 +253,7 @@ def test_a_station_that_does_not_answer_is_a_sentence(broker: LocalBroker) -> No
 
 def test_nothing_is_asked_while_the_broker_is_away() -> None:
     """The sentence says why."""
-    answer = page_requests(unheard(), SECRET, FakeClock()).do("select_part", b'{"transaction":"1"}')
+    answer = page_requests(unheard(), SECRET, ManualClock()).do("select_part", b'{"transaction":"1"}')
     assert "nothing was asked: no connection to broker 127.0.0.1:1 yet" in json.loads(answer)["error"]
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, reference, state, stats
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel import GelState
 from edge.core.ports import Message
@@ -159,7 +159,7 @@ def test_another_machine_sees_it_where_it_is_named() -> None:
     address = own_address()
     for allowed, status in (("203.0.113.77", 403), (address, 200)):
         options = PageOptions(bind="0.0.0.0", allow_from=(allowed,))
-        sink = PageSink(options, Station(ROOT, "press2"), FakeClock(), port=0)
+        sink = PageSink(options, Station(ROOT, "press2"), ManualClock(), port=0)
         connection = http.client.HTTPConnection(address, sink.port, timeout=60)
         connection.request("GET", "/state.json")
         answer = connection.getresponse()
@@ -294,7 +294,7 @@ def test_connections_are_bounded(sink: PageSink) -> None:
 @pytest.mark.parametrize(
     "sent", [WHOLE[:20], b"POST /requests/x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n{"]
 )
-def test_a_request_that_takes_too_long_is_left(sink: PageSink, clock: FakeClock, sent: bytes) -> None:
+def test_a_request_that_takes_too_long_is_left(sink: PageSink, clock: ManualClock, sent: bytes) -> None:
     """As a whole, with its body: a byte now and then does not keep it."""
     slow = connected(sink.port, sent)
     slow.settimeout(REQUEST_S / 2)  # below the silence after which the server leaves anybody
@@ -334,7 +334,7 @@ def test_what_a_proxy_may_read_otherwise_is_refused(
 
 def test_a_burst_of_connections_waits_for_a_loaded_gateway() -> None:
     """Before one is accepted all are made, so that they are accepted in their order."""
-    with HttpServer(("127.0.0.1", 0), HttpHandler, FakeClock()) as server, ExitStack() as opened:
+    with HttpServer(("127.0.0.1", 0), HttpHandler, ManualClock()) as server, ExitStack() as opened:
         for _ in range(MOST_OF_ONE + 1):
             opened.enter_context(socket.create_connection(server.server_address, timeout=10))
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 from ports import free_port
-from small_recordings import FakeClock
 from station import press_recording, station_config
 
+from edge.clock import ManualClock
 from edge.core.ports import Device, Message, Sink
 from edge.core.sink_context import Station
 from plugins.conformance import check_device, check_sink
@@ -128,7 +128,7 @@ class FolderBench:
     def __init__(self, folder: Path) -> None:
         from acme_touch.watched_folder import FolderOptions
 
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self._options = FolderOptions(folder=folder, size=SIZE)
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
@@ -153,7 +153,7 @@ class FolderBench:
         self._options.folder.rename(self._options.folder.with_name("gone"))
 
 
-class SavingClock(FakeClock):
+class SavingClock(ManualClock):
     """Reports the time whenever it changes."""
 
     def __init__(self, now_ns: int, passed: object) -> None:

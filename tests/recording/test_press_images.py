@@ -115,8 +115,7 @@ def test_no_images_is_refused(tmp_path: Path, pattern: str) -> None:
 
 def test_real_presses_play(real_tactile: Path, tmp_path: Path) -> None:
     """Ten ball presses of a real sensor play through the virtual sensor, every frame new."""
-    from small_recordings import FakeClock
-
+    from edge.clock import ManualClock
     from edge.core.errors import RecordingEnded
     from plugins.devices.usb_mock import UsbMockOptions, plugin
 
@@ -126,7 +125,7 @@ def test_real_presses_play(real_tactile: Path, tmp_path: Path) -> None:
     count = record_images(
         tmp_path / "r", presses, unit / "background.png", plan, product=PRODUCT, serial=SERIAL
     )
-    clock = FakeClock()
+    clock = ManualClock()
     device = plugin.open(UsbMockOptions(recording=tmp_path / "r", pace=0), clock)
     for _ in range(count):
         device.read(clock.monotonic_ns() + 1_000_000_000)

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.ports import Device, DeviceIdentity, Message, Sink
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
@@ -36,7 +36,7 @@ class RecordedBench:
     """The device `recorded` on a recording of the payloads; its cable is the folder."""
 
     def __init__(self, folder: Path) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self._folder = folder / "recording"
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:
@@ -70,7 +70,7 @@ class V4l2Bench:
     """The real sensor's reader behind OpenCV's capture, which blocks until it gives up: it knows no deadline."""
 
     def __init__(self) -> None:
-        self.clock, self._is_plugged_in = FakeClock(), True
+        self.clock, self._is_plugged_in = ManualClock(), True
         self._payloads: list[bytes] = []
 
     def open(self, payloads: Sequence[bytes], *, real_time: bool = False) -> Device:

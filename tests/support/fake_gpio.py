@@ -8,8 +8,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import gpiod
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from plugins.digital_io.gpio import Kernel
 
 RISING, FALLING = gpiod.EdgeEvent.Type.RISING_EDGE, gpiod.EdgeEvent.Type.FALLING_EDGE
@@ -18,7 +18,7 @@ RISING, FALLING = gpiod.EdgeEvent.Type.RISING_EDGE, gpiod.EdgeEvent.Type.FALLING
 class FakeKernel(Kernel):
     """levels: what each line drives; None where it is an input. stuck: lines that keep their level."""
 
-    def __init__(self, clock: FakeClock) -> None:
+    def __init__(self, clock: ManualClock) -> None:
         self.clock = clock
         self.levels: dict[int, bool | None] = {}
         self.edges: deque[gpiod.EdgeEvent.Type] = deque()

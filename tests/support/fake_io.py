@@ -3,8 +3,7 @@
 from collections import deque
 from typing import Any
 
-from small_recordings import FakeClock
-
+from edge.clock import ManualClock
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceLost, DeviceNotFound
 
@@ -24,7 +23,7 @@ class FakeRelay:
 
     name, channels = "relay", 4
 
-    def __init__(self, clock: FakeClock) -> None:
+    def __init__(self, clock: ManualClock) -> None:
         self.clock = clock
         self.plugged_in, self.silent, self.write_s = True, False, 0.0
         self.state: dict[int, bool] = {}
@@ -63,7 +62,7 @@ class FakePedal:
 
     name = "pedal"
 
-    def __init__(self, clock: FakeClock, *changes: tuple[float, bool]) -> None:
+    def __init__(self, clock: ManualClock, *changes: tuple[float, bool]) -> None:
         self.clock, self.plugged_in, self.silent = clock, True, False
         self.error: Exception | None = None
         self.changes = deque((clock.monotonic_ns() + round(ms * 1e6), is_down) for ms, is_down in changes)
@@ -93,7 +92,7 @@ class FakePedal:
         self.closings += 1
 
 
-def run(part: Any, clock: FakeClock, seconds: float) -> None:
+def run(part: Any, clock: ManualClock, seconds: float) -> None:
     """Step the part for that time of the clock, as its thread would."""
     end_ns = clock.monotonic_ns() + round(seconds * 1e9)
     for _ in range(1_000):

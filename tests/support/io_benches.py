@@ -1,8 +1,8 @@
 """Benches of the built-in pedals and relay boards, for the checks of `plugins.conformance`."""
 
 from fake_gpio import FALLING, RISING, FakeKernel
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.digital_io import Actuator, Trigger
 from plugins.digital_io import virtual_hid
 from plugins.digital_io.gpio import ButtonOptions, GpioButton, GpioRelays, RelaysOptions
@@ -15,7 +15,7 @@ class VirtualPedalBench:
     """The pedal's driver on the virtual bus. silent: an unplugged device gives no error, as on Linux."""
 
     def __init__(self, *, silent: bool = True) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self._options = VirtualHidOptions()
         self.bus: VirtualHidBus = bus_of(self._options, self.clock)
         self.bus.is_silent = silent
@@ -37,7 +37,7 @@ class VirtualRelayBench:
     """The board's driver on the virtual bus."""
 
     def __init__(self) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self._options = VirtualHidOptions()
         self.bus: VirtualHidBus = bus_of(self._options, self.clock)
 
@@ -55,7 +55,7 @@ class GpioButtonBench:
     """A button at a line of a chip that a test decides."""
 
     def __init__(self) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self.kernel = FakeKernel(self.clock)
 
     def open(self) -> Trigger:
@@ -77,7 +77,7 @@ class GpioRelaysBench:
     lines = (5, 6)
 
     def __init__(self) -> None:
-        self.kernel = FakeKernel(FakeClock())
+        self.kernel = FakeKernel(ManualClock())
 
     def open(self) -> Actuator:
         return GpioRelays(self.kernel, RelaysOptions(lines=self.lines))

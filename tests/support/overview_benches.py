@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches import RecordedBench, V4l2Bench
-from small_recordings import FakeClock
 
-from edge.clock import SystemClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.ports import Device
 from edge.extras import is_installed
 from plugins.conformance import OverviewBench
@@ -38,7 +37,7 @@ class VirtualBench:
     """It draws for ever."""
 
     def __init__(self) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
 
     def open(self) -> Device:
         return virtual_overview.plugin.open(virtual_overview.VirtualOverviewOptions(), self.clock)

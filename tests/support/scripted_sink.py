@@ -1,9 +1,10 @@
-"""A sink that does what the test says, its worker, and a clock that the test sets."""
+"""A sink that does what the test says, and its worker."""
 
 import json
 import random
 from collections.abc import Callable
 
+from edge.clock import ManualClock
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
@@ -12,23 +13,7 @@ from edge.messaging.sink_worker import SinkWorker
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
 
-__all__ = ["HandClock", "ScriptedSink", "drain", "record", "worker"]
-
-
-class HandClock:
-    """Time that the test sets."""
-
-    def __init__(self) -> None:
-        self.now_ns = 10**18
-
-    def monotonic_ns(self) -> int:
-        return self.now_ns
-
-    def time_ns(self) -> int:
-        return self.now_ns
-
-    def sleep(self, seconds: float) -> None:
-        self.now_ns += int(seconds * 1e9)
+__all__ = ["ScriptedSink", "drain", "record", "worker"]
 
 
 class ScriptedSink:
@@ -66,7 +51,7 @@ def worker(
     sink: ScriptedSink,
     name: str = "mqtt",
     retained_state: RetainedState | None = None,
-    clock: HandClock | None = None,
+    clock: ManualClock | None = None,
     changes: list[tuple[bool, str]] | None = None,
 ) -> SinkWorker:
     def note(name: str, is_up: bool, sentence: str) -> None:
@@ -75,7 +60,7 @@ def worker(
 
     backoff = Backoff(random.Random(1), 0.1, 5.0)
     return SinkWorker(
-        name, sink, outbox, retained_state or RetainedState(), clock or HandClock(), backoff, note
+        name, sink, outbox, retained_state or RetainedState(), clock or ManualClock(), backoff, note
     )
 
 

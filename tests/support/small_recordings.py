@@ -1,6 +1,5 @@
-"""Small recordings of small frames, and a clock that moves only during a sleep."""
+"""Small recordings of small frames."""
 
-import threading
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -12,25 +11,6 @@ from edge.recording.format import RecordingHeader, RecordingWriter
 
 PRODUCT, SERIAL = "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7"
 PERIOD_NS = 53_333_333  # 18.75 fps
-
-
-class FakeClock:
-    """Time that passes by sleeping alone; safe to share between threads."""
-
-    def __init__(self, now_ns: int = 1_000_000_000) -> None:
-        self._now_ns = now_ns
-        self._guard = threading.Lock()
-
-    def monotonic_ns(self) -> int:
-        with self._guard:
-            return self._now_ns
-
-    def time_ns(self) -> int:
-        return self.monotonic_ns()
-
-    def sleep(self, seconds: float) -> None:
-        with self._guard:
-            self._now_ns += round(seconds * 1e9)
 
 
 @cache

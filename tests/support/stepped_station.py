@@ -7,8 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from small_recordings import FakeClock
-
+from edge.clock import ManualClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
 from edge.gateway.build import build
@@ -27,7 +26,7 @@ class SteppedStation:
         labels: PressLabels | None = None,
         on_press: Callable[[PressReport], None] = lambda report: None,
     ) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self.reports: list[PressReport] = []
         self.has_ended = False
         with ExitStack() as closing:

@@ -2,8 +2,8 @@
 
 import pytest
 from fake_io import FakeRelay, FixedBackoff, run
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.core.digital_io import OutputRule, StationView
 from edge.gateway.digital_io.actuator_driver import ActuatorDriver
 
@@ -21,7 +21,7 @@ class Bench:
     """A driver of a relay, what it reports, and the time."""
 
     def __init__(self, rules: tuple[OutputRule, ...] = RULES) -> None:
-        self.clock = FakeClock()
+        self.clock = ManualClock()
         self.relay = FakeRelay(self.clock)
         self.faults: list[str | None] = []
         self.late: list[str] = []

@@ -1,8 +1,8 @@
 """The owner of a pedal, on the test's own clock and without its thread."""
 
 from fake_io import FakePedal, FixedBackoff, run
-from small_recordings import FakeClock
 
+from edge.clock import ManualClock
 from edge.gateway.digital_io.trigger_reader import TriggerReader
 
 MS = 1_000_000
@@ -12,7 +12,7 @@ class Bench:
     """A reader of a pedal, the times of its presses in milliseconds, and its faults."""
 
     def __init__(self, *changes: tuple[float, bool]) -> None:
-        self.clock = FakeClock(0)
+        self.clock = ManualClock(0)
         self.pedal = FakePedal(self.clock, *changes)
         self.presses: list[int] = []
         self.faults: list[str | None] = []
