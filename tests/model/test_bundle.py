@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -77,29 +78,23 @@ def test_the_manifest_states_bytes_stored_and_in_use(folder: Path) -> None:
 FILES = ["trunk.onnx", "head.onnx", "bank/mean.npy", "bank/mean.scale.npy", "golden/0.png"]
 
 
-@pytest.mark.parametrize("file", FILES)
-def test_one_changed_byte_in_any_file_is_found(folder: Path, file: str) -> None:
-    """The sentence names the file and both hashes."""
-    data = bytearray((folder / file).read_bytes())
-    data[-1] ^= 1
-    (folder / file).write_bytes(bytes(data))
-    with pytest.raises(BundleCorrupt, match=rf"{file} has SHA-256 [0-9a-f]{{12}} .* expects [0-9a-f]{{12}}"):
-        Bundle.load(folder)
+CHANGED = r"{file} has SHA-256 [0-9a-f]{{12}} .* expects [0-9a-f]{{12}}"
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "changed": (
+        lambda path: path.write_bytes(path.read_bytes()[:-1] + bytes([path.read_bytes()[-1] ^ 1])),
+        CHANGED,
+    ),
+    "missing": (Path.unlink, "{file} is missing"),
+    "cut": (lambda path: path.write_bytes(path.read_bytes()[:-10]), "{file}"),
+}
 
 
-@pytest.mark.parametrize("file", [*FILES, MANIFEST])
-def test_a_missing_file_is_named(folder: Path, file: str) -> None:
-    """A bundle copied in part is refused by the name of what is missing."""
-    (folder / file).unlink()
-    with pytest.raises(BundleCorrupt, match=f"{file} is missing"):
-        Bundle.load(folder)
-
-
-@pytest.mark.parametrize("file", FILES)
-def test_a_file_cut_short_is_found(folder: Path, file: str) -> None:
-    """An interrupted copy has fewer bytes than the manifest says."""
-    (folder / file).write_bytes((folder / file).read_bytes()[:-10])
-    with pytest.raises(BundleCorrupt, match=file):
+@pytest.mark.parametrize(("file", "damage"), [*itertools.product(FILES, DAMAGES), (MANIFEST, "missing")])
+def test_damage_of_any_file_is_named(folder: Path, file: str, damage: str) -> None:
+    """One changed byte, a bundle copied in part, an interrupted copy."""
+    change, sentence = DAMAGES[damage]
+    change(folder / file)
+    with pytest.raises(BundleCorrupt, match=sentence.format(file=file)):
         Bundle.load(folder)
 
 

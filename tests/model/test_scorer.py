@@ -2,6 +2,8 @@
 
 import dataclasses
 import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import onnx.parser
@@ -156,40 +158,44 @@ def test_a_head_that_does_not_fit_is_refused_before_the_first_press(
         Scorer(with_head(body, inputs))
 
 
-def test_a_head_without_a_score_is_refused() -> None:
-    """Both outputs are part of the contract."""
-    model = onnx.parser.parse_model("""
-        < ir_version: 8, opset_import: ["" : 17] >
-        head (float[n, 3, 4, 4] layer1) => (float[n, 4, 4] score_map)
-        { score_map = ReduceL2 <axes = [1], keepdims = 0> (layer1) }
-    """)
-    graphs = dataclasses.replace(tiny.tiny_graphs(), head=model.SerializeToString())
-    with pytest.raises(BundleCorrupt, match="expected 'score_map' and 'score'"):
-        Scorer(bundle(graphs=graphs))
+SCORELESS = """
+    < ir_version: 8, opset_import: ["" : 17] >
+    head (float[n, 3, 4, 4] layer1) => (float[n, 4, 4] score_map)
+    { score_map = ReduceL2 <axes = [1], keepdims = 1> (layer1) }
+"""
 
 
-def test_a_trunk_without_a_tap_is_refused() -> None:
-    """The sentence names the taps that are read and those that are given."""
+def trunk(change: Callable[[onnx.GraphProto], object]) -> bytes:
+    """The tiny trunk, changed."""
     model = onnx.load_from_string(tiny.tiny_trunk())
-    del model.graph.output[0]
-    graphs = dataclasses.replace(tiny.tiny_graphs(), trunk=model.SerializeToString())
-    with pytest.raises(BundleCorrupt, match=r"reads the taps \['layer1'\], trunk.onnx gives \['layer2'\]"):
-        Scorer(bundle(graphs=graphs))
+    change(model.graph)
+    return model.SerializeToString()
 
 
-def test_a_trunk_that_takes_floats_is_refused() -> None:
-    """Normalisation is inside: frames go in as they come from the camera."""
-    model = onnx.load_from_string(tiny.tiny_trunk())
-    model.graph.input[0].type.tensor_type.elem_type = onnx.TensorProto.FLOAT
-    graphs = dataclasses.replace(tiny.tiny_graphs(), trunk=model.SerializeToString())
-    with pytest.raises(BundleCorrupt, match=r"'frames' uint8 \(n, h, w, 3\)"):
-        Scorer(bundle(graphs=graphs))
-
-
-def test_a_graph_that_is_no_graph_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("graphs", "sentence"),
+    [
+        (
+            {"head": onnx.parser.parse_model(SCORELESS).SerializeToString()},
+            "expected 'score_map' and 'score'",
+        ),
+        (
+            {"trunk": trunk(lambda graph: graph.output.pop(0))},
+            r"reads the taps \['layer1'\], trunk.onnx gives \['layer2'\]",
+        ),
+        # Normalisation is inside: frames go in as they come from the camera.
+        (
+            {"trunk": trunk(lambda graph: setattr(graph.input[0].type.tensor_type, "elem_type", 1))},
+            r"'frames' uint8 \(n, h, w, 3\)",
+        ),
+        ({"head": b"nonsense"}, r"head\.onnx is refused"),
+    ],
+    ids=["no score", "no tap", "floats", "no graph"],
+)
+def test_a_graph_that_does_not_fit_is_refused(graphs: dict[str, bytes], sentence: str) -> None:
     """Bytes with the right hash can still be nonsense."""
-    with pytest.raises(BundleCorrupt, match=r"head\.onnx is refused"):
-        Scorer(bundle(graphs=dataclasses.replace(tiny.tiny_graphs(), head=b"nonsense")))
+    with pytest.raises(BundleCorrupt, match=sentence):
+        Scorer(bundle(graphs=dataclasses.replace(tiny.tiny_graphs(), **graphs)))
 
 
 class TestGolden:
@@ -214,22 +220,21 @@ class TestGolden:
             8e-6, rel=0.01
         )
 
-    def test_another_score_is_refused(self) -> None:
-        """The sentence gives both scores."""
-        with pytest.raises(
-            BundleCorrupt, match=r"golden frame 0 \(a press\) scores 0.0\d+, expected 0.0\d+ within"
-        ):
-            Scorer(bundle(golden=[self.golden(score_error=1e-3)])).check_golden()
-
-    def test_another_map_is_refused_although_the_score_agrees(self) -> None:
-        """The sentence gives the block in which the map differs."""
-        with pytest.raises(BundleCorrupt, match=r"differs in block \(2, 5\)"):
-            Scorer(bundle(golden=[self.golden(map_error=1e-3)])).check_golden()
-
-    def test_a_map_summed_up_otherwise_is_refused(self) -> None:
-        """A manifest with another number of blocks is refused."""
-        with pytest.raises(BundleCorrupt, match=r"golden map 0 is \(1, 1\), found \(8, 8\)"):
-            Scorer(bundle(golden=[dataclasses.replace(self.golden(), map_peaks=((0.5,),))])).check_golden()
+    @pytest.mark.parametrize(
+        ("errors", "changes", "sentence"),
+        [
+            ((1e-3, 0.0), {}, r"golden frame 0 \(a press\) scores 0.0\d+, expected 0.0\d+ within"),
+            ((0.0, 1e-3), {}, r"differs in block \(2, 5\)"),
+            ((0.0, 0.0), {"map_peaks": ((0.5,),)}, r"golden map 0 is \(1, 1\), found \(8, 8\)"),
+        ],
+    )
+    def test_another_score_or_map_is_refused(
+        self, errors: tuple[float, float], changes: dict[str, Any], sentence: str
+    ) -> None:
+        """Both scores are given, or the block in which the map differs."""
+        golden = dataclasses.replace(self.golden(*errors), **changes)
+        with pytest.raises(BundleCorrupt, match=sentence):
+            Scorer(bundle(golden=[golden])).check_golden()
 
 
 def test_map_peaks_are_block_maxima() -> None:

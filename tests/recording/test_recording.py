@@ -2,8 +2,10 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -50,24 +52,6 @@ def test_any_text_survives_the_header(
     assert (header.product, header.serial) == (product, serial)
 
 
-def test_newer_version_is_refused_by_name(tmp_path: Path) -> None:
-    """The sentence says which version it has and which this program reads."""
-    folder = write_recording(tmp_path / "r", 1)
-    path = folder / "recording.toml"
-    path.write_text(path.read_text().replace("version = 1", "version = 7"))
-    with pytest.raises(RecordingError, match=r"version 7.*up to 1"):
-        Recording.open(folder)
-
-
-def test_all_missing_files_are_listed_at_once(tmp_path: Path) -> None:
-    """Three missing frames: one report with three names."""
-    folder = write_recording(tmp_path / "r", 6)
-    for position in (1, 3, 4):
-        (folder / f"frames/{position:06d}.jpg").unlink()
-    with pytest.raises(RecordingError, match=r"lacks 3 of its 6.*000001\.jpg.*000003\.jpg.*000004\.jpg"):
-        Recording.open(folder)
-
-
 def test_a_line_cut_short_is_left_out(tmp_path: Path) -> None:
     """Killed in the middle of an index line: everything before it plays, and the recording is marked as cut."""
     folder = write_recording(tmp_path / "r", 5)
@@ -84,66 +68,58 @@ def test_a_frame_without_its_line_is_left_out(tmp_path: Path) -> None:
     assert len(Recording.open(folder)) == 2
 
 
-def test_damage_in_the_middle_is_refused(tmp_path: Path) -> None:
-    """Only the last line may be cut; an invalid line before it is named."""
-    folder = write_recording(tmp_path / "r", 3)
-    lines = (folder / "index.jsonl").read_text().splitlines()
-    (folder / "index.jsonl").write_text("\n".join([lines[0], "{rubbish", lines[2], ""]))
-    with pytest.raises(RecordingError, match="line 2"):
-        Recording.open(folder)
+def header(old: str, new: str) -> Callable[[Path], object]:
+    """Changes the header."""
+    return lambda folder: (folder / "recording.toml").write_text(
+        (folder / "recording.toml").read_text().replace(old, new)
+    )
 
 
-@pytest.mark.parametrize("file", ["../outside.jpg", "/etc/passwd", "frames/../../x.jpg"])
-def test_a_file_outside_the_folder_is_refused(tmp_path: Path, file: str) -> None:
-    """A recording cannot name files outside its folder."""
-    folder = write_recording(tmp_path / "r", 1)
-    (folder / "index.jsonl").write_text(json.dumps({"sequence": 0, "time_ns": 0, "file": file}) + "\n")
-    with pytest.raises(RecordingError, match="leads out"):
-        Recording.open(folder)
+def index(change: Callable[[list[str]], list[str]]) -> Callable[[Path], object]:
+    """Changes the lines of the index."""
+    return lambda folder: (folder / "index.jsonl").write_text(
+        "\n".join([*change((folder / "index.jsonl").read_text().splitlines()), ""])
+    )
 
 
-def test_time_that_goes_back_is_refused(tmp_path: Path) -> None:
-    """Frames are kept in order."""
-    folder = write_recording(tmp_path / "r", 3)
-    lines = (folder / "index.jsonl").read_text().splitlines(keepends=True)
-    (folder / "index.jsonl").write_text("".join([lines[0], lines[2], lines[1]]))
-    with pytest.raises(RecordingError, match="sequence 1"):
-        Recording.open(folder)
+def line(file: str) -> str:
+    return json.dumps({"sequence": 0, "time_ns": 0, "file": file})
+
+
+def piped(name: str) -> Callable[[Path], object]:
+    """Puts a named pipe in place of a file: it has no end as long as a program may write to it."""
+    return lambda folder: [(folder / name).unlink(), os.mkfifo(folder / name)]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("damage", "says"),
     [
-        ("width = 64", "", "width = None"),
-        ("width = 64", "width = 0", "positive"),
-        ("nominal_fps = 25.0", "nominal_fps = 0.0", "nominal_fps"),
-        ("version = 1", "", "version None"),
-        ("version = 1", "version = [", "cannot be read"),
+        (header("version = 1", "version = 7"), r"version 7.*up to 1"),
+        (header("width = 64", ""), "width = None"),
+        (header("width = 64", "width = 0"), "positive"),
+        (header("nominal_fps = 25.0", "nominal_fps = 0.0"), "nominal_fps"),
+        (header("version = 1", ""), "version None"),
+        (header("version = 1", "version = ["), "cannot be read"),
+        (index(lambda lines: [lines[0], "{rubbish", *lines[2:]]), "line 2"),
+        (index(lambda lines: [lines[0], lines[2], lines[1], *lines[3:]]), "sequence 1"),
+        (index(lambda lines: [line("../outside.jpg")]), "leads out"),
+        (index(lambda lines: [line("/etc/passwd")]), "leads out"),
+        (index(lambda lines: [line("frames/../../x.jpg")]), "leads out"),
+        (
+            lambda folder: [(folder / f"frames/{k:06d}.jpg").unlink() for k in (1, 3, 4)],
+            r"lacks 3 of its 6.*000001\.jpg.*000003\.jpg.*000004\.jpg",
+        ),
+        (piped("recording.toml"), "a named pipe in place of"),
+        (piped("index.jsonl"), "a named pipe in place of"),
+        (shutil.rmtree, "gelgate record"),
     ],
 )
-def test_a_faulty_header_is_refused(tmp_path: Path, old: str, new: str, says: str) -> None:
-    """Each with what was found."""
-    folder = write_recording(tmp_path / "r", 1)
-    path = folder / "recording.toml"
-    path.write_text(path.read_text().replace(old, new))
+def test_a_faulty_recording_is_refused(tmp_path: Path, damage: Callable[[Path], object], says: str) -> None:
+    """Each with what was found: only the last line of an index may be cut, and no file lies outside the folder."""
+    folder = write_recording(tmp_path / "r", 6)
+    damage(folder)
     with pytest.raises(RecordingError, match=says):
         Recording.open(folder)
-
-
-def test_another_folder_is_no_recording(tmp_path: Path) -> None:
-    """The sentence says how to make one."""
-    with pytest.raises(RecordingError, match="gelgate record"):
-        Recording.open(tmp_path)
-
-
-@pytest.mark.parametrize("name", ["recording.toml", "index.jsonl"])
-def test_a_named_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
-    """It has no end as long as a program may write to it."""
-    write_recording(tmp_path / "r", 2)
-    (tmp_path / "r" / name).unlink()
-    os.mkfifo(tmp_path / "r" / name)
-    with pytest.raises(RecordingError, match="a named pipe in place of"):
-        Recording.open(tmp_path / "r")
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:

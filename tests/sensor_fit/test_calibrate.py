@@ -1,11 +1,13 @@
 """A sensor that the product does not ship, calibrated from presses of a ball; and every input that cannot serve."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, nominal, renderer, without_free_gel
 
+from calibration.fitting.nominal_presses import NominalPresses
 from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divided
 from calibration.sensor_fit.result import gain
 from calibration.simulator.sensor_appearance import SENSORS
@@ -105,24 +107,6 @@ def test_markers_are_left_out_of_the_fit() -> None:
     assert made.sensor.fitted.inside_levels < 9
 
 
-def test_without_a_free_gel_it_is_refused(shown: list[np.ndarray]) -> None:
-    """The sentence names the option."""
-    with pytest.raises(FitError, match="give one with --no-contact"):
-        calibrate_sensor(without_free_gel(nominal(shown)), "unseen", RADIUS_MM)
-
-
-def test_a_ball_larger_than_the_view_is_refused(shown: list[np.ndarray]) -> None:
-    """9 mm radius does not fit into 15.2 mm."""
-    with pytest.raises(FitError, match=r"radius 9 mm is larger than the view, which is 15\.2 mm high"):
-        calibrate_sensor(nominal(shown), "unseen", 9)
-
-
-def test_a_ball_smaller_than_its_contacts_is_refused(shown: list[np.ndarray]) -> None:
-    """A ball of 0.8 mm radius cannot leave contacts of more than 1 mm."""
-    with pytest.raises(FitError, match=r"radius 0\.80 mm cannot leave contacts of 1\.\d\d mm radius"):
-        calibrate_sensor(nominal(shown), "unseen", 0.8)
-
-
 def test_too_few_presses_are_refused_with_every_reason(shown: list[np.ndarray]) -> None:
     """Two presses; a third picture shows nothing, and is named."""
     with pytest.raises(FitError, match=r"2 presses of the ball can be used, at least 3 are needed") as caught:
@@ -130,26 +114,45 @@ def test_too_few_presses_are_refused_with_every_reason(shown: list[np.ndarray]) 
     assert "2: no contact was found in it" in str(caught.value)
 
 
-def test_the_free_gel_of_another_sensor_is_refused(shown: list[np.ndarray]) -> None:
-    """All presses differ from it outside contact."""
-    other = renderer(sensor=SENSORS["unit_b"]).free_gel()
-    with pytest.raises(FitError, match="the free gel is not that of these presses: 6 of 6 differ"):
-        calibrate_sensor(nominal([other, *shown[1:]]), "unseen", RADIUS_MM)
+def burnt(shown: list[np.ndarray]) -> np.ndarray:
+    """A press of which the contact is at the end of a channel, so that it tells no slopes."""
+    press = shown[5].copy()
+    press[np.abs(press.astype(int) - shown[0]).max(axis=2) > 12] = 255
+    return press
 
 
-def test_a_saturated_press_is_left_out(shown: list[np.ndarray]) -> None:
-    """A contact of which a third is at the end of a channel tells no slopes."""
-    burnt = shown[5].copy()
-    changed = np.abs(burnt.astype(int) - shown[0]).max(axis=2) > 12
-    burnt[changed] = 255
-    with pytest.raises(FitError, match=r"2: \d+% of its contact is saturated; lower the exposure"):
-        calibrate_sensor(nominal([*shown[:3], burnt]), "unseen", RADIUS_MM)
-
-
-def test_a_press_beyond_the_view_is_left_out(shown: list[np.ndarray]) -> None:
-    """Its circle would be guessed."""
-    with pytest.raises(FitError, match="2: its contact reaches beyond the view"):
-        calibrate_sensor(nominal([*shown[:3], *frames([(9.8, 0.0)])[1:]]), "unseen", RADIUS_MM)
+@pytest.mark.parametrize(
+    ("presses", "radius_mm", "sentence"),
+    [
+        (lambda s: without_free_gel(nominal(s)), RADIUS_MM, "give one with --no-contact"),
+        (nominal, 9, r"radius 9 mm is larger than the view, which is 15\.2 mm high"),
+        (nominal, 0.8, r"radius 0\.80 mm cannot leave contacts of 1\.\d\d mm radius"),
+        (
+            lambda s: nominal([renderer(sensor=SENSORS["unit_b"]).free_gel(), *s[1:]]),
+            RADIUS_MM,
+            "the free gel is not that of these presses: 6 of 6 differ",
+        ),
+        (
+            lambda s: nominal([*s[:3], burnt(s)]),
+            RADIUS_MM,
+            r"2: \d+% of its contact is saturated; lower the exposure",
+        ),
+        (
+            lambda s: nominal([*s[:3], *frames([(9.8, 0.0)])[1:]]),
+            RADIUS_MM,
+            "2: its contact reaches beyond the view",
+        ),
+    ],
+)
+def test_presses_that_cannot_serve_are_refused(
+    shown: list[np.ndarray],
+    presses: Callable[[list[np.ndarray]], NominalPresses],
+    radius_mm: float,
+    sentence: str,
+) -> None:
+    """No free gel, an impossible ball, the gel of another sensor, and presses that tell nothing."""
+    with pytest.raises(FitError, match=sentence):
+        calibrate_sensor(presses(shown), "unseen", radius_mm)
 
 
 def test_of_many_presses_twenty_are_fitted(shown: list[np.ndarray]) -> None:
