@@ -53,29 +53,34 @@ HALF_TOLERANCE = 5e-3
 
 @dataclass(frozen=True)
 class BackboneOptions:
-    """How a file becomes a trunk.
-
-    topology: of a ResNet; None: the one that the weights have; ViTs and ONNX graphs need none. taps: see `export
-    backbone --help`; empty: the usual ones. licence: of the weights, required. encoder: a published touch encoder whose
-    preprocessing is used. steps: instead of its, or of ImageNet's. frame: (h, w) of the inspected region. version: V1
-    or V2 where the caller states it. second: a file whose blocks follow. prefix: of the weights' names, where a file
-    holds several networks. heads: of the attention. prefix_tokens, high: of an ONNX graph; see `graph_trunk`.
-    """
+    """How a file becomes a trunk."""
 
     licence: str | None
+    """The licence of the weights; required."""
     topology: str | None = None
+    """The kind of a ResNet, None for the one that the weights have; ViTs and ONNX graphs need none."""
     taps: tuple[str, ...] = ()
+    """The taps, see `export backbone --help`; empty: the usual ones."""
     encoder: str | None = None
+    """A published touch encoder whose preprocessing is used."""
     steps: InputSteps | None = None
+    """The preprocessing instead of the encoder's, or of ImageNet's."""
     background: NDArray[np.uint8] | None = None
     frame: tuple[int, int] = (224, 224)
+    """(h, w) of the inspected region."""
     weights: Literal["float32", "float16"] = "float32"
     version: str | None = None
+    """V1 or V2 where the caller states it."""
     second: Path | None = None
+    """A file whose blocks follow."""
     prefix: str | None = None
+    """The beginning of the weights' names, where a file holds several networks."""
     heads: int | None = None
+    """The number of the attention's heads."""
     prefix_tokens: int | None = None
+    """Tokens of an ONNX graph to drop; see `graph_trunk`."""
     high: float = 1.0
+    """The brightest level of an ONNX graph; see `graph_trunk`."""
 
 
 @dataclass(frozen=True)

@@ -48,29 +48,33 @@ ReadPresses = Callable[[SensorProfile, Region], NominalPresses]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What is said besides file and presses.
-
-    part, position: what the bundle inspects. licence: of the model and its weights, as stated by who trained it;
-    required. backbone: the trunk for files without backbone weights, an installed backbone or an `.onnx` file. profile,
-    region: as for a fit; region None takes what such a model is usually trained on. rank: directions of PaDiM at most,
-    None for all, exact. packing: of the bank. threshold: `presses`, `model`, or a raw score. channels: a `.npy`, `.pt`
-    or `.pkl` file of PaDiM's channels. values: further settings of the importer. importer: its name, where several know
-    the file.
-    """
+    """What is said besides file and presses."""
 
     part: str
+    """The part that the bundle inspects."""
     licence: str | None
+    """The licence of the model and its weights, as stated by who trained it; required."""
     position: str = "default"
+    """The position on the part."""
     backbone: str | None = None
+    """The trunk for files without backbone weights: an installed backbone or an `.onnx` file."""
     profile: str = "mini_lr"
+    """The sensor, as for a fit."""
     region: str | None = None
+    """The region, as for a fit; None takes what such a model is usually trained on."""
     rank: int | None = None
+    """Directions of PaDiM at most; None for all, exact."""
     packing: Packing = "float16"
+    """How the bank is stored."""
     threshold: float | Literal["presses", "model"] = "presses"
+    """`presses`, `model`, or a raw score."""
     alpha: float = 0.05
     channels: Path | None = None
+    """A `.npy`, `.pt` or `.pkl` file of PaDiM's channels."""
     values: Mapping[str, Any] | None = None
+    """Further settings of the importer."""
     importer: str | None = None
+    """Its name, where several know the file."""
     threads: int = 2
 
     def __post_init__(self) -> None:

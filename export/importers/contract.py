@@ -34,19 +34,20 @@ class Recognised:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the caller gives besides the file.
-
-    frame: (h, w) of the inspected region in pixels. pixels_per_mm: of the sensor's profile. trunk: for files without
-    the weights of their backbone. channels: a file with the selected channels, for PaDiM. rank: directions kept at each
-    place at most; None keeps all. packing: how the bank is stored. values: further settings of one importer by name.
-    """
+    """What the caller gives besides the file."""
 
     frame: tuple[int, int]
+    """(h, w) of the inspected region in pixels."""
     pixels_per_mm: float
+    """The scale of the sensor's profile."""
     trunk: Trunk | None = None
+    """The trunk, for files without the weights of their backbone."""
     rank: int | None = None
+    """Directions kept at each place at most; None keeps all."""
     packing: Packing = "float16"
+    """How the bank is stored."""
     values: Mapping[str, Any] = field(default_factory=dict)
+    """Further settings of one importer by name."""
 
     def given_trunk(self, path: Path, why: str) -> Trunk:
         """The trunk. Errors: ConfigError where none was given."""
@@ -71,25 +72,33 @@ class Settings:
 
 @dataclass(frozen=True)
 class Imported:
-    """The parts of a bundle, and what was learnt of the file.
-
-    method: the name in results. source: the file's kind in words. trunk, head: graphs. threshold: the model's own, on
-    this bundle's scale, None where the file has none. facts: for the manifest, plain JSON. says: sentences for the
-    user. exact: squared or plain raw distances of some cells by the file's own full form (n, cells) and by the bank,
-    from features; it measures what a reduction costs. None where nothing is reduced.
-    """
+    """The parts of a bundle, and what was learnt of the file."""
 
     method: str
+    """The name in results."""
     source: str
+    """The file's kind in words."""
     trunk: Trunk
+    """The network, with the head's taps as outputs."""
     head: bytes
+    """The ONNX graph from taps to score map and score."""
     bank: Bank
+    """The arrays that the head reads."""
     grid: Grid
+    """The sizes of frame and taps."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    """The method's parameters, for the manifest."""
     threshold: float | None = None
+    """The model's own threshold on this bundle's scale, None where the file has none."""
     facts: Mapping[str, Any] = field(default_factory=dict)
+    """Facts for the manifest, plain JSON."""
     says: tuple[str, ...] = ()
+    """Sentences for the user."""
     exact: Callable[[Features], tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+    """Distances of some cells from features, by the file's own full form (n, cells) and by the bank.
+
+    They are squared or plain, and measure what a reduction costs. None where nothing is reduced.
+    """
 
 
 @runtime_checkable

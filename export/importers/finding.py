@@ -9,7 +9,7 @@ __all__ = ["importer_of", "importers"]
 
 
 def importers() -> list[Importer]:
-    """Every installed importer, by name. Errors: ConfigError for an object that is none."""
+    """List the installed importers by name. Errors: ConfigError for an object that is not an importer."""
     return [_load(name) for name in registry.names("importers")]
 
 

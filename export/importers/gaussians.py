@@ -58,7 +58,7 @@ def reduce_matrices(
     """Find the thin form of `count` symmetric matrices (d, d), ridge included.
 
     dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
-    diagonal; None finds it. Errors: ConfigError for matrices that are no covariances.
+    diagonal; None finds it. Errors: ConfigError for matrices that are not covariances.
     """
     bottom = _ridge(dense, count, is_inverse) if ridge is None else ridge
     values, rows, needed, loss = [], [], 0, 0.0

@@ -194,7 +194,7 @@ def _imported(
 
 
 def _layers(table: Mapping[Any, Any]) -> tuple[str, ...]:
-    """The names of feature maps, in order; empty where the table is none of features."""
+    """The names of feature maps, in order; empty where the table holds no features."""
     names = [name for name in table if isinstance(name, str) and name.startswith("layer")]
     maps = [name for name in names if isinstance(table[name], np.ndarray | list)]
     return tuple(maps) if maps and len(maps) == len(names) and set(table) <= {*maps, "avgpool"} else ()

@@ -43,7 +43,7 @@ class Foreign:
     isolation: str = ""
 
     def table(self) -> Mapping[Any, Content]:
-        """The content as a table, empty where it is none."""
+        """Give the content as a table, empty where it is not one."""
         return self.content if isinstance(self.content, dict) else {}
 
     def array(self, name: str, *shape: int | None) -> NDArray[Any]:

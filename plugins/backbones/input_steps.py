@@ -21,21 +21,22 @@ __all__ = ["IMAGENET", "InputSteps", "apply_steps", "cubic_matrix", "input_plane
 
 @dataclass(frozen=True)
 class InputSteps:
-    """What is done to a frame, uint8 RGB (h, w, 3).
-
-    mean, std: of RGB in 0..1, after the steps before them. size: (h, w) to resize to, linear; None keeps the frame's.
-    background: uint8 (h, w, 3), the picture without contact, subtracted. offset: added after the subtraction, with the
-    result limited to 0..1. copies: how often the three channels are given. is_antialiased: whether a smaller picture
-    averages all pixels, as most training programs do.
-    """
+    """What is done to a frame, uint8 RGB (h, w, 3)."""
 
     mean: tuple[float, float, float]
+    """The mean of RGB in 0..1, after the steps before it."""
     std: tuple[float, float, float]
+    """The deviation of RGB in 0..1, likewise."""
     size: tuple[int, int] | None = None
+    """(h, w) to resize to, linear; None keeps the frame's."""
     background: NDArray[np.uint8] | None = None
+    """uint8 (h, w, 3), the picture without contact, which is subtracted."""
     offset: float = 0.0
+    """It is added after the subtraction, with the result limited to 0..1."""
     copies: int = 1
+    """How often the three channels are given."""
     is_antialiased: bool = True
+    """Whether a smaller picture averages all pixels, as most training programs do."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite([*self.mean, *self.std, self.offset]).all() and min(self.std) > 0):

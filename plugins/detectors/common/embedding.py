@@ -32,23 +32,21 @@ BLOCK = 128
 
 @dataclass(frozen=True)
 class EmbeddingChoice:
-    """What a descriptor is made of.
-
-    taps: concatenated in this order. grid_tap: the tap whose grid the descriptors are on; finer taps are averaged
-    down to it, coarser ones repeated. channels: how many remain (None or more than there are: all). is_balanced: each
-    tap is divided by its nominal deviation, so that no tap dominates and the result does not depend on the scale of
-    the features. is_sampled: a coarse cell is repeated around the centre of its convolution, not to the right of and
-    below it. channel_list: the channels, counted through all taps, instead of a random choice; `channels` then has no
-    effect.
-    """
+    """What a descriptor is made of."""
 
     taps: tuple[str, ...]
+    """They are concatenated in this order."""
     grid_tap: str
+    """The tap whose grid the descriptors are on; finer taps are averaged down to it, coarser ones repeated."""
     projection: Projection
     channels: int | None
+    """How many remain; None, or more than there are: all."""
     is_balanced: bool
+    """Whether each tap is divided by its nominal deviation, so that no tap dominates and no scale matters."""
     is_sampled: bool
+    """Whether a coarse cell is repeated around the centre of its convolution, not to the right of and below it."""
     channel_list: tuple[int, ...] = ()
+    """The channels, counted through all taps, instead of a random choice; `channels` then has no effect."""
 
     def __post_init__(self) -> None:
         if not self.taps or len(set(self.taps)) != len(self.taps):

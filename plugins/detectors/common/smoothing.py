@@ -116,17 +116,17 @@ def smoothing_matrix(
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How a grid of raw distances becomes the score map.
-
-    cells: (rows, columns) of the grid. frame: (h, w) in pixels. sigma_px: the blur, in pixels of the frame.
-    tiles: set where the grid is a mosaic of tiles; they are blended first, so that no blur crosses the edge of a tile.
-    """
+    """How a grid of raw distances becomes the score map."""
 
     cells: tuple[int, int]
+    """(rows, columns) of the grid."""
     frame: tuple[int, int]
+    """(h, w) in pixels."""
     sigma_px: float
+    """The blur, in pixels of the frame."""
     upsampling: Upsampling = "bilinear"
     tiles: Tiles | None = None
+    """Set where the grid is a mosaic of tiles: they are blended first, so that no blur crosses the edge of a tile."""
 
     @classmethod
     def of(
