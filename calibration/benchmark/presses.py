@@ -14,7 +14,7 @@ from calibration.benchmark.trial import PROFILE, REGION, Trial
 from calibration.fitting.nominal_presses import named_presses
 from calibration.simulator import parts as analogues
 from calibration.simulator.field_of_view import F32, LR
-from calibration.simulator.plan import PressPlan, dataset_plan, placed_damage
+from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
@@ -22,7 +22,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
-from calibration.simulator.streams import Streams, named_streams
+from calibration.simulator.streams import Streams, make_streams
 
 __all__ = [
     "CONDITIONS",
@@ -143,7 +143,7 @@ class _Rendered:
                 ),
             }
         )
-        self.streams: Streams = named_streams(seed)
+        self.streams: Streams = make_streams(seed)
         sensor = SENSORS[condition.sensor]
         self.gel = Renderer(
             LR, self.scene.effects, sensor, scene.press_jitter, self.streams, "gel1", self.scene.at[0]
@@ -214,7 +214,7 @@ class _Rendered:
         if not plan.kind:
             imprint = self.gel.imprint(sample(piece, placed, LR), depth * placed.depth_factor)
             return imprint, np.zeros(imprint.shape, np.bool_)
-        defect = placed_damage(
+        defect = place_damage(
             self.shape,
             plan.kind,
             plan.severity,

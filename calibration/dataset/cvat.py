@@ -86,7 +86,7 @@ def _annotated(
 
 
 def _shape(element: ElementTree.Element) -> Shape:
-    """One drawn element. Errors: ValueError or KeyError with what is wrong."""
+    """Read a drawn element. Errors: ValueError or KeyError with what is wrong."""
     if element.tag == "polygon":
         pairs = [p.split(",") for p in element.attrib["points"].split(";") if p]
         return Polygon(tuple((float(x), float(y)) for x, y in pairs))

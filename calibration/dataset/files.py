@@ -35,7 +35,7 @@ class Faults:
         self._found.append(f"{where.as_posix()}: {what}")
 
     def raise_any(self) -> None:
-        """Errors: DatasetError listing all faults, if there are any."""
+        """Raise DatasetError with all faults, if there are any."""
         if self._found:
             count = len(self._found)
             listed = "\n  ".join(sorted(self._found))
@@ -46,15 +46,15 @@ class Faults:
 
 def pictures_in(folder: Path, faults: Faults) -> dict[str, Path]:
     """File name to path of the pictures directly inside a folder, sorted; any other visible file is a fault."""
-    found: dict[str, Path] = {}
+    pictures: dict[str, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if path.name.startswith("."):
             continue
         if path.suffix.lower() in SUFFIXES and path.is_file():
-            found[path.name] = path
+            pictures[path.name] = path
         else:
             faults.add(path, f"expected a picture ({', '.join(SUFFIXES)})")
-    return found
+    return pictures
 
 
 def size_of(path: Path) -> tuple[int, int] | None:
@@ -70,7 +70,7 @@ def size_of(path: Path) -> tuple[int, int] | None:
     if kind(payload) is not None:
         size = None if damage(payload) else picture_size(payload)
         return size if size and all(size) else None
-    pixels = _decoded(payload, cv2.IMREAD_COLOR)
+    pixels = _decode(payload, cv2.IMREAD_COLOR)
     return None if pixels is None else (pixels.shape[1], pixels.shape[0])
 
 
@@ -112,10 +112,10 @@ def _other_size(size: tuple[int, int], profile: SensorProfile) -> str:
 
 
 def _jpeg_or_png(payload: bytes) -> bytes:
-    """The same pixels in a format that a camera sends. Errors: ValueError for bytes that are not a picture."""
+    """Convert to a format that a camera sends. Errors: ValueError for bytes that are not a picture."""
     if kind(payload) is not None:
         return payload
-    pixels = _decoded(payload, cv2.IMREAD_COLOR)
+    pixels = _decode(payload, cv2.IMREAD_COLOR)
     if pixels is None:
         raise ValueError("is not a picture that can be decoded, such as a JPEG or PNG")
     return cv2.imencode(".png", pixels)[1].tobytes()
@@ -147,7 +147,7 @@ def pool_mask(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.boo
 
 def _read(path: Path, flags: int) -> NDArray[Any]:
     try:
-        picture = _decoded(path.read_bytes(), flags)
+        picture = _decode(path.read_bytes(), flags)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
     if picture is None:
@@ -155,5 +155,5 @@ def _read(path: Path, flags: int) -> NDArray[Any]:
     return picture
 
 
-def _decoded(payload: bytes, flags: int) -> NDArray[Any] | None:
+def _decode(payload: bytes, flags: int) -> NDArray[Any] | None:
     return cv2.imdecode(np.frombuffer(payload, np.uint8), flags) if payload else None

@@ -104,16 +104,17 @@ def _is_sound(path: Path, expected: tuple[int, int], faults: Faults) -> bool:
 
 
 def _has_mask(path: Path, mask_file: Path | None, size: tuple[int, int], faults: Faults) -> bool:
-    """Whether the mask exists, is readable, and is an integer multiple of the frame."""
+    """Check that the mask exists, is readable, and is an integer multiple of the frame."""
     if mask_file is None:
         faults.add(path, "has no mask of the same name")
         return False
-    found = size_of(mask_file)
-    if found is None:
+    mask_size = size_of(mask_file)
+    if mask_size is None:
         faults.add(mask_file, "is unreadable or truncated")
-    elif found[0] % size[0] or found[1] % size[1]:
+    elif mask_size[0] % size[0] or mask_size[1] % size[1]:
         faults.add(
-            mask_file, f"is {found[0]}x{found[1]}, expected {size[0]}x{size[1]} or an integer multiple"
+            mask_file,
+            f"is {mask_size[0]}x{mask_size[1]}, expected {size[0]}x{size[1]} or an integer multiple",
         )
     else:
         return True

@@ -116,8 +116,8 @@ def _check_summary(root: Path) -> None:
     if not path.is_file():
         return
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        version, is_complete = found["version"], found["complete"]
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        version, is_complete = summary["version"], summary["complete"]
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(
             f"'{path}' is not a summary that 'gelgate lab simulate' wrote; restore it, or remove it if the "

@@ -46,7 +46,7 @@ class LabelledPress:
         return read_rgb(self.path)
 
     def mask(self) -> NDArray[np.bool_]:
-        """Where the defect is, bool (h, w) of the frame. Errors: DatasetError when the file is broken."""
+        """Give the pixels of the defect, bool (h, w) of the frame. Errors: DatasetError when the file is broken."""
         if self.mask_file is not None:
             return read_mask(self.mask_file, self.size)
         return rasterise(self.shapes, self.size)

@@ -12,13 +12,13 @@ from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS, specimen
-from calibration.simulator.plan import PRESS_CYCLE_S, placed_damage
+from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
-from calibration.simulator.streams import named_streams
+from calibration.simulator.streams import make_streams
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 
@@ -68,7 +68,7 @@ class GelPresses:
     def __init__(
         self, shape: HeightField, number: int, seed: int, sensor: SensorAppearance, gel: str
     ) -> None:
-        self.shape, self.streams, self.gel = shape, named_streams(seed), gel
+        self.shape, self.streams, self.gel = shape, make_streams(seed), gel
         # Odd and even parts alternate between a hand and a fixture, as those of the benchmark.
         jitter = PARTS["PZ3" if number % 2 else "PZ5"].jitter
         self.renderer = Renderer(LR, DEFAULT_EFFECTS, sensor, jitter, self.streams, gel, f"session of {gel}")
@@ -91,7 +91,7 @@ class GelPresses:
         placed = self.renderer.place(Pose(), (piece,))
         whole = specimen(self.shape, self.streams("specimen", piece))
         rng = self.streams("defect", piece)
-        defect = placed_damage(self.shape, kind, severity, _DEPTH_MM, MASK_DEPTH_MM, rng)
+        defect = place_damage(self.shape, kind, severity, _DEPTH_MM, MASK_DEPTH_MM, rng)
         sound, damaged = self.renderer.imprints(whole, defect, _DEPTH_MM, placed)
         return self._picture(damaged, piece), self.renderer.mask(sound, damaged)
 

@@ -16,7 +16,7 @@ from calibration.gel_scars.scars import SCARS, Scar, random_scar
 from calibration.gel_scars.worn_gel import Line, Placing, as_view
 from calibration.simulator.defects import DEFECTS, Defect
 from calibration.simulator.field_of_view import F32, LR, grids
-from calibration.simulator.plan import placed_damage
+from calibration.simulator.plan import place_damage
 from calibration.simulator.renderer import MASK_DEPTH_MM
 from edge import registry
 from edge.core.contact.mask import touched_mask
@@ -268,7 +268,7 @@ class Run:
         if self._rng.uniform() > _DAMAGED_SHARE:
             return None
         kinds, line = tuple(DEFECTS), self.station.line
-        defect = placed_damage(
+        defect = place_damage(
             line.placing.shape(),
             kinds[int(self._rng.integers(len(kinds)))],
             float(self._rng.uniform(0.3, 1.0)),

@@ -46,10 +46,10 @@ def _region_pixels(maps: Maps, masks: Masks) -> tuple[NDArray[np.float64], NDArr
     count = 0
     for score_map, mask in zip(maps, masks, strict=True):
         if mask.any():
-            found = label_regions(mask)
+            regions = label_regions(mask)
             scores.append(score_map[mask].astype(np.float64))
-            overlaps.append(1.0 / found.areas[found.labels[mask] - 1])
-            count += found.areas.size
+            overlaps.append(1.0 / regions.areas[regions.labels[mask] - 1])
+            count += regions.areas.size
     if not count:
         return np.empty(0), np.empty(0), 0
     return np.concatenate(scores), np.concatenate(overlaps), count

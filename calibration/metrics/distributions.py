@@ -35,7 +35,7 @@ def t_two_sided(value: float, df: float) -> float:
 
 
 def t_quantile(probability: float, df: float) -> float:
-    """Of Student's distribution, for a probability from 0.5 up to below 1."""
+    """Give the quantile of Student's distribution for a probability from 0.5 up to below 1."""
     tail = 2 * (1 - probability)
     return _root(lambda t: tail - t_two_sided(t, df), 0.0, 1e8)
 
@@ -73,7 +73,7 @@ def _not_zero(value: float) -> float:
 
 
 def _root(rising: Callable[[float], float], low: float, high: float) -> float:
-    """Where a rising function is zero, by bisection."""
+    """Find where a rising function is zero, by bisection."""
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         if middle in (low, high):

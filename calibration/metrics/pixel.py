@@ -107,10 +107,10 @@ def _defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
     for index, (score_map, mask) in enumerate(zip(maps, masks, strict=True)):
         if not mask.any():
             continue
-        found = label_regions(mask)
-        regions[index] = found.areas.size
+        labelled = label_regions(mask)
+        regions[index] = labelled.areas.size
         scores.append(score_map[mask])
-        overlap.append(1.0 / found.areas[found.labels[mask] - 1])
+        overlap.append(1.0 / labelled.areas[labelled.labels[mask] - 1])
         image.append(np.full(scores[-1].size, index, np.int64))
     if not scores:
         return _Defects(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)), regions

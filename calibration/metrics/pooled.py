@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from calibration.metrics.regions import Maps, Masks, check_pairs, label_regions
 
-__all__ = ["PooledMeasures", "pooled_measures"]
+__all__ = ["PooledMeasures", "pool_measures"]
 
 Float = NDArray[np.float64]
 
@@ -42,8 +42,8 @@ class _Curve:
     regions: int
 
 
-def pooled_measures(maps: Maps, masks: Masks, limits: Sequence[float]) -> PooledMeasures:
-    """The measures of all images together. limits: false-positive rates up to which AU-PRO is integrated.
+def pool_measures(maps: Maps, masks: Masks, limits: Sequence[float]) -> PooledMeasures:
+    """Measure all images together. limits: false-positive rates up to which AU-PRO is integrated.
 
     Errors: ValueError as `aupro`.
     """
@@ -87,10 +87,10 @@ def _defect_pixels(maps: Maps, masks: Masks) -> tuple[NDArray[np.floating[Any]],
     scores, overlaps, regions = [], [], 0
     for score_map, mask in zip(maps, masks, strict=True):
         if mask.any():
-            found = label_regions(mask)
+            labelled = label_regions(mask)
             scores.append(score_map[mask])
-            overlaps.append(1.0 / found.areas[found.labels[mask] - 1])
-            regions += found.areas.size
+            overlaps.append(1.0 / labelled.areas[labelled.labels[mask] - 1])
+            regions += labelled.areas.size
     if not regions:
         return np.empty(0), np.empty(0), 0
     return np.concatenate(scores), np.concatenate(overlaps), regions

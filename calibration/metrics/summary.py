@@ -83,7 +83,10 @@ def measure(
 
 
 def image_auroc_of(scores: NDArray[np.floating[Any]], label: NDArray[np.bool_], weights: Float) -> Float:
-    """Of each row of weights (weightings, presses), float64 (weightings,): the first row ones, NaN where undefined."""
+    """Compute it for each row of weights (weightings, presses), float64 (weightings,); NaN where undefined.
+
+    The first row is ones.
+    """
     values = np.full(weights.shape[0], np.nan)
     first = auroc(scores, label)
     if first is None:

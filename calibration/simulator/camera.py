@@ -128,8 +128,8 @@ def led_drift(planes: F32, time_s: float, rng: np.random.Generator) -> F32:
 @lru_cache(maxsize=1)
 def _normal_quantiles() -> F32:
     """The normal distribution at the middle of each of 65536 equal shares, float32 (65536,): within 4.3 sd."""
-    one = NormalDist()
-    upper = np.array([one.inv_cdf(0.5 + (k + 0.5) / 65536) for k in range(32768)], dtype=np.float32)
+    normal = NormalDist()
+    upper = np.array([normal.inv_cdf(0.5 + (k + 0.5) / 65536) for k in range(32768)], dtype=np.float32)
     return np.concatenate([-upper[::-1], upper])
 
 

@@ -15,12 +15,12 @@ __all__ = ["simulate"]
 
 def _list(is_wanted: bool) -> None:
     if is_wanted:
-        typer.echo("\n".join(_known()))
+        typer.echo("\n".join(_list_scenes()))
         raise typer.Exit
 
 
-def _known() -> Iterator[str]:
-    """The scenes that come with the product, and the names that a scene's file may use."""
+def _list_scenes() -> Iterator[str]:
+    """List the scenes that come with the product, and the names that a scene's file may use."""
     from calibration.simulator.defects import DEFECTS
     from calibration.simulator.effects import EFFECTS
     from calibration.simulator.parts import PARTS
@@ -81,14 +81,14 @@ def simulate(
     The same command continues an interrupted one; complete files are kept.
     """
     from calibration.simulator.scene import load_scene
-    from calibration.simulator.sensor_file import known_sensor
+    from calibration.simulator.sensor_file import find_sensor
     from calibration.simulator.simulate import paper_scenes
 
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
     output = output or Path("simulated", Path(scene).stem)
     if sensor:
-        chosen = known_sensor(sensor)
-        scenes = [one.seen_by(chosen) for one in scenes]
+        chosen = find_sensor(sensor)
+        scenes = [each.with_sensor(chosen) for each in scenes]
     workers = workers or os.cpu_count() or 1
     if preview:
         _preview(scenes, output, seed)

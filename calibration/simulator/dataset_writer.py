@@ -30,7 +30,7 @@ from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene
-from calibration.simulator.streams import named_streams
+from calibration.simulator.streams import make_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
@@ -133,20 +133,20 @@ def _begin(folder: Path, summary: Mapping[str, object]) -> None:
         _write(path, _text(summary))
         return
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        written = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         raise DatasetError(
             f"{folder} is not empty and holds no simulated dataset; choose another folder"
         ) from None
-    if {**found, "complete": False} != json.loads(_text(summary)):
+    if {**written, "complete": False} != json.loads(_text(summary)):
         raise DatasetError(
-            f"{folder} holds a dataset of other scenes, another seed or other counts (seed {found.get('seed')}); "
+            f"{folder} holds a dataset of other scenes, another seed or other counts (seed {written.get('seed')}); "
             "give the same command to continue it, or choose another folder"
         )
 
 
 def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
-    """Where the files of one press go, relative to the dataset's root; keys such as `rgb` and `mask_320x240`."""
+    """Name the files of a press, relative to the dataset's root; keys such as `rgb` and `mask_320x240`."""
     kinds = [name for mode, name in (("hr", "rgb"), ("lr", "rgb_320x240")) if mode in scene.camera.modes]
     base = Path(plan.part) / plan.position
     if plan.kind:
@@ -157,10 +157,10 @@ def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
 
 def _write_piece(task: _Task) -> int:
     with reproducible_opencv():
-        return _written(task)
+        return _write_presses(task)
 
 
-def _written(task: _Task) -> int:
+def _write_presses(task: _Task) -> int:
     for plan in task.presses:
         paths = {kind: task.folder / path for kind, path in outputs(task.scene, plan).items()}
         if all(path.is_file() for path in paths.values()):
@@ -173,7 +173,7 @@ def _written(task: _Task) -> int:
 @lru_cache(maxsize=2)
 def _renderer(scene: Scene, seed: int, field: Field, gel: str, position: str) -> Renderer:
     sensor = scene.camera.appearance
-    return Renderer(field, scene.effects, sensor, scene.press_jitter, named_streams(seed), gel, position)
+    return Renderer(field, scene.effects, sensor, scene.press_jitter, make_streams(seed), gel, position)
 
 
 def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[str, U8]]:
@@ -184,7 +184,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
     """
     is_large = "hr" in scene.camera.modes
     renderer = _renderer(scene, seed, HR if is_large else LR, plan.gel, plan.position)
-    streams = named_streams(seed)
+    streams = make_streams(seed)
     sound, exposure = piece(plan, streams), Exposure(0, plan.time_s)
     defect = damage(plan, scene, streams)
     depth, key, worn = scene.press_depth_mm, plan.key, plan.gel_presses
@@ -192,7 +192,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
     if defect is None:
         rgb = renderer.press(sound, depth, key, Pose(), worn, exposure)
     else:
-        rgb, mask = renderer.damaged(sound, defect, depth, key, Pose(), worn, exposure, scene.mask_depth_mm)
+        rgb, mask = renderer.damage(sound, defect, depth, key, Pose(), worn, exposure, scene.mask_depth_mm)
     if is_large:
         yield "rgb", rgb
         if mask is not None:

@@ -7,7 +7,7 @@ from typing import Literal
 from calibration.simulator import camera, gel, gel_surface, optics, pose
 from edge.core.suggest import suggestion
 
-__all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "chosen"]
+__all__ = ["DEFAULT_EFFECTS", "EFFECTS", "Effect", "check_effects"]
 
 Stage = Literal["pose", "surface", "light", "camera"]
 
@@ -58,8 +58,8 @@ DEFAULT_EFFECTS = tuple(
 """The effects of a plain gel that is pressed firmly, with enough time between presses."""
 
 
-def chosen(names: Iterable[str]) -> frozenset[str]:
-    """The names as a set. Errors: ValueError naming every unknown one with the nearest known name."""
+def check_effects(names: Iterable[str]) -> frozenset[str]:
+    """Give the names as a set. Errors: ValueError naming every unknown one with the nearest known name."""
     named = frozenset(names)
     unknown = [
         f"no effect is named '{name}'; {suggestion(name, EFFECTS)}" for name in sorted(named - set(EFFECTS))

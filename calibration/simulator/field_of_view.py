@@ -38,7 +38,7 @@ class Field:
 
     @property
     def extent_mm(self) -> tuple[float, float]:
-        """What the field spans, (x, y)."""
+        """The width and height of the field, (x, y)."""
         return (self.size[0] * self.mm_per_px[0], self.size[1] * self.mm_per_px[1])
 
 

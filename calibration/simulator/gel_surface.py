@@ -73,7 +73,7 @@ def new_dust(rng: np.random.Generator) -> Dust:
 
 
 def marks_at(marks: NDArray[np.float64], presses: int) -> int:
-    """How many of the marks exist after this many presses; the last column says when each appeared."""
+    """Count the marks that exist after this many presses; the last column says when each appeared."""
     return int(np.searchsorted(marks[:, -1], presses, side="right"))
 
 

@@ -18,7 +18,7 @@ from calibration.simulator.constants import (
 )
 from calibration.simulator.field_of_view import F32, Field
 
-__all__ = ["LIGHTS", "headlight", "illumination", "normals", "raised", "shadows", "specular"]
+__all__ = ["LIGHTS", "headlight", "illumination", "normals", "raise_planes", "shadows", "specular"]
 
 # The headlight's level: mid grey, so that neither slopes nor noise clip.
 _HEADLIGHT_LEVEL = 128.0
@@ -61,8 +61,8 @@ def illumination(nx: F32, ny: F32, free_gel: F32, per_normal: F32, curvature: F3
     return np.maximum(planes, np.float32(0), out=planes)
 
 
-def raised(planes: F32, surface_mm: F32, per_mm: F32) -> F32:
-    """The planes with what a raised gel returns more, being nearer to the lights: float32 (3, h, w).
+def raise_planes(planes: F32, surface_mm: F32, per_mm: F32) -> F32:
+    """Add to the planes what a raised gel returns more, being nearer to the lights: float32 (3, h, w).
 
     per_mm: float32 (3, h, w), grey levels per mm. Fitted to ball presses, whose flat middle is brighter than the free
     gel; without it the error inside contact is 1.4 to 1.5 times as large (docs/simulator.md).
@@ -97,7 +97,7 @@ def shadows(planes: F32, surface_mm: F32, field: Field) -> F32:
 
 
 def _hidden_by(height: F32, dx: int, dy: int, spacing: float) -> F32:
-    """By how many mm the ray towards the light passes below the surface, float32 (h, w), 0 where it is free."""
+    """Measure in mm how far the ray towards the light passes below the surface, float32 (h, w), 0 where it is free."""
     hidden = np.zeros_like(height)
     rows, columns = height.shape
     for k in range(1, SHADOW_STEPS + 1):

@@ -16,9 +16,9 @@ from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
 from calibration.simulator.scene import Scene, SceneRun
-from calibration.simulator.streams import Streams, named_streams
+from calibration.simulator.streams import Streams, make_streams
 
-__all__ = ["PressPlan", "damage", "dataset_plan", "piece", "placed_damage", "recording_plan"]
+__all__ = ["PressPlan", "damage", "dataset_plan", "piece", "place_damage", "recording_plan"]
 
 # A press with the robot's way there and back; the seed paper's acquisition waits 3 s after each picture.
 PRESS_CYCLE_S = 8.0
@@ -93,10 +93,10 @@ def _damage(
     streams: Streams,
 ) -> Defect:
     sound, rng = PARTS[part].positions[position], streams("defect", part, position, number)
-    return placed_damage(sound, kind, severity, depth_mm, mask_depth_mm, rng, effects)
+    return place_damage(sound, kind, severity, depth_mm, mask_depth_mm, rng, effects)
 
 
-def placed_damage(
+def place_damage(
     sound: HeightField,
     kind: str,
     severity: float,
@@ -105,7 +105,7 @@ def placed_damage(
     rng: np.random.Generator,
     effects: tuple[str, ...] = DEFAULT_EFFECTS,
 ) -> Defect:
-    """A defect on a sound shape, at a spot where the imprint with these effects shows it, if a few tries find one."""
+    """Place a defect on a sound shape, where the imprint with these effects shows it, if a few tries find a spot."""
     look = Renderer(_LOOK, effects)
     for _ in range(_TRIES):
         defect = place_defect(kind, severity, sound, depth_mm, rng)
@@ -123,13 +123,13 @@ def dataset_plan(scene: Scene, seed: int) -> list[PressPlan]:
     """
     if scene.nominal is None:
         raise ValueError(f"scene '{scene.name}' describes recordings, not a dataset")
-    streams = named_streams(seed)
+    streams = make_streams(seed)
     plans: list[PressPlan] = []
     for place, position in enumerate(scene.at):
         pieces = _pieces(scene, place, position)
         order = streams("order", scene.part, position).permutation(len(pieces))
         presses = [press for k in order.tolist() for press in pieces[k]]
-        plans += [_timed(press, len(plans) + k, k) for k, press in enumerate(presses)]
+        plans += [_schedule(press, len(plans) + k, k) for k, press in enumerate(presses)]
     return plans
 
 
@@ -163,7 +163,7 @@ def _graded(scene: Scene, piece: int, pieces: int) -> float:
     return round(low + (high - low) * (golden if pieces > 1 else 1.0), 4)
 
 
-def _timed(press: PressPlan, index: int, since_power_on: int) -> PressPlan:
+def _schedule(press: PressPlan, index: int, since_power_on: int) -> PressPlan:
     return PressPlan(
         press.part,
         press.position,
@@ -184,7 +184,7 @@ def recording_plan(scene: Scene, run: SceneRun, seed: int, press_s: float) -> li
     """
     names = [other.name for other in scene.runs]
     before = sum(other.presses for other in scene.runs[: names.index(run.name)])
-    rng = named_streams(seed)("faulty", run.name)
+    rng = make_streams(seed)("faulty", run.name)
     faulty = set((1 + rng.permutation(run.presses - 1)[: run.faulty]).tolist()) if run.faulty else set()
     low, high = scene.defects.severity
     plans = []

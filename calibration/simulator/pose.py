@@ -60,7 +60,7 @@ def pose_jitter(pose: Pose, jitter: Jitter, rng: np.random.Generator) -> Pose:
 
 
 def partial_contact(pose: Pose, rng: np.random.Generator) -> Pose:
-    """The same pose tilted by 0.5 to 2 degrees to one side, so that the other side loses contact.
+    """Tilt a pose by 0.5 to 2 degrees to one side, so that the other side loses contact.
 
     Real thread imprints taper off towards one end in this way (seen on public frames of three threads).
     """
@@ -82,5 +82,5 @@ def sample(part: HeightField, pose: Pose, field: Field) -> F32:
 
 
 def contact(height: F32, depth_mm: float) -> F32:
-    """How deep the rigid part would enter an infinitely soft gel, in mm: the obstacle for the gel."""
+    """Compute how deep the rigid part would enter an infinitely soft gel, in mm: the obstacle for the gel."""
     return np.asarray(np.maximum(height + np.float32(depth_mm), np.float32(0)), dtype=np.float32)

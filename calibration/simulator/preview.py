@@ -13,7 +13,7 @@ from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scene import Scene
-from calibration.simulator.streams import named_streams
+from calibration.simulator.streams import make_streams
 
 __all__ = ["preview", "write_preview"]
 
@@ -36,7 +36,7 @@ def write_preview(scene: Scene, folder: Path, seed: int = 0) -> Path:
 
 def preview(scene: Scene, seed: int = 0) -> U8:
     """The sheet, uint8 (h, w, 3) RGB, at 320x240 a picture whatever the scene's camera mode."""
-    tiles = [*_sound(scene, seed), *_damaged(scene, seed)]
+    tiles = [*_sound(scene, seed), *_draw_damage(scene, seed)]
     blank = (np.full((*LR.shape, 3), _PAPER, dtype=np.uint8), "")
     tiles += [blank] * (-len(tiles) % _COLUMNS)
     tiles += _effects(scene, seed)
@@ -48,7 +48,7 @@ def preview(scene: Scene, seed: int = 0) -> U8:
 
 def _renderer(scene: Scene, seed: int, effects: tuple[str, ...] | None = None) -> Renderer:
     names = scene.effects if effects is None else effects
-    return Renderer(LR, names, scene.camera.appearance, scene.press_jitter, named_streams(seed))
+    return Renderer(LR, names, scene.camera.appearance, scene.press_jitter, make_streams(seed))
 
 
 def _sound(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
@@ -61,15 +61,15 @@ def _sound(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
             yield renderer.press(part, scene.press_depth_mm, key), f"{scene.part} {position}, press {press}"
 
 
-def _damaged(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
-    renderer, streams = _renderer(scene, seed), named_streams(seed)
+def _draw_damage(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
+    renderer, streams = _renderer(scene, seed), make_streams(seed)
     part = PARTS[scene.part].positions[scene.at[0]]
     low, high = scene.defects.severity
     for kind in scene.defects.kinds:
         spot = place_defect(kind, high, part, scene.press_depth_mm, streams("preview", kind))
         for severity in (low, high):
             defect = Defect(kind, severity, spot.at_mm, spot.turn_rad, spot.size, spot.seed)
-            rgb, mask = renderer.damaged(
+            rgb, mask = renderer.damage(
                 part, defect, scene.press_depth_mm, (kind,), mask_depth_mm=scene.mask_depth_mm
             )
             outline, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

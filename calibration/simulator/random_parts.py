@@ -102,7 +102,7 @@ def _polygon(half: Half, rng: np.random.Generator) -> HeightField:
 
 
 def _boss(half: Half, rng: np.random.Generator) -> Relief:
-    """One raised or sunken shape: round, square or oblong, with soft or sharp flanks."""
+    """Make a raised or sunken shape: round, square or oblong, with soft or sharp flanks."""
     at = rng.uniform(-0.7, 0.7, 2) * half
     size, turn = rng.uniform(0.3, 1.8, 2), float(rng.uniform(0, math.pi))
     rise = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.5))
@@ -182,7 +182,7 @@ def _strokes(half: Half, rng: np.random.Generator) -> Relief:
 
 
 def _step(half: Half, rng: np.random.Generator) -> Relief:
-    """One side lower than the other along a straight or bent line."""
+    """Make one side lower than the other along a straight or bent line."""
     turn, at = float(rng.uniform(0, 2 * math.pi)), float(rng.uniform(-0.5, 0.5)) * min(half)
     drop, run = float(rng.uniform(0.05, 0.5)), float(rng.uniform(0.05, 1.0))
     bend = float(rng.uniform(-0.1, 0.1))

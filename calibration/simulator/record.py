@@ -19,7 +19,7 @@ from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, SceneRun
-from calibration.simulator.streams import named_streams
+from calibration.simulator.streams import make_streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import RecordingError, StoreError
@@ -95,12 +95,12 @@ def _stamp(scene: Scene, run: SceneRun, seed: int) -> dict[str, object]:
     return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
 
 
-def _found_stamp(folder: Path) -> Mapping[str, object] | None:
+def _read_stamp(folder: Path) -> Mapping[str, object] | None:
     try:
-        found = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
+        stamp = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return found if isinstance(found, dict) else None
+    return stamp if isinstance(stamp, dict) else None
 
 
 def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
@@ -108,7 +108,7 @@ def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
         raise RecordingError(f"{folder} is a file, a folder is expected; choose another name")
     if not folder.exists() or not any(folder.iterdir()):
         return False
-    if _found_stamp(folder) == stamp:
+    if _read_stamp(folder) == stamp:
         Recording.open(folder)
         return True
     raise RecordingError(
@@ -119,13 +119,13 @@ def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
 
 def _claim(unfinished: Path, stamp: Mapping[str, object]) -> None:
     """Check that the unfinished recording has this stamp, or begin one; the stamp is written first."""
-    found = _found_stamp(unfinished)
-    if found == stamp:
+    earlier = _read_stamp(unfinished)
+    if earlier == stamp:
         return
-    if found is not None:
+    if earlier is not None:
         raise RecordingError(
-            f"{unfinished} is an unfinished recording of scene '{found.get('scene')}', run '{found.get('run')}', seed "
-            f"{found.get('seed')}, not of (scene '{stamp['scene']}', run '{stamp['run']}', seed "
+            f"{unfinished} is an unfinished recording of scene '{earlier.get('scene')}', run '{earlier.get('run')}', "
+            f"seed {earlier.get('seed')}, not of (scene '{stamp['scene']}', run '{stamp['run']}', seed "
             f"{stamp['seed']}, and the same settings); finish it with the command that started it, or delete it"
         )
     # A fixed name: the rest of a killed run is overwritten.
@@ -148,7 +148,7 @@ def _claim(unfinished: Path, stamp: Mapping[str, object]) -> None:
 
 
 def _complete_frames(unfinished: Path) -> int:
-    """How many frames from the first on are complete; 0 where the recording cannot be read."""
+    """Count the frames that are complete from the first on; 0 where the recording cannot be read."""
     try:
         frames = Recording.open(unfinished)
     except RecordingError:
@@ -189,7 +189,7 @@ def _renderer(scene: Scene, seed: int) -> Renderer:
     # The bytes of a recording are always JPEG: the effect only chooses their quality.
     effects = tuple(name for name in scene.effects if name != "jpeg")
     sensor = scene.camera.appearance
-    return Renderer(field, effects, sensor, scene.press_jitter, named_streams(seed), session=scene.name)
+    return Renderer(field, effects, sensor, scene.press_jitter, make_streams(seed), session=scene.name)
 
 
 def _frames(task: _Task) -> list[FrameOut]:
@@ -204,7 +204,7 @@ def _frames(task: _Task) -> list[FrameOut]:
 def _idle_frames(task: _Task) -> list[FrameOut]:
     renderer, scene, worn = _renderer(task.scene, task.seed), task.scene, task.gel_presses
     free = np.zeros(renderer.field.shape, dtype=np.float32)
-    left = _left_by(task.previous, scene, task.seed)
+    left = _residual_imprint(task.previous, scene, task.seed)
     label: Label = {"press": None, "phase": "idle", "specimen": None, "defect": None, "severity": 0.0}
     frames = []
     light = None
@@ -222,7 +222,7 @@ def press_frames(
     scene: Scene, seed: int, index: int, first_frame: int, plan: PressPlan, previous: PressPlan | None
 ) -> Iterator[FrameOut]:
     """The frames of one press, in order. index: which press of the run, from 0. first_frame: of its first frame."""
-    renderer, streams, fps = _renderer(scene, seed), named_streams(seed), scene.camera.fps
+    renderer, streams, fps = _renderer(scene, seed), make_streams(seed), scene.camera.fps
     defect = damage(plan, scene, streams)
     sound = piece(plan, streams)
     placed = renderer.place(Pose(), plan.key)
@@ -233,7 +233,7 @@ def press_frames(
         if "motion_blur" in scene.effects
         else 0.0
     )
-    left = _left_by(previous, scene, seed)
+    left = _residual_imprint(previous, scene, seed)
     light, shown = None, None
     for k, moment in enumerate(_motion(scene).moments()):
         state = (moment.depth, moment.since_release_s if left is not None and moment.depth == 0 else None)
@@ -261,11 +261,11 @@ def _light(
     return renderer.light(renderer.surface(imprint, plan.gel_presses, previous), plan.gel_presses)
 
 
-def _left_by(previous: PressPlan | None, scene: Scene, seed: int) -> F32 | None:
+def _residual_imprint(previous: PressPlan | None, scene: Scene, seed: int) -> F32 | None:
     """The imprint of the previous press, where the scene names `residual_imprint`."""
     if previous is None or "residual_imprint" not in scene.effects:
         return None
-    renderer, streams = _renderer(scene, seed), named_streams(seed)
+    renderer, streams = _renderer(scene, seed), make_streams(seed)
     placed = renderer.place(Pose(), previous.key)
     height = sample(piece(previous, streams), placed, renderer.field)
     return renderer.imprint(height, scene.press_depth_mm * placed.depth_factor)

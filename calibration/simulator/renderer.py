@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from calibration.simulator import camera, gel, gel_surface, optics, pose, sensor_appearance
 from calibration.simulator.defects import Damaged, Defect
-from calibration.simulator.effects import DEFAULT_EFFECTS, chosen
+from calibration.simulator.effects import DEFAULT_EFFECTS, check_effects
 from calibration.simulator.field_of_view import F32, LR, Field
 from calibration.simulator.pose import HeightField, Jitter, Pose
-from calibration.simulator.streams import Streams, named_streams
+from calibration.simulator.streams import Streams, make_streams
 
 __all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
 
@@ -60,13 +60,13 @@ class Renderer:
         default_factory=lambda: sensor_appearance.SENSORS["unit_b"]
     )
     jitter: Jitter = dataclasses.field(default_factory=Jitter)
-    streams: Streams = dataclasses.field(default_factory=lambda: named_streams(0))
+    streams: Streams = dataclasses.field(default_factory=lambda: make_streams(0))
     gel_id: str = "gel1"
     session: str = "session1"
     _coat: dict[str, tuple[int, F32]] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self.effects = chosen(self.effects)
+        self.effects = check_effects(self.effects)
         self._on = self.effects
 
     def place(self, commanded: Pose, key: Key) -> Pose:
@@ -107,7 +107,7 @@ class Renderer:
         is_lit = "illumination" in self._on
         planes = optics.illumination(nx, ny, *self._lamps) if is_lit else optics.headlight(nx, ny)
         if is_lit and self._per_mm is not None:
-            planes = optics.raised(planes, surface_mm, self._per_mm)
+            planes = optics.raise_planes(planes, surface_mm, self._per_mm)
         if "shadows" in self._on:
             planes = optics.shadows(planes, surface_mm, self.field)
         if "specular" in self._on:
@@ -128,7 +128,7 @@ class Renderer:
         return planes
 
     def expose(self, planes: F32, key: Key, exposure: Exposure) -> U8:
-        """One frame of that light, uint8 (h, w, 3) RGB. `planes` is left as it is."""
+        """Expose a frame of that light, uint8 (h, w, 3) RGB. `planes` is not changed."""
         planes = planes.copy()
         if "motion_blur" in self._on:
             velocity = exposure.velocity_mm_s
@@ -152,7 +152,7 @@ class Renderer:
         presses: int = 0,
         exposure: Exposure | None = None,
     ) -> U8:
-        """One settled press as a picture, uint8 (h, w, 3) RGB: all steps in one call."""
+        """Draw a settled press, uint8 (h, w, 3) RGB: all steps in one call."""
         placed = self.place(commanded or Pose(), key)
         imprint = self.imprint(pose.sample(part, placed, self.field), depth_mm * placed.depth_factor)
         return self._picture(imprint, key, presses, exposure)
@@ -168,7 +168,7 @@ class Renderer:
         exposure: Exposure | None = None,
         mask_depth_mm: float = MASK_DEPTH_MM,
     ) -> tuple[U8, NDArray[np.bool_], U8]:
-        """The same press on the damaged and on the sound part: (damaged rgb, mask, sound rgb).
+        """Draw a press on the damaged and on the sound part: (damaged rgb, mask, sound rgb).
 
         mask: bool (h, w), where the two imprints differ by more than `mask_depth_mm`. The two pictures share pose, gel
         and noise, so only the defect differs.
@@ -182,7 +182,7 @@ class Renderer:
             self._picture(sound, key, presses, exposure),
         )
 
-    def damaged(
+    def damage(
         self,
         part: HeightField,
         defect: Defect,
@@ -193,7 +193,7 @@ class Renderer:
         exposure: Exposure | None = None,
         mask_depth_mm: float = MASK_DEPTH_MM,
     ) -> tuple[U8, NDArray[np.bool_]]:
-        """`pair` without the picture of the sound part: (damaged rgb, mask)."""
+        """Draw `pair` without the picture of the sound part: (damaged rgb, mask)."""
         sound, damaged = self.imprints(part, defect, depth_mm, self.place(commanded or Pose(), key))
         return self._picture(damaged, key, presses, exposure), self.mask(sound, damaged, mask_depth_mm)
 
@@ -244,18 +244,22 @@ class Renderer:
 
     def _dust_relief(self, presses: int) -> F32:
         number = gel_surface.marks_at(self._dust.grains, presses)
-        return self._kept("dust", number, lambda: gel_surface.dust_relief(self._dust, presses, self.field))
+        return self._cached("dust", number, lambda: gel_surface.dust_relief(self._dust, presses, self.field))
 
     def _wear_relief(self, presses: int) -> F32:
         number = gel_surface.marks_at(self._wear.scratches, presses)
-        return self._kept("relief", number, lambda: gel_surface.wear_relief(self._wear, presses, self.field))
+        return self._cached(
+            "relief", number, lambda: gel_surface.wear_relief(self._wear, presses, self.field)
+        )
 
     def _wear_stains(self, presses: int) -> F32:
         # Stains darken slowly: every 20 presses is often enough.
         step = presses // 20
-        return self._kept("stains", step, lambda: gel_surface.wear_stains(self._wear, 20 * step, self.field))
+        return self._cached(
+            "stains", step, lambda: gel_surface.wear_stains(self._wear, 20 * step, self.field)
+        )
 
-    def _kept(self, what: str, state: int, make: Callable[[], F32]) -> F32:
+    def _cached(self, what: str, state: int, make: Callable[[], F32]) -> F32:
         """A picture of the coat, made again only when its state has changed."""
         kept = self._coat.get(what)
         if kept is None or kept[0] != state:

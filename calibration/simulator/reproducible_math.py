@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["arcsin", "arctan2", "combined", "cos", "exp", "power", "reproducible_opencv", "sin", "tanh"]
+__all__ = ["arcsin", "arctan2", "combine", "cos", "exp", "power", "reproducible_opencv", "sin", "tanh"]
 
 F32 = NDArray[np.float32]
 
@@ -56,7 +56,7 @@ def power(x: ArrayLike, exponent: float) -> F32:
     return np.power(_f64(x), exponent).astype(np.float32)
 
 
-def combined(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def combine(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Each row's weighted sum of the terms, float64 (rows, h, w), added in their order.
 
     A matrix product would leave order and rounding to the BLAS library's choice for the processor.

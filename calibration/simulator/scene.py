@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from calibration.simulator.defects import DEFECTS
-from calibration.simulator.effects import EFFECTS, chosen
+from calibration.simulator.effects import EFFECTS, check_effects
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
-from calibration.simulator.sensor_file import SensorFile, known_sensor
+from calibration.simulator.sensor_file import SensorFile, find_sensor
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
@@ -58,8 +58,8 @@ class Camera(_Table):
 
     @field_validator("sensor")
     @classmethod
-    def _known_sensor(cls, sensor: str | SensorFile) -> str | SensorFile:
-        return _known(sensor, SENSORS, "sensor") if isinstance(sensor, str) else sensor
+    def _check_sensor(cls, sensor: str | SensorFile) -> str | SensorFile:
+        return _check_known(sensor, SENSORS, "sensor") if isinstance(sensor, str) else sensor
 
     @property
     def appearance(self) -> SensorAppearance:
@@ -107,11 +107,11 @@ class Defects(_Table):
 
     @field_validator("kinds")
     @classmethod
-    def _known_kinds(cls, kinds: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(_known(kind, DEFECTS, "defect") for kind in kinds)
+    def _check_kinds(cls, kinds: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(_check_known(kind, DEFECTS, "defect") for kind in kinds)
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_order(self) -> Self:
         if self.severity[0] > self.severity[1]:
             raise ValueError(f"severity is [least, most], found {list(self.severity)}")
         return self
@@ -153,19 +153,19 @@ class Scene(_Table):
 
     @field_validator("part")
     @classmethod
-    def _known_part(cls, name: str) -> str:
-        return _known(name, PARTS, "part")
+    def _check_part(cls, name: str) -> str:
+        return _check_known(name, PARTS, "part")
 
     @field_validator("effects")
     @classmethod
-    def _known_effects(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        chosen(names)
+    def _check_effects(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        check_effects(names)
         return tuple(name for name in EFFECTS if name in names)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for position in self.positions:
-            _known(position, PARTS[self.part].positions, f"position of {self.part}")
+            _check_known(position, PARTS[self.part].positions, f"position of {self.part}")
         if len(set(self.positions)) != len(self.positions):
             raise ValueError(f"positions are different, found {list(self.positions)}")
         if len(set(self.camera.modes)) != len(self.camera.modes):
@@ -190,22 +190,22 @@ class Scene(_Table):
         """The positions, all of the part's where the scene names none."""
         return self.positions or tuple(PARTS[self.part].positions)
 
-    def seen_by(self, sensor: str | SensorFile) -> Self:
-        """The same scene through another sensor."""
+    def with_sensor(self, sensor: str | SensorFile) -> Self:
+        """Copy the scene, seen by another sensor."""
         return self.model_copy(update={"camera": self.camera.model_copy(update={"sensor": sensor})})
 
     @property
     def press_depth_mm(self) -> float:
-        """How deep a press goes: the scene's own, or the part's."""
+        """The depth of a press: the scene's own, or the part's."""
         return PARTS[self.part].depth_mm if self.depth_mm is None else self.depth_mm
 
     @property
     def press_jitter(self) -> Jitter:
-        """How presses differ: the scene's own, or the part's."""
+        """The differences of presses: the scene's own, or the part's."""
         return PARTS[self.part].jitter if self.jitter is None else Jitter(**self.jitter.model_dump())
 
 
-def _known(name: str, known: Mapping[str, object], what: str) -> str:
+def _check_known(name: str, known: Mapping[str, object], what: str) -> str:
     if name in known:
         return name
     raise ValueError(f"no {what} is named '{name}'; {suggestion(name, known)}")
@@ -238,4 +238,4 @@ def _with_sensor(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     camera = table.get("camera")
     if not isinstance(camera, dict) or not str(camera.get("sensor", "")).endswith(".toml"):
         return table
-    return {**table, "camera": {**camera, "sensor": known_sensor(str(camera["sensor"]), folder)}}
+    return {**table, "camera": {**camera, "sensor": find_sensor(str(camera["sensor"]), folder)}}

@@ -241,7 +241,7 @@ def background(appearance: SensorAppearance, over: Field) -> F32:
     """The untouched gel, float32 (3, h, w), grey levels 0 to 255."""
     degree = 4 if appearance.free_gel.shape[1] == 15 else 6
     powers = free_gel_powers(over, degree)
-    return reproducible_math.exp(reproducible_math.combined(appearance.free_gel, powers))
+    return reproducible_math.exp(reproducible_math.combine(appearance.free_gel, powers))
 
 
 def free_gel_powers(over: Field, degree: int) -> list[F64]:
@@ -277,4 +277,4 @@ def place_powers(over: Field) -> list[F64]:
 
 def _over_places(table: F64, over: Field) -> F32:
     """Rows of six coefficients as planes, float32 (rows, h, w)."""
-    return reproducible_math.combined(table, place_powers(over)).astype(np.float32)
+    return reproducible_math.combine(table, place_powers(over)).astype(np.float32)

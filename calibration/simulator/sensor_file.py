@@ -16,7 +16,7 @@ from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["Fitted", "GelTable", "SensorFile", "known_sensor", "read_sensor"]
+__all__ = ["Fitted", "GelTable", "SensorFile", "find_sensor", "read_sensor"]
 
 
 def _polynomial(row: tuple[float, ...]) -> tuple[float, ...]:
@@ -44,7 +44,7 @@ class GelTable(_Table):
     long_share: Annotated[float, Field(ge=0, le=1)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_order(self) -> Self:
         if self.short_mm > self.long_mm:
             raise ValueError(f"short_mm {self.short_mm} is not above long_mm {self.long_mm}")
         return self
@@ -81,7 +81,7 @@ class SensorFile(_Table):
 
     @property
     def appearance(self) -> SensorAppearance:
-        """The same as the renderer takes it."""
+        """Give it as the renderer takes it."""
         return SensorAppearance(
             self.name,
             np.array(self.free_gel, dtype=np.float64),
@@ -115,7 +115,7 @@ def read_sensor(path: Path) -> SensorFile:
         raise ConfigError(f"sensor {path} cannot be read: {error}") from error
 
 
-def known_sensor(name_or_path: str, folder: Path = Path()) -> str | SensorFile:
+def find_sensor(name_or_path: str, folder: Path = Path()) -> str | SensorFile:
     """The name of a sensor that comes with the product, or the content of a file; its path is relative to `folder`.
 
     Errors: ConfigError with the nearest known name.

@@ -59,11 +59,11 @@ def simulate_dataset(
     """
     several = [scenes] if isinstance(scenes, Scene) else list(scenes)
     return write_dataset(
-        [_pressed(scene, presses) for scene in several], folder, seed, workers=workers, progress=progress
+        [_set_presses(scene, presses) for scene in several], folder, seed, workers=workers, progress=progress
     )
 
 
-def _pressed(scene: Scene, presses: int | None) -> Scene:
+def _set_presses(scene: Scene, presses: int | None) -> Scene:
     if scene.nominal is None:
         raise ConfigError(
             f"scene '{scene.name}' describes recordings; it has no [nominal] to make a dataset of"
@@ -77,15 +77,15 @@ def _pressed(scene: Scene, presses: int | None) -> Scene:
 def _run(scene: Scene, name: str | None, presses: int | None) -> SceneRun:
     if not scene.runs:
         raise ConfigError(f"scene '{scene.name}' describes a dataset; it has no [[runs]] to record")
-    found = scene.runs[0] if name is None else next((run for run in scene.runs if run.name == name), None)
-    if found is None:
+    chosen = scene.runs[0] if name is None else next((run for run in scene.runs if run.name == name), None)
+    if chosen is None:
         raise ConfigError(
             f"scene '{scene.name}' has no run '{name}'; it has {', '.join(run.name for run in scene.runs)}"
         )
     if presses is None:
-        return found
-    faulty = min(presses - 1, round(found.faulty * presses / found.presses))
-    return _with_presses(found, {"presses": presses, "faulty": faulty})
+        return chosen
+    faulty = min(presses - 1, round(chosen.faulty * presses / chosen.presses))
+    return _with_presses(chosen, {"presses": presses, "faulty": faulty})
 
 
 def _with_presses(table: Table, changes: dict[str, int]) -> Table:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-__all__ = ["Streams", "named_streams"]
+__all__ = ["Streams", "make_streams"]
 
 
 class Streams(Protocol):
@@ -30,7 +30,7 @@ class _NamedStreams:
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *key])))
 
 
-def named_streams(seed: int) -> Streams:
+def make_streams(seed: int) -> Streams:
     """The streams of one seed; equal seeds give equal streams. Errors: ValueError for a negative seed."""
     if seed < 0:
         raise ValueError(f"a seed is a number from 0 up, found {seed}")

@@ -14,7 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.metrics import auroc
-from calibration.metrics.pooled import pooled_measures
+from calibration.metrics.pooled import pool_measures
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Grid, Mode, Nominal
 from edge.core.errors import FitError, NotScorable
@@ -169,7 +169,7 @@ def _bytes(array: Packed) -> int:
 
 def measures(result: Scored, test: TestPresses) -> dict[str, float | None]:
     """Every one of MEASURES, exact; None where it is undefined."""
-    pixel = pooled_measures(result.maps, test.masks, _LIMITS)
+    pixel = pool_measures(result.maps, test.masks, _LIMITS)
     image = auroc(result.scores, test.is_defective)
     return {
         "aupro_001": pixel.aupro[0],

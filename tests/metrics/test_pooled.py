@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration.metrics import aupro, auroc, average_precision
-from calibration.metrics.pooled import pooled_measures
+from calibration.metrics.pooled import pool_measures
 
 
 @settings(max_examples=60, deadline=None)
@@ -21,7 +21,7 @@ def test_the_values_are_those_of_all_pixels(seed: int, levels: int, limit: float
         masks[k, y : y + 3, x : x + 2] = True
         masks[k, 0, 0] = True
         maps[k][masks[k]] += levels // 3
-    found = pooled_measures(maps, masks, (limit, 0.05))
+    found = pool_measures(maps, masks, (limit, 0.05))
 
     assert found.auroc == pytest.approx(auroc(maps.ravel(), masks.ravel()), abs=1e-12)
     assert found.average_precision == pytest.approx(average_precision(maps.ravel(), masks.ravel()), abs=1e-12)
@@ -33,7 +33,7 @@ def test_the_values_are_those_of_all_pixels(seed: int, levels: int, limit: float
 def test_one_class_has_no_measure(is_defect: bool) -> None:
     """Undefined is None, for every limit."""
     maps = np.zeros((2, 3, 3), np.float32)
-    found = pooled_measures(maps, np.full(maps.shape, is_defect), (0.01, 0.05))
+    found = pool_measures(maps, np.full(maps.shape, is_defect), (0.01, 0.05))
 
     assert (found.auroc, found.average_precision, found.aupro) == (None, None, (None, None))
 
@@ -42,4 +42,4 @@ def test_one_class_has_no_measure(is_defect: bool) -> None:
 def test_a_limit_outside_its_range_is_refused(limit: float) -> None:
     """It is a false-positive rate."""
     with pytest.raises(ValueError, match="an integration limit is in"):
-        pooled_measures(np.zeros((1, 2, 2)), np.zeros((1, 2, 2), np.bool_), (limit,))
+        pool_measures(np.zeros((1, 2, 2)), np.zeros((1, 2, 2), np.bool_), (limit,))

@@ -9,7 +9,7 @@ from ball_presses import UNSEEN
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.scene import load_scene
-from calibration.simulator.sensor_file import SensorFile, known_sensor, read_sensor
+from calibration.simulator.sensor_file import SensorFile, find_sensor, read_sensor
 from edge.core.errors import ConfigError
 
 SCENE = """version = 1
@@ -70,8 +70,8 @@ def test_another_content_is_another_scene(file: Path, sensor: SensorFile) -> Non
     """A scene holds the content, so a run that was begun with another sensor is not continued."""
     scene = load_scene("small")
     other = sensor.model_copy(update={"noise_sd": (0.0, 0.0, 0.0)})
-    assert scene.seen_by(sensor) != scene.seen_by(other)
-    assert scene.seen_by(sensor) == scene.seen_by(known_sensor(str(file)))
+    assert scene.with_sensor(sensor) != scene.with_sensor(other)
+    assert scene.with_sensor(sensor) == scene.with_sensor(find_sensor(str(file)))
 
 
 @pytest.mark.parametrize(
@@ -97,4 +97,4 @@ def test_a_faulty_file_is_refused(file: Path, old: str, new: str, sentence: str)
 def test_an_unknown_name_is_refused_with_the_nearest() -> None:
     """And it is said that files end in .toml."""
     with pytest.raises(ConfigError, match=r"did you mean 'unit_a'\?.*ends in \.toml"):
-        known_sensor("unit_aa")
+        find_sensor("unit_aa")

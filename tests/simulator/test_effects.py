@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from calibration.simulator import dataset_writer, plan, record
-from calibration.simulator.effects import DEFAULT_EFFECTS, EFFECTS, chosen
+from calibration.simulator.effects import DEFAULT_EFFECTS, EFFECTS, check_effects
 from calibration.simulator.field_of_view import LR, Field
 from calibration.simulator.parts import PARTS
 from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import Jitter, Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import Scene, load_scene
-from calibration.simulator.streams import named_streams
+from calibration.simulator.streams import make_streams
 
 SMALL = Field((160, 120), (0.12, 0.12))
 THREAD = PARTS["PZ1"].positions["pos1"]
@@ -28,7 +28,7 @@ class Listening:
 
     def __init__(self) -> None:
         self.asked: list[tuple[str | int, ...]] = []
-        self._inner = named_streams(7)
+        self._inner = make_streams(7)
 
     def __call__(self, *words: str | int) -> np.random.Generator:
         self.asked.append(words)
@@ -40,7 +40,7 @@ class Listening:
 
 def picture(names: tuple[str, ...], streams: Callable[..., np.random.Generator] | None = None) -> np.ndarray:
     """A press on which every effect acts: worn gel, a previous press, a warm lamp, a slide."""
-    renderer = Renderer(SMALL, names, streams=streams or named_streams(7))
+    renderer = Renderer(SMALL, names, streams=streams or make_streams(7))
     placed = renderer.place(Pose(), KEY)
     imprint = renderer.imprint(sample(THREAD, placed, SMALL), 0.5 * placed.depth_factor)
     surface = renderer.surface(imprint, 500, (np.roll(imprint, 25, axis=1), 0.5))
@@ -155,7 +155,7 @@ def test_datasets_and_recordings_draw_nothing_for_an_effect_that_is_left_out(
         path.write_text(SCENE.format(effects=list(effects)))
         listening = Listening()
         for maker in (dataset_writer, record):
-            monkeypatch.setattr(maker, "named_streams", lambda _, heard=listening: heard)
+            monkeypatch.setattr(maker, "make_streams", lambda _, heard=listening: heard)
             maker._renderer.cache_clear()
         everything(load_scene(path))
         drawn[effects] = {words[0] for words in listening.asked} & set(EFFECTS[name].draws)
@@ -181,7 +181,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     """Equal streams, equal bytes; the order of the names does not matter."""
     again = picture(tuple(reversed(EFFECTS)))
     assert np.array_equal(picture(tuple(EFFECTS)), again)
-    assert not np.array_equal(again, picture(tuple(EFFECTS), named_streams(8)))
+    assert not np.array_equal(again, picture(tuple(EFFECTS), make_streams(8)))
 
 
 def test_every_effect_has_a_description() -> None:
@@ -192,7 +192,7 @@ def test_every_effect_has_a_description() -> None:
 def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:
     """Misspelt names are reported together, each with the nearest known one."""
     with pytest.raises(ValueError, match=r"did you mean 'noise'.* did you mean 'shadows'"):
-        chosen(["shadow", "nois"])
+        check_effects(["shadow", "nois"])
 
 
 def test_neighbouring_frames_differ_by_noise_alone() -> None:

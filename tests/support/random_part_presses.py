@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS, specimen
-from calibration.simulator.plan import PRESS_CYCLE_S, placed_damage
+from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import Jitter, Pose, pose_jitter, sample
 from calibration.simulator.random_parts import RandomPart, random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
-from calibration.simulator.streams import Streams, named_streams
+from calibration.simulator.streams import Streams, make_streams
 
 __all__ = ["RandomPartPresses"]
 
@@ -54,7 +54,7 @@ class RandomPartPresses:
         placed = self._gel.place(
             pose_jitter(Pose(), self._clamping, self._streams("clamp", piece)), (piece, 1)
         )
-        defect = placed_damage(
+        defect = place_damage(
             self._shape,
             kinds[piece % len(kinds)],
             severity,
@@ -80,7 +80,7 @@ class RandomPartPresses:
 
     @cached_property
     def _streams(self) -> Streams:
-        return named_streams(1000 * self.shapes + self.number)
+        return make_streams(1000 * self.shapes + self.number)
 
     @cached_property
     def _moments(self) -> NDArray[np.int64]:
