@@ -17,6 +17,7 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 
 import typer
 
+from calibration.fitting.command import fit
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.cli.run import EXAMPLE
@@ -69,6 +70,7 @@ class Parameter:
     default: str
     help: str
     is_argument: bool
+    is_hidden: bool = False
 
     @classmethod
     def of(cls, name: str, annotation: Any, default: Any) -> "Parameter":
@@ -82,7 +84,7 @@ class Parameter:
         if is_argument:
             names = (info.metavar or name.upper(),)
         value = "" if is_flag or is_argument else info.metavar or _type_words(kind, info)
-        return cls(names, value, _default(default), info.help or "", is_argument)
+        return cls(names, value, _default(default), info.help or "", is_argument, info.hidden)
 
 
 def parameters(verb: Callable[..., None]) -> list[Parameter]:
@@ -96,7 +98,7 @@ def parameters(verb: Callable[..., None]) -> list[Parameter]:
 
 
 def _section(path: str, verb: Callable[..., None]) -> str:
-    taken = parameters(verb)
+    taken = [one for one in parameters(verb) if not one.is_hidden]
     words = [path, *(one.names[0] for one in taken if one.is_argument)]
     words += ["[OPTIONS]"] * any(not one.is_argument for one in taken)
     lines = [f"## {path}\n\n{_paragraphs(inspect.getdoc(verb))}\n\n```\n{' '.join(words)}\n```\n"]
@@ -282,18 +284,28 @@ def _written(value: object) -> str:
 
 
 _ABOUT_PARAMETERS: Final = """\
-# Parameters of the detectors
+# Parameters of a fit and of the detectors
 
-`gelgate fit --method METHOD --set NAME=VALUE` sets one; a value is written as JSON (`--set rank=8`, `--set dims=[31]`,
-`--set window_mm=null`). The two columns in the middle are the defaults of `--mode corrected` and `--mode paper`. Where
-the first is empty the switch re-creates a published defect: it is off unless named. [detectors.md](detectors.md)
-explains the methods, and what their settings were measured at.
+`gelgate fit --method METHOD --set NAME=VALUE` sets one; a value is written as JSON (`--set rank=8`, `--set
+dims=[31]`, `--set window_mm=null`). The first table is of every fit. In the others the two columns in the middle are
+the defaults of `--set mode=corrected` and `--set mode=paper`. Where the first is empty the switch re-creates a
+published defect: it is off unless named. [detectors.md](detectors.md) explains the methods, and what their settings
+were measured at.
 """
 
 
 def parameters_page() -> str:
     """Every parameter of every detector, with the defaults of both modes."""
-    return "\n".join([NOTICE, _ABOUT_PARAMETERS, *_detectors()])
+    return "\n".join([NOTICE, _ABOUT_PARAMETERS, *_fit(), *_detectors()])
+
+
+def _fit() -> Iterator[str]:
+    yield "## fit\n\n| name | value | default | what it is |\n| --- | --- | --- | --- |"
+    for one in parameters(fit):
+        if one.is_hidden:
+            name = one.names[0].removeprefix("--")
+            yield _row(f"`{name}`", one.value or "`true` or `false`", one.default, one.help)
+    yield ""
 
 
 def _detectors() -> Iterator[str]:

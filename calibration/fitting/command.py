@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -15,6 +15,13 @@ from calibration.fitting.options import (
     ChosenBackbone,
     ChosenMethod,
     GelId,
+    HiddenPattern,
+    HiddenProfile,
+    HiddenRegion,
+    HiddenRevision,
+    HiddenSeed,
+    HiddenThreads,
+    HiddenThreshold,
     Holdout,
     LeaveOut,
     Limit,
@@ -22,18 +29,11 @@ from calibration.fitting.options import (
     Output,
     Overwrite,
     Part,
-    Pattern,
     Position,
-    Profile,
-    RegionText,
     RegisterOption,
     Resize,
-    Revision,
     Scattered,
-    Seed,
     Settings,
-    Threads,
-    Threshold,
 )
 from calibration.fitting.trunks import AUTO
 
@@ -67,28 +67,28 @@ def fit(
     part: Part = None,
     position: Position = None,
     method: ChosenMethod = DEFAULT_METHOD,
-    mode: Annotated[str, typer.Option(help="'corrected', or 'paper': its published settings.")] = "corrected",
+    mode: Annotated[str, typer.Option(hidden=True, help="'corrected', or as in the 'paper'")] = "corrected",
     backbone: ChosenBackbone = AUTO,
-    profile: Profile = "",
-    region: RegionText = "centre",
+    profile: HiddenProfile = "",
+    region: HiddenRegion = "centre",
     alpha: Alpha = 0.05,
-    threshold: Threshold = None,
+    threshold: HiddenThreshold = None,
     no_contact: NoContact = None,
     resize: Resize = False,
-    pattern: Pattern = None,
+    pattern: HiddenPattern = None,
     holdout: Holdout = 0.0,
     settings: Settings = None,
-    seed: Seed = 0,
-    folds: Annotated[int, typer.Option(min=2, help="Banks fitted to find the threshold.")] = 5,
-    threads: Threads = 2,
+    seed: HiddenSeed = 0,
+    folds: Annotated[int, typer.Option(hidden=True, min=2, help="Banks that find the threshold.")] = 5,
+    threads: HiddenThreads = 2,
     scattered: Scattered = False,
     limit: Limit = "chosen",
     register: RegisterOption = "auto",
     augment: AugmentOption = "auto",
     leave_out: LeaveOut = None,
-    trunk: Annotated[bool, typer.Option(help="Put the trunk into the bundle.")] = True,
+    trunk: Annotated[bool, typer.Option(hidden=True, help="Put the trunk into the bundle.")] = True,
     overwrite: Overwrite = False,
-    revision: Revision = None,
+    revision: HiddenRevision = None,
     gel: GelId = None,
 ) -> None:
     """Learn a bundle from nominal presses.
@@ -153,7 +153,7 @@ def _choices(limit: str, register: str, augment: str) -> dict[str, Any]:
     """What a fit chooses itself unless it is decided by hand. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    for option, word in {"--register": register, "--augment": augment}.items():
+    for option, word in {"--set register": register, "--set augment": augment}.items():
         if word not in ("auto", "never", "always"):
             raise ConfigError(f"{option} is auto, never or always, found '{word}'")
     return {"limit": _limit(limit), "register": register, "augment": augment}
@@ -163,7 +163,7 @@ def _limit(word: str) -> Literal["chosen", "plain"]:
     from edge.core.errors import ConfigError
 
     if word not in ("chosen", "plain"):
-        raise ConfigError(f"no limit is named '{word}'; write --limit chosen or --limit plain")
+        raise ConfigError(f"no limit is named '{word}'; write --set limit=chosen or --set limit=plain")
     return "plain" if word == "plain" else "chosen"
 
 
@@ -176,6 +176,7 @@ def _detection(
     from edge.cli.named_values import named_values
     from edge.core.detector import Mode
     from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
 
     if mode not in ("corrected", "paper"):
         raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
@@ -183,10 +184,27 @@ def _detection(
     chosen: Mode = "paper" if mode == "paper" else "corrected"
     detector = registry.detector(candidates.methods[0])
     overrides = named_values("--set", settings)
-    if "mode" in overrides:
-        raise ConfigError("'--set mode' is not a parameter; write --mode corrected or --mode paper")
+    fields = {**_fields(detector.parameters("paper")), **_fields(detector.parameters("corrected"))}
+    for name in overrides:
+        if fields and name not in fields:
+            raise ConfigError(
+                f"--set {name}: the fit and {candidates.methods[0]} have no such parameter; "
+                f"{suggestion(name, [*_names_under_set(), *fields])}"
+            )
     trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters(chosen, **overrides)))
     return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
+
+
+def _fields(parameters: object) -> dict[str, object]:
+    """Give the parameters by name; none where their class keeps them otherwise."""
+    return getattr(parameters, "__dict__", {})
+
+
+def _names_under_set() -> list[str]:
+    """Name the parameters of the fit that its help does not show."""
+    hints = get_type_hints(fit, include_extras=True)
+    marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return [name for name, found in marks.items() if any(getattr(one, "hidden", False) for one in found)]
 
 
 def found_sources(

@@ -1,4 +1,7 @@
-"""The options that `fit` and `wrap` have in common, each with its help."""
+"""The options that `fit` and `wrap` have in common, each with its help.
+
+What is hidden is written under `--set`; its own option ends with this version.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +15,13 @@ __all__ = [
     "ChosenBackbone",
     "ChosenMethod",
     "GelId",
+    "HiddenPattern",
+    "HiddenProfile",
+    "HiddenRegion",
+    "HiddenRevision",
+    "HiddenSeed",
+    "HiddenThreads",
+    "HiddenThreshold",
     "Holdout",
     "LeaveOut",
     "Limit",
@@ -47,11 +57,16 @@ Position = Annotated[
     ),
 ]
 Profile = Annotated[str, typer.Option(help="Sensor profile; default: the recording's, else mini_lr.")]
+HiddenProfile = Annotated[
+    str, typer.Option(hidden=True, help="Sensor profile; default: the recording's, else mini_lr.")
+]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
+HiddenRegion = Annotated[str, typer.Option(hidden=True, help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
 RegisterOption = Annotated[
     str,
     typer.Option(
-        help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'."
+        hidden=True,
+        help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
     ),
 ]
 GelId = Annotated[
@@ -63,8 +78,9 @@ GelId = Annotated[
 AugmentOption = Annotated[
     str,
     typer.Option(
+        hidden=True,
         help="Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free gel, "
-        "'never', 'always'."
+        "'never', 'always'.",
     ),
 ]
 Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
@@ -85,6 +101,9 @@ ChosenBackbone = Annotated[
 ]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
+HiddenThreshold = Annotated[
+    float | None, typer.Option(hidden=True, help="Use this threshold instead of finding one.")
+]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]
 Resize = Annotated[
     bool,
@@ -94,14 +113,27 @@ Pattern = Annotated[
     str | None,
     typer.Option(help="Which files of a folder, also in folders below it, such as '*/press.png'."),
 ]
+HiddenPattern = Annotated[
+    str | None,
+    typer.Option(
+        hidden=True, help="Which files of a folder, also in folders below it, such as '*/press.png'."
+    ),
+]
 Holdout = Annotated[
     float,
-    typer.Option(help="Share of a dataset's specimens that is kept for `gelgate evaluate`.", min=0, max=0.9),
+    typer.Option(
+        hidden=True,
+        help="Share of a dataset's specimens that is kept for `gelgate evaluate`.",
+        min=0,
+        max=0.9,
+    ),
 ]
 Limit = Annotated[
     str,
     typer.Option(
-        help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all places."
+        hidden=True,
+        help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all "
+        "places.",
     ),
 ]
 LeaveOut = Annotated[
@@ -113,16 +145,28 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="A parameter of the detector; `gelgate station docs parameters` lists them.",
+        help="A parameter of the fit or of the detector; `gelgate station docs parameters` lists them.",
     ),
 ]
-Scattered = Annotated[bool, typer.Option("--scattered", help="Fit any method to parts that lie anywhere.")]
+Scattered = Annotated[
+    bool, typer.Option("--scattered", hidden=True, help="Fit any method to parts that lie anywhere.")
+]
 Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
+HiddenSeed = Annotated[int, typer.Option(hidden=True, help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
+HiddenThreads = Annotated[int, typer.Option(hidden=True, min=1, max=64, help="Threads of the runtime.")]
 Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]
 Revision = Annotated[
     int | None,
     typer.Option(
+        min=1,
+        help="Number of this bundle; by default one more than that of the bundle that it replaces, or 1.",
+    ),
+]
+HiddenRevision = Annotated[
+    int | None,
+    typer.Option(
+        hidden=True,
         min=1,
         help="Number of this bundle; by default one more than that of the bundle that it replaces, or 1.",
     ),

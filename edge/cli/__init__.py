@@ -128,8 +128,29 @@ def _loaded(name: str) -> Any:
     if isinstance(verb, typer.Typer):
         app.add_typer(verb, name=name)
     else:
-        app.command(name)(verb)
+        app.command(name, cls=_Command)(verb)
     return typer.main.get_group(app).commands[name]
+
+
+class _Command(typer.core.TyperCommand):
+    """A verb; `--set NAME=VALUE` gives each option that its help does not show."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Write `--set seed=3` as `--seed=3` before anything is read."""
+        hidden = {one.name: one for one in self.params if getattr(one, "hidden", False)}
+        words, rest = [], iter(args)
+        for word in rest:
+            given = next(rest, "") if word == "--set" else word.removeprefix("--set=")
+            name, sign, value = (one.strip() for one in given.partition("="))
+            if not word.startswith("--set") or not sign or name not in hidden:
+                words += [word, given] if word == "--set" else [word]
+            elif not getattr(hidden[name], "is_flag", False):
+                words.append(f"{hidden[name].opts[0]}={value}")
+            elif value in ("true", "false"):
+                words += hidden[name].opts[:1] if value == "true" else hidden[name].secondary_opts[:1]
+            else:
+                ctx.fail(f"'--set {given}' is not understood; write {name}=true or {name}=false")
+        return super().parse_args(ctx, words)
 
 
 class _Verbs(typer.core.TyperGroup):

@@ -8,8 +8,10 @@ import cv2
 import pytest
 import tiny
 from pressed_dome import Bench, write
+from typer.main import get_command
 from typer.testing import CliRunner, Result
 
+from calibration.fitting.command import _names_under_set
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
@@ -75,10 +77,11 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
         (("--region", "0,0,400x400"), "region"),
         (("--mode", "papr"), "known: corrected, paper"),
         (("--set", "gain"), "write --set name=value"),
-        (("--set", "gian=1"), "no such parameter"),
+        (("--set", "gian=1"), "have no such parameter; did you mean 'gain'?"),
+        (("--set", "folsd=3"), "have no such parameter; did you mean 'folds'?"),
         (("--alpha", "2"), "false-alarm rate"),
-        (("--register", "often"), "--register is auto, never or always, found 'often'"),
-        (("--augment", "often"), "--augment is auto, never or always, found 'often'"),
+        (("--register", "often"), "--set register is auto, never or always, found 'often'"),
+        (("--augment", "often"), "--set augment is auto, never or always, found 'often'"),
         (
             ("--augment", "always"),
             "no copies of the presses can be added: they need a picture of the free gel",
@@ -211,3 +214,28 @@ def test_a_fit_chooses_its_method_and_says_why(tmp_path: Path) -> None:
     assert why.count(" ms a press") == 2
     assert f"method: {why}" in result.output
     assert why in run("bundle", "inspect", tmp_path / "dome").output
+
+
+def test_the_help_shows_twelve_options_and_set_gives_the_rest(pictures: Path, tmp_path: Path) -> None:
+    """What is under `--set` is read as its own option is, which still works; the manual lists it."""
+    options = [one for one in get_command(cli.build()).commands["fit"].params if one.name != "sources"]
+    under_set = [one.name for one in options if one.hidden]
+    page = (Path(__file__).parents[2] / "docs/parameters.md").read_text(encoding="utf-8")
+    old = fit(pictures, tmp_path / "old", "--seed", 3, "--folds", 3, "--no-trunk", "--scattered")
+    words = ("seed=3", "folds = 3", "trunk=false", "scattered=true")
+    new = fit(pictures, tmp_path / "new", *(f"--set={word}" for word in words))
+
+    assert len(options) - len(under_set) <= 12
+    assert [name for name in under_set if f"| `{name}` |" not in page] == []
+    assert under_set == _names_under_set()
+    assert (old.exit_code, new.exit_code) == (0, 0), new.output
+    one, two = (Bundle.load(tmp_path / name).manifest for name in ("old", "new"))
+    assert one.model_copy(update={"cost": None}) == two.model_copy(update={"cost": None})
+    assert fit(pictures, tmp_path / "b", "--set", "trunk=no").exit_code == 2
+    assert fit(pictures, tmp_path / "b", "--set", "folds=1").exit_code == 2
+    assert not set(under_set) & {
+        field
+        for name in registry.names("detectors")
+        for field in vars(registry.detector(name).parameters("paper"))
+        if field != "mode"
+    }
