@@ -164,7 +164,7 @@ def run(
 
 
 class Lines:
-    """Lines on standard output. Inspection does not depend on them: where they cannot be printed, they are left out."""
+    """Lines on standard output. Press does not depend on them: where they cannot be printed, they are left out."""
 
     def __init__(self) -> None:
         self._is_open = True

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 from edge.core.imaging.quality import Reason, Rejection
-from edge.gateway.inspector import Inspection, Inspector
+from edge.core.press import Press
+from edge.gateway.inspector import Inspector
 from edge.model.machine import fingerprint, fingerprint_bytes
 from edge.store.press_archive import ArchivedPress, PressArchive
 from edge.store.press_store import PressRecord
@@ -34,7 +35,7 @@ class BlackBox:
         """Why the last press was not archived; None where it was."""
         return self._archive.fault
 
-    def keep(self, press: PressRecord, inspection: Inspection, inspector: Inspector) -> bytes | None:
+    def keep(self, press: PressRecord, inspection: Press, inspector: Inspector) -> bytes | None:
         """The SHA-256 of what was kept of a press; None for one without a judged frame, and where it cannot be kept."""
         judged, verdict = inspection.judged, inspection.verdict
         rejection = verdict.rejection if verdict else None

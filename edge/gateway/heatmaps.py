@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.gateway.inspector import Inspection
+from edge.core.press import Press
 from edge.messaging.payload_base import iso_time
 from edge.model.bundle import Bundle
 from edge.pictures.press_picture import PressCaption, press_png
@@ -12,7 +12,7 @@ from edge.store.press_store import PressRecord
 __all__ = ["heatmap_png"]
 
 
-def heatmap_png(press: PressRecord, inspection: Inspection, bundle: Bundle, station: str) -> bytes | None:
+def heatmap_png(press: PressRecord, inspection: Press, bundle: Bundle, station: str) -> bytes | None:
     """None for a press without a score. station: site/line/station."""
     if inspection.rgb is None or inspection.score_map is None or press.score is None:
         return None
@@ -29,7 +29,7 @@ def heatmap_png(press: PressRecord, inspection: Inspection, bundle: Bundle, stat
     return press_png(_dimmed(inspection.rgb, inspection), inspection.score_map, caption)
 
 
-def _dimmed(rgb: NDArray[np.uint8], inspection: Inspection) -> NDArray[np.uint8]:
+def _dimmed(rgb: NDArray[np.uint8], inspection: Press) -> NDArray[np.uint8]:
     """The press with the places that were not judged at half their light."""
     registered, scars = inspection.registered, inspection.scars
     unseen = None if registered is None else registered.unseen_in_press

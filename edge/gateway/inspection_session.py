@@ -25,8 +25,9 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
+from edge.core.press import Press
 from edge.gateway.admission import Admission
-from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.inspector import Inspector
 from edge.gateway.masking import blinded
 from edge.gateway.press_again import PressAgain
 from edge.gateway.press_labels import Mounted, PressLabels
@@ -72,7 +73,7 @@ class InspectionSession:
         recorder: Recorder,
         status: StationStatus,
         clock: Clock,
-        on_judged: Callable[[Inspection], None] = lambda inspection: None,
+        on_judged: Callable[[Press], None] = lambda inspection: None,
         on_began: Callable[[], None] = lambda: None,
         admission: Admission | None = None,
         labels: PressLabels | None = None,
@@ -190,7 +191,7 @@ class InspectionSession:
                 self._status.gel_scars(None, None)
             self.relearn()
 
-    def _add(self, inspections: list[Inspection]) -> None:
+    def _add(self, inspections: list[Press]) -> None:
         for judged in inspections:
             inspection = judged if self._again is None else blinded(self._again.judged(judged))
             self._on_judged(inspection)

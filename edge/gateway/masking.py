@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from edge.core.press import Press, ScarFindings
 from edge.core.verdict import Kind
-from edge.gateway.inspector import Inspection, ScarFindings
 from edge.model.bundle import Bundle
 
 __all__ = ["blinded", "masked"]
 
 
-def masked(inspection: Inspection, findings: ScarFindings, bundle: Bundle) -> Inspection:
+def masked(inspection: Press, findings: ScarFindings, bundle: Bundle) -> Press:
     """Judged without the masked places, which have the lowest score of the map.
 
     Errors: ValueError for an inspection without a score.
@@ -25,7 +25,7 @@ def masked(inspection: Inspection, findings: ScarFindings, bundle: Bundle) -> In
     return blinded(replace(inspection, verdict=verdict, score_map=score_map, scars=findings))
 
 
-def blinded(inspection: Inspection) -> Inspection:
+def blinded(inspection: Press) -> Press:
     """The same; unsure instead of passed where more than is accepted was not judged."""
     verdict, scars = inspection.verdict, inspection.scars
     if verdict is None or scars is None or not scars.is_too_blind or verdict.kind is not Kind.PASS:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from edge.core.ports import Clock
+from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
-from edge.gateway.inspector import Again, Inspection
 from edge.model.bundle import Bundle
 from edge.model.press_again_facts import again_sentence, plan_for
 
@@ -57,7 +57,7 @@ class PressAgain:
         level = logging.WARNING if self._plan.bound is None else logging.INFO
         log.log(level, "one more press of a piece, %s: %s", bundle.where, again_sentence(self._plan))
 
-    def judged(self, inspection: Inspection) -> Inspection:
+    def judged(self, inspection: Press) -> Press:
         """The same, or unsure where a second press is asked for, or decided together with the first."""
         if not self._rule.is_on or inspection.label is not None:
             return inspection  # also that of a master piece or of a study, which is no piece that waits
@@ -92,7 +92,7 @@ class PressAgain:
             "the piece as not inspected, or press it twice again"
         )
 
-    def _asked(self, inspection: Inspection) -> Inspection:
+    def _asked(self, inspection: Press) -> Press:
         verdict = inspection.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return inspection
@@ -103,7 +103,7 @@ class PressAgain:
         )
         return replace(inspection, verdict=unsure(verdict), again=Again(reason, True, bound=self._plan.bound))
 
-    def _second(self, inspection: Inspection, first: _First) -> Inspection:
+    def _second(self, inspection: Press, first: _First) -> Press:
         """A second press without a score is asked for once more."""
         verdict = inspection.verdict
         if verdict is None or verdict.score is None or self._bundle is None:

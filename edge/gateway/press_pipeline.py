@@ -17,11 +17,12 @@ from edge.core.contact.tracker import ContactTracker
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
+from edge.core.press import JudgedFrame, Press
 from edge.core.press_label import PressLabel, ReferenceLabel
 from edge.core.reference_press.measures import Imprint
 from edge.core.verdict import Verdict
 from edge.gateway.admission import Admission
-from edge.gateway.inspector import Inspection, Inspector, JudgedFrame
+from edge.gateway.inspector import Inspector
 from edge.gateway.press_labels import PressLabels
 from edge.gateway.scar_watch import ScarWatch
 
@@ -58,7 +59,7 @@ class PressPipeline:
     def tracker(self) -> ContactTracker:
         return self.detector.tracker
 
-    def feed(self, frame: CameraFrame) -> list[Inspection]:
+    def feed(self, frame: CameraFrame) -> list[Press]:
         """One camera frame; returns an inspection for each press that it completes (at most one)."""
         look = self.detector.feed(frame)
         inspections = self._inspections_for(look.events)
@@ -82,11 +83,11 @@ class PressPipeline:
                     refusal = f"this press has its verdict ({event.state.value}); lift and press again"
         return refusal
 
-    def relearn(self) -> list[Inspection]:
+    def relearn(self) -> list[Press]:
         """Learn the free gel again."""
         return self._inspections_for(self.tracker.relearn())
 
-    def _inspections_for(self, events: Iterable[Event]) -> list[Inspection]:
+    def _inspections_for(self, events: Iterable[Event]) -> list[Press]:
         inspections = []
         for event in events:
             self._on_event(event)
@@ -107,17 +108,17 @@ class PressPipeline:
         if self._label is None and self._admission is not None:
             self._admission.begin()
 
-    def _unsettled(self, rejected: Verdict) -> Inspection:
+    def _unsettled(self, rejected: Verdict) -> Press:
         is_looked_at = self._label is None and self._admission is not None
         view = self._admission.take()[0] if is_looked_at and self._admission else None
-        return Inspection(rejected, overview=view)
+        return Press(rejected, overview=view)
 
-    def _labelled(self, inspection: Inspection) -> Inspection:
+    def _labelled(self, inspection: Press) -> Press:
         """With what the press is for; the next one is a part's."""
         label, self._label = self._label, None
         return replace(inspection, label=label) if label is not None else inspection
 
-    def _settled(self, event: PressSettled) -> Inspection:
+    def _settled(self, event: PressSettled) -> Press:
         """Judged, unless parts may not be judged now: then it is not scored."""
         if self._label is not None:
             judged = self._labelled(self._judged(event))
@@ -127,7 +128,7 @@ class PressPipeline:
             return self._unsettled(Verdict.rejected(refusal))
         return self._admitted(event)
 
-    def _imprint(self, event: PressSettled, judged: Inspection) -> Imprint:
+    def _imprint(self, event: PressSettled, judged: Press) -> Imprint:
         profile, touch = self._inspector.bundle.profile, event.touch
         (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
         found = judged.registered
@@ -140,19 +141,19 @@ class PressPipeline:
             noise_levels=None if event.findings is None else event.findings.noise_levels,
         )
 
-    def _admitted(self, event: PressSettled) -> Inspection:
+    def _admitted(self, event: PressSettled) -> Press:
         """Judged, unless the overview camera refuses the part: then it is not scored."""
         if self._admission is None:
             return self._judged(event)
         view, refusal = self._admission.take()
-        judged = Inspection(Verdict.rejected(refusal)) if refusal else self._judged(event)
+        judged = Press(Verdict.rejected(refusal)) if refusal else self._judged(event)
         return replace(judged, overview=view)
 
-    def _judged(self, event: PressSettled) -> Inspection:
+    def _judged(self, event: PressSettled) -> Press:
         started_ns = self._clock.monotonic_ns()
         frame, found = event.frame, event.findings
         if frame is None or found is None:
-            return Inspection(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
+            return Press(None, error=f"frame {event.sequence}, chosen for this press, was not kept")
         inspection = self._inspector.inspect(frame, event.touch)
         if self._scars is not None and self._label is not None:
             self._scars.leave_out(found)
@@ -166,5 +167,5 @@ class PressPipeline:
         return replace(inspection, latency_ms=latency_ms, judged_ns=judged_ns, judged=judged)
 
 
-def _is_reference(inspection: Inspection) -> bool:
+def _is_reference(inspection: Press) -> bool:
     return isinstance(inspection.label, ReferenceLabel)

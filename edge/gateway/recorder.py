@@ -5,13 +5,14 @@ from typing import Any
 
 from edge.core.defects import Defect, find_defects
 from edge.core.ports import Clock
+from edge.core.press import Press
 from edge.core.press_label import PressLabel
 from edge.core.reference_press.measures import Imprint
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.black_box import BlackBox
 from edge.gateway.heatmaps import heatmap_png
-from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.inspector import Inspector
 from edge.gateway.labelled_presses import LabelledTable, labelled_table
 from edge.messaging.defect_place import DefectPlace
 from edge.messaging.pose_payload import PosePlace
@@ -94,7 +95,7 @@ class Recorder:
     def _bundle(self) -> Bundle:
         return self._inspector.bundle
 
-    def prepare(self, inspection: Inspection) -> JudgedPress:
+    def prepare(self, inspection: Press) -> JudgedPress:
         """Everything of a press except its place in the ledger."""
         press = self._archived(self._press(inspection), inspection)
         heatmap = heatmap_png(press, inspection, self._bundle, str(self._place))
@@ -142,7 +143,7 @@ class Recorder:
         """Count presses that have no result. Errors: StoreError."""
         return self._store.count_presses(self._serial, presses, self._clock.time_ns())
 
-    def _press(self, inspection: Inspection) -> PressRecord:
+    def _press(self, inspection: Press) -> PressRecord:
         time_ns = self._clock.time_ns()
         manifest, verdict = self._bundle.manifest, inspection.verdict
         return PressRecord(
@@ -159,7 +160,7 @@ class Recorder:
             cause=inspection.blame.cause.value if inspection.blame else None,
         )
 
-    def _archived(self, press: PressRecord, inspection: Inspection) -> PressRecord:
+    def _archived(self, press: PressRecord, inspection: Press) -> PressRecord:
         """The same with what is kept of it; presses of master pieces and of studies are not archived."""
         if self._black_box is None or inspection.label is not None:
             return press
@@ -181,12 +182,12 @@ class Recorder:
             "sensor_serial": press.serial,
         }
 
-    def _pose(self, inspection: Inspection) -> dict[str, Any]:
+    def _pose(self, inspection: Press) -> dict[str, Any]:
         """The field `pose`; none where presses are scored as they lie."""
         found = inspection.registered
         return {} if found is None else {"pose": PosePlace.of(found, self._bundle.profile.mm_per_pixel)}
 
-    def _defects(self, inspection: Inspection) -> dict[str, Any]:
+    def _defects(self, inspection: Press) -> dict[str, Any]:
         """The fields `defects` and `defect_area_mm2`; none for a pass and for a press without a score."""
         if inspection.score_map is None or inspection.verdict is None or inspection.verdict.kind is Kind.PASS:
             return {}
@@ -198,7 +199,7 @@ class Recorder:
         }
 
 
-def _scars(inspection: Inspection) -> dict[str, Any]:
+def _scars(inspection: Press) -> dict[str, Any]:
     """Fields of a result that say whether gel or part is the cause, and what the gel hides."""
     scars = inspection.scars
     if scars is None:
@@ -225,7 +226,7 @@ def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
     )
 
 
-def _judgement(press: PressRecord, inspection: Inspection) -> dict[str, Any]:
+def _judgement(press: PressRecord, inspection: Press) -> dict[str, Any]:
     """Fields of a result that say what became of the press, and why."""
     verdict = inspection.verdict
     rejection = verdict.rejection if verdict else None
@@ -241,7 +242,7 @@ def _judgement(press: PressRecord, inspection: Inspection) -> dict[str, Any]:
     }
 
 
-def _overview(inspection: Inspection) -> dict[str, Any]:
+def _overview(inspection: Press) -> dict[str, Any]:
     """Fields of a result that say what the overview camera saw."""
     view = inspection.overview
     if view is None:
@@ -249,7 +250,7 @@ def _overview(inspection: Inspection) -> dict[str, Any]:
     return {"part_codes": [code.text for code in view.codes], "part_present": view.is_present}
 
 
-def _again(inspection: Inspection) -> dict[str, Any]:
+def _again(inspection: Press) -> dict[str, Any]:
     """The field `press_again`; none for a press that has nothing to do with another one."""
     again = inspection.again
     if again is None:

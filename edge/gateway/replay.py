@@ -15,9 +15,10 @@ from edge.core.errors import ArchiveError, BundleError
 from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
+from edge.core.press import Press, ScarFindings
 from edge.core.press_again import is_asked, second_verdict, unsure
 from edge.gateway.black_box import MAP_DTYPE, map_bytes, read_mask
-from edge.gateway.inspector import Inspection, Inspector, ScarFindings
+from edge.gateway.inspector import Inspector
 from edge.gateway.masking import blinded, masked
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
@@ -38,7 +39,7 @@ class Replayed:
     score map are equal bit for bit. machine: what is not as it was, as far as it may change a score."""
 
     then: ArchivedPress
-    now: Inspection
+    now: Press
     differences: tuple[str, ...] = ()
     machine: tuple[str, ...] = ()
 
@@ -90,9 +91,7 @@ def replayed(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector)
     return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
 
 
-def _without_scars(
-    press: ArchivedPress, now: Inspection, archive: ArchiveFolder, inspector: Inspector
-) -> Inspection:
+def _without_scars(press: ArchivedPress, now: Press, archive: ArchiveFolder, inspector: Inspector) -> Press:
     """The places that were not judged then are not judged now."""
     if press.masked is None or now.score_map is None or press.map_shape != now.score_map.shape:
         return now
@@ -101,7 +100,7 @@ def _without_scars(
     return masked(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
 
 
-def _with_the_other_press(press: ArchivedPress, now: Inspection, inspector: Inspector) -> Inspection:
+def _with_the_other_press(press: ArchivedPress, now: Press, inspector: Inspector) -> Press:
     """The verdict of a press that asked for a second one, or is the second one, by the same rule as then."""
     verdict = now.verdict
     if verdict is None or verdict.score is None:
@@ -114,7 +113,7 @@ def _with_the_other_press(press: ArchivedPress, now: Inspection, inspector: Insp
     return replace(now, verdict=second_verdict(press.first_score, verdict, lower))
 
 
-def _differences(press: ArchivedPress, now: Inspection, archive: ArchiveFolder) -> Iterator[str]:
+def _differences(press: ArchivedPress, now: Press, archive: ArchiveFolder) -> Iterator[str]:
     verdict = now.verdict
     if now.word != press.verdict:
         yield f"verdict {press.verdict} then, {now.word} now"

@@ -16,8 +16,9 @@ from edge.core.gel_scars.free_views import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.without_marks import without_marks
+from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
-from edge.gateway.inspector import Inspection, Inspector, ScarFindings
+from edge.gateway.inspector import Inspector
 from edge.gateway.masking import masked
 from edge.store.scar_files import ScarFolder
 
@@ -77,7 +78,7 @@ class ScarWatch:
         """Take a view, and what the gel does in it."""
         self._free.see(state, level)
 
-    def judge(self, inspection: Inspection, inspector: Inspector, found: Findings) -> Inspection:
+    def judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
         """The same with its cause, and without the places that are known to be scarred."""
         left, self._left = self._left, found.imprint
         press = _scored(inspection, inspector, found)
@@ -101,7 +102,7 @@ class ScarWatch:
             self._folder.save(self._serial, self._gel_id, self._scars.record)
             self._unsaved = 0
 
-    def _findings(self, inspection: Inspection, judged: Judged) -> ScarFindings:
+    def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:
         """What the scars hide, and why the press is not passed, should it not be."""
         if not self._scars.record.masked.any():
             self.blind = None
@@ -120,7 +121,7 @@ class ScarWatch:
         )
 
 
-def _is_highest(inspection: Inspection) -> bool:
+def _is_highest(inspection: Press) -> bool:
     """Whether the score is the highest value of its map, so that places can be left out of it."""
     verdict, score_map = inspection.verdict, inspection.score_map
     if verdict is None or verdict.score is None or score_map is None:
@@ -150,7 +151,7 @@ def _repeated(place: Repeated) -> str:
     )
 
 
-def _scored(inspection: Inspection, inspector: Inspector, found: Findings) -> ScoredPress | None:
+def _scored(inspection: Press, inspector: Inspector, found: Findings) -> ScoredPress | None:
     """None for a press without a score."""
     verdict, placed, rgb = inspection.verdict, inspection.registered, inspection.rgb
     if rgb is None or inspection.score_map is None or verdict is None or verdict.threshold is None:
@@ -173,7 +174,7 @@ def _scored(inspection: Inspection, inspector: Inspector, found: Findings) -> Sc
 
 
 def _reach(
-    press: ScoredPress, inspection: Inspection, inspector: Inspector, found: Findings
+    press: ScoredPress, inspection: Press, inspector: Inspector, found: Findings
 ) -> NDArray[np.bool_] | None:
     """Where the part is or should be, of the view; None where the second is not known."""
     if inspector.expected is None:

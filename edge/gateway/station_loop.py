@@ -15,11 +15,11 @@ from edge.core.imaging.quality import QualitySettings
 from edge.core.overview.rules import OverviewView
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
+from edge.core.press import Press
 from edge.core.suggest import suggestion
 from edge.gateway.admission import Admission
 from edge.gateway.clock_guard import ClockGuard
 from edge.gateway.inspection_session import InspectionSession
-from edge.gateway.inspector import Inspection
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
 from edge.gateway.part_selection import PartSelection
@@ -350,7 +350,7 @@ class StationLoop:
                 f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
             )
 
-    def _judged(self, inspection: Inspection) -> None:
+    def _judged(self, inspection: Press) -> None:
         if inspection.label is None:  # no gate and no light for what is no part
             self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
 

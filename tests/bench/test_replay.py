@@ -23,9 +23,10 @@ from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.press import JudgedFrame
 from edge.core.sink_context import Place
 from edge.gateway.black_box import BlackBox
-from edge.gateway.inspector import Inspector, JudgedFrame
+from edge.gateway.inspector import Inspector
 from edge.gateway.recorder import Recorder
 from edge.gateway.replay import replayed
 from edge.model.scorer import Scorer

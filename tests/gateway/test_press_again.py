@@ -16,8 +16,8 @@ from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
 from edge.clock import ManualClock
+from edge.core.press import Press
 from edge.core.press_again import Costs
-from edge.gateway.inspector import Inspection
 from edge.gateway.press_again import AgainRule, PressAgain
 from edge.model.bundle import Bundle
 from edge.store.integrity import check_database
@@ -189,9 +189,9 @@ def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bund
     rule = AgainRule(True, Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01), 30.0)
     again = PressAgain(rule, ManualClock(), lambda sentence: None)
     again.use(bundle)
-    first = again.judged(Inspection(bundle.manifest.decide(0.2)))
+    first = again.judged(Press(bundle.manifest.decide(0.2)))
     again.recorded("01ARZ3NDEKTSV4RRFFQ69G5FAV")
-    second = again.judged(Inspection(bundle.manifest.decide(0.3)))
+    second = again.judged(Press(bundle.manifest.decide(0.3)))
 
     assert (first.word, second.word) == ("unsure", "fail")
     assert second.verdict is not None

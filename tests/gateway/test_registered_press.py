@@ -15,9 +15,10 @@ from registered_bundle import registered
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import CameraFrame
+from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.gateway.inspector import Inspection, Inspector
+from edge.gateway.inspector import Inspector
 from edge.gateway.recorder import Recorder
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -28,12 +29,12 @@ def inspector() -> Inspector:
     return Inspector(Scorer(registered().bundle(), 1), SystemClock())
 
 
-def _inspected(inspector: Inspector, rgb: NDArray[np.uint8]) -> Inspection:
+def _inspected(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
     payload = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
     return inspector.inspect(CameraFrame(payload.tobytes(), 0, 0, True), Touch(0.1))
 
 
-def _published(tmp_path: Path, inspector: Inspector, inspection: Inspection) -> dict[str, Any]:
+def _published(tmp_path: Path, inspector: Inspector, inspection: Press) -> dict[str, Any]:
     """The fields of the result as a subscriber reads them."""
     store = Store(tmp_path / "presses.db")
     try:

@@ -21,7 +21,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import with_comment
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.gateway.inspector import Inspection
+from edge.core.press import Press
 from edge.gateway.press_pipeline import PressPipeline
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 
@@ -100,9 +100,9 @@ class Listener:
     def __init__(self) -> None:
         self.asked: list[bytes] = []
 
-    def inspect(self, frame: CameraFrame, touch: Touch) -> Inspection:
+    def inspect(self, frame: CameraFrame, touch: Touch) -> Press:
         self.asked.append(frame.payload)
-        return Inspection(None, error="not judged")
+        return Press(None, error="not judged")
 
 
 def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> list[bytes]:

@@ -1,0 +1,112 @@
+"""A press: the one value that grows from the frame that settles to the row and the message that it becomes."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
+from edge.core.gel_scars.causes import Blame
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import Rejection
+from edge.core.overview.rules import OverviewView
+from edge.core.press_label import PressLabel
+from edge.core.reference_press.measures import Imprint
+from edge.core.registration.registrar import Registered
+from edge.core.verdict import Kind, Verdict
+
+__all__ = ["Again", "JudgedFrame", "Press", "ScarFindings"]
+
+
+@dataclass(frozen=True)
+class JudgedFrame:
+    """What a press was judged by. touch: where that frame touches. reference: the free gel that it was compared with,
+    float32 (h, w, 3)."""
+
+    frame: CameraFrame
+    touch: Touch
+    reference: View | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ScarFindings:
+    """A press and the scars of its gel.
+
+    blame: why it is not passed, should it not be. masked: bool (h, w) of the region, places that were not judged, None
+    for none. blind_mm2, blind_share: their area within the contact, and its share of it. is_too_blind: more than is
+    accepted. score: with those places.
+    """
+
+    blame: Blame
+    masked: NDArray[np.bool_] | None = None
+    blind_mm2: float = 0.0
+    blind_share: float = 0.0
+    is_too_blind: bool = False
+    score: float | None = None
+
+
+@dataclass(frozen=True)
+class Again:
+    """One more press of the same piece. reason: one sentence. is_asked: it is asked for. second_of, first_score: of the
+    first press, where this is the second. bound: up to this score a second press is asked for."""
+
+    reason: str
+    is_asked: bool
+    second_of: str | None = None
+    first_score: float | None = None
+    bound: float | None = None
+
+
+@dataclass(frozen=True)
+class Press:
+    """One press, from its beginning to its verdict. An error has no verdict."""
+
+    verdict: Verdict | None = None
+    error: str | None = None
+    rgb: NDArray[np.uint8] | None = None
+    """The inspected region, (h, w, 3); None where the press did not get that far."""
+    score_map: NDArray[np.float32] | None = None
+    """Raw scores of the region, (h, w); higher is more anomalous."""
+    latency_ms: dict[str, float] = field(default_factory=dict)
+    """Stage to milliseconds."""
+    judged_ns: int | None = None
+    """When the judged frame came, monotonic."""
+    overview: OverviewView | None = None
+    """What the overview camera saw before the press."""
+    registered: Registered | None = None
+    """How the press was brought to the bank's pose; None where it was scored without."""
+    judged: JudgedFrame | None = None
+    """What it was judged by."""
+    label: PressLabel | None = None
+    """What the press is for; None for a part."""
+    imprint: Imprint | None = None
+    """What is measured of a master piece."""
+    again: Again | None = None
+    """What it has to do with another press of the same piece."""
+    scars: ScarFindings | None = None
+    """What is known of the gel's scars; None where nothing was scored."""
+    press_id: str = ""
+    """Its ULID, given when it is judged."""
+    time_ns: int = 0
+    """When it was judged, wall clock."""
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether nothing remains to be scored."""
+        return self.verdict is not None or self.error is not None
+
+    @property
+    def blame(self) -> Blame | None:
+        """Of a fail or unsure: part, gel or unsure, and why."""
+        is_blamed = self.verdict is not None and self.verdict.kind in (Kind.FAIL, Kind.UNSURE)
+        return self.scars.blame if self.scars is not None and is_blamed else None
+
+    @property
+    def word(self) -> str:
+        """The verdict, or `error`."""
+        return "error" if self.verdict is None else self.verdict.kind.value
+
+    def reject(self, rejection: Rejection) -> "Press":
+        """Return it rejected, unless it is decided already."""
+        return self if self.is_decided else replace(self, verdict=Verdict.rejected(rejection))
