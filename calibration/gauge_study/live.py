@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from calibration.gauge_study.plan import StudyPlan
-from edge.core.imaging.quality import Rejection
 from edge.core.press_label import PressLabel, StudyLabel
-from edge.gateway.press_labels import Mounted
+from edge.gateway.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport
 from edge.store.study_presses import StudyPress
 
@@ -24,9 +23,11 @@ def open_steps(plan: StudyPlan, rows: Sequence[StudyPress]) -> list[int]:
 
 
 @dataclass
-class StudyLabels:
-    """The `PressLabels` of a study. rows: its presses so far. say: lines for the person. stop: ends the run. void:
-    makes the press with this id count no more. keys: what a person has typed, `r` or `s`, from any thread.
+class StudyLabels(PressStage):
+    """Names each press after the plan of a study.
+
+    rows: its presses so far. say: lines for the person. stop: ends the run. void: makes the press with this id count
+    no more. keys: what a person has typed, `r` or `s`, from any thread.
 
     fault: why the study cannot go on.
     """
@@ -54,7 +55,7 @@ class StudyLabels:
         """Presses of the plan that are still to be made."""
         return len(self._open) + len(self._skipped)
 
-    def step(self, mounted: Mounted | None) -> None:
+    def turn(self, mounted: Mounted | None) -> None:
         if mounted is None:
             return
         now = (mounted.serial, mounted.gel_id, mounted.part.part, mounted.part.position, mounted.bundle_id)
@@ -69,21 +70,14 @@ class StudyLabels:
         elif not self._has_asked:
             self._ask()
 
-    def begin(self) -> PressLabel | None:
+    def begin(self, label: PressLabel | None) -> PressLabel | None:
         if self.fault is not None or not self._open:
-            return None
+            return label
         number = self._open[0]
         step = self.plan.order[number]
         return StudyLabel(self.plan.study_id, number, step.piece, step.operator, step.repeat)
 
-    def refusal(self) -> Rejection | None:
-        return None
-
-    def recorded(self, label: PressLabel) -> None:
-        """`see` has what it needs."""
-
-    def see(self, report: PressReport) -> None:
-        """A press was recorded."""
+    def record(self, report: PressReport) -> None:
         if not isinstance(report.label, StudyLabel):
             return
         result = report.result

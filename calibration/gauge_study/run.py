@@ -35,7 +35,7 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
         if not labels.left:
             return 0
         with (
-            Gateway.open(config, SystemClock(), on_press=labels.see, labels=labels) as gateway,
+            Gateway.open(config, SystemClock(), labels=labels) as gateway,
             _keys(labels.keys),
         ):
             try:

@@ -18,6 +18,7 @@ from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.press_again import Costs
 from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.admission import Admission, SelectByCode
 from edge.gateway.black_box import BlackBox
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
@@ -25,6 +26,7 @@ from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import station_handlers
 from edge.gateway.commands import Commands
 from edge.gateway.description import described
+from edge.gateway.digital_io.outputs import Outputs
 from edge.gateway.free_space import FreeSpace
 from edge.gateway.gel_proof_watch import GelProofWatch
 from edge.gateway.io_opening import station_io
@@ -35,9 +37,10 @@ from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
 from edge.gateway.press_again import AgainRule, PressAgain
-from edge.gateway.press_labels import PressLabels
+from edge.gateway.press_stage import PressStage
 from edge.gateway.reference_guard import ReferenceGuard
-from edge.gateway.scar_watch import ScarSettings
+from edge.gateway.scar_watch import ScarSettings, ScarWatch
+from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.station_loop import StationLoop
 from edge.gateway.station_parts import Parts
@@ -52,6 +55,7 @@ from edge.store.outbox import Bounds
 from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
 from edge.store.reference_files import ReferenceFolder
+from edge.store.scar_files import ScarFolder
 from edge.store.schema import SCHEMA_VERSION
 
 __all__ = ["build"]
@@ -68,7 +72,7 @@ def build(
     closing: ExitStack,
     checked: Preflight | None = None,
     read_again: Callable[[], Config] | None = None,
-    labels: PressLabels | None = None,
+    labels: PressStage | None = None,
 ) -> Parts:
     """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
@@ -96,15 +100,34 @@ def build(
     closing.callback(acquisition.close)
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
-    reference = ReferenceGuard(config.reference, store, status, clock)
+    reference = None if labels else ReferenceGuard(config.reference, store, status, clock)
+    references = ReferenceFolder(config.store.path.with_suffix(".references"))
+    proof = GelProofWatch(config.gel.unproven, store, status, clock)
+    sensing = SensingWatch(status, clock)
+    selection = PartSelection(bundles, part, stage, store, status, clock)
+    overview = _overview(config, clock, status, closing)
+    scars = ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share)
+
+    def stages(select: SelectByCode) -> list[PressStage]:
+        """What a press goes through, in this order: a new feature of presses is one more line."""
+        return [
+            sensing,
+            *filter(None, (reference, labels)),
+            proof,
+            *([Admission(overview, selection, select)] if overview else []),
+            ScarWatch(ScarFolder(references.folder), scars, status),
+            _press_again(config, status, clock),
+            Outputs(io, clock),
+        ]
+
     return Parts(
-        selection=PartSelection(bundles, part, stage, store, status, clock),
+        selection=selection,
         stage=stage,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=_place(config),
         store=store,
         free_space=_free_space(config),
-        references=ReferenceFolder(config.store.path.with_suffix(".references")),
+        references=references,
         retained_state=retained_state,
         publisher=publisher,
         status=status,
@@ -115,11 +138,10 @@ def build(
         snapshots=_snapshots(config, clock, closing),
         black_box=_black_box(config),
         reference=reference,
-        labels=labels or reference,
-        proof=GelProofWatch(config.gel.unproven, store, status, clock),
-        press_again=_press_again(config, status, clock),
-        scars=ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share),
-        overview=_overview(config, clock, status, closing),
+        proof=proof,
+        sensing=sensing,
+        stages=stages,
+        overview=overview,
         stats_s=table.stats_s,
     )
 

@@ -75,7 +75,7 @@ def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
 
 def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> Data:
     guard = loop.parts.reference
-    if loop.parts.labels is not guard:
+    if guard is None:
         raise ValueError("a gauge study runs on this station; ask for a reference press after it")
     if arguments.cancel:
         guard.cancel()

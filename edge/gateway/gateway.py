@@ -14,7 +14,7 @@ from edge.core.ports import Clock
 from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
-from edge.gateway.press_labels import PressLabels
+from edge.gateway.press_stage import PressStage
 from edge.gateway.service_manager import ServiceManager
 from edge.gateway.station_loop import OnPress, StationLoop
 from edge.gateway.station_parts import Parts
@@ -43,7 +43,7 @@ class Gateway:
         on_press: OnPress = lambda report: None,
         checked: Preflight | None = None,
         read_again: Callable[[], Config] | None = None,
-        labels: PressLabels | None = None,
+        labels: PressStage | None = None,
     ) -> Self:
         """Build every part; a part that cannot work is refused here, before anything is started.
 

@@ -6,9 +6,10 @@ from typing import Final, Literal
 from edge.core.gel_proof import GelProof
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
+from edge.core.press import Press
 from edge.core.press_label import ReferenceLabel
 from edge.core.verdict import Kind
-from edge.gateway.press_labels import Mounted
+from edge.gateway.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport
 from edge.gateway.status import StationStatus
 from edge.store import gel_proofs
@@ -21,8 +22,11 @@ __all__ = ["GelProofWatch"]
 LOOK_S: Final = 1.0
 
 
-class GelProofWatch:
-    """Used by the loop alone. unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`."""
+class GelProofWatch(PressStage):
+    """Counts the presses that prove a bundle on a gel.
+
+    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`.
+    """
 
     def __init__(
         self, unproven: Literal["off", "warn", "refuse"], store: Store, status: StationStatus, clock: Clock
@@ -35,8 +39,8 @@ class GelProofWatch:
         self._sentence: str | None = None
         self._next_look_ns = 0
 
-    def step(self, mounted: Mounted | None) -> None:
-        """One turn of the loop; None before the sensor is known. Errors: StoreError."""
+    def turn(self, mounted: Mounted | None) -> None:
+        """Look again when gel or bundle is another one, and now and then while it is not proven."""
         if mounted is None:
             return
         now_ns = self._clock.monotonic_ns()
@@ -46,14 +50,14 @@ class GelProofWatch:
         self._look(mounted)
         self._mounted, self._next_look_ns = mounted, now_ns + round(LOOK_S * 1e9)
 
-    def refusal(self) -> Rejection | None:
-        """Why a part's press is not judged now."""
-        if self._unproven != "refuse" or self._sentence is None:
-            return None
-        return Rejection(Reason.GEL_PROOF, self._sentence)
+    def admit(self, press: Press) -> Press:
+        """Reject a part while the bundle is not proven, where that is configured."""
+        if press.label is not None or self._unproven != "refuse" or self._sentence is None:
+            return press
+        return press.reject(Rejection(Reason.GEL_PROOF, self._sentence))
 
-    def recorded(self, report: PressReport) -> None:
-        """A press is in the database: it counts where a part, or a master piece that must pass, was judged. Errors:
+    def record(self, report: PressReport) -> None:
+        """Count a press where a part, or a master piece that must pass, was judged. Errors:
         StoreError."""
         mounted = self._mounted
         bundle_id = report.result.bundle_id

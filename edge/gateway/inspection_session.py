@@ -5,12 +5,11 @@ It exists from the first frame on: before that the sensor, and so the gel of a p
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final
 
 from edge.core.contact.events import (
     Event,
-    PressBegan,
     ReferenceCorrected,
     ReferenceDoubted,
     ReferenceReady,
@@ -22,19 +21,13 @@ from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
-from edge.core.imaging.quality import Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import Press
-from edge.gateway.admission import Admission
 from edge.gateway.inspector import Inspector
-from edge.gateway.masking import blinded
-from edge.gateway.press_again import PressAgain
-from edge.gateway.press_labels import Mounted, PressLabels
 from edge.gateway.press_pipeline import PressPipeline
+from edge.gateway.press_stage import Mounted, PressStage
 from edge.gateway.recorder import JudgedPress, PressReport, Recorder
-from edge.gateway.scar_watch import ScarWatch
-from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.gel_facts import read_origin
@@ -59,9 +52,8 @@ DOUBTED: Final = (
 class InspectionSession:
     """Presses of one sensor. Used by the loop alone.
 
-    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. on_judged: called
-    before that, for outputs that cannot wait. on_began: called when a press begins. refusal: why a part may not be
-    judged now, next to that of `labels`.
+    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. stages: what each
+    press goes through.
     """
 
     def __init__(
@@ -73,35 +65,22 @@ class InspectionSession:
         recorder: Recorder,
         status: StationStatus,
         clock: Clock,
-        on_judged: Callable[[Press], None] = lambda inspection: None,
-        on_began: Callable[[], None] = lambda: None,
-        admission: Admission | None = None,
-        labels: PressLabels | None = None,
-        press_again: PressAgain | None = None,
-        scars: ScarWatch | None = None,
-        refusal: Callable[[], Rejection | None] = lambda: None,
+        stages: PressStage,
     ) -> None:
         self.gel = gel
-        self._again = press_again
-        if press_again is not None:
-            press_again.use(inspector.bundle)
-        self._on_judged, self._on_began = on_judged, on_began
+        self._stages = stages
         self._references = references
         self._recorder = recorder
         self._status = status
-        self.sensing = SensingWatch(status, clock)
         self._unrecorded: deque[JudgedPress] = deque()
         self._uncounted = 0  # presses for which there was no room to wait
         stored = references.load(gel.serial, gel.gel_id, "last")
         self._at_fit = inspector.bundle.free_reference
         detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
         self._inspector = inspector
-        self._scars = scars
-        if scars is not None:
-            scars.mount(gel.gel_id)
-        self._pipeline = PressPipeline(
-            detector, inspector, clock, self._see, admission, labels, scars, refusal
-        )
+        stages.use(inspector)
+        stages.mount(gel)
+        self._pipeline = PressPipeline(detector, inspector, clock, stages, self._see)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
@@ -133,12 +112,9 @@ class InspectionSession:
     def feed(self, frame: CameraFrame) -> None:
         """One camera frame; a press that it decides waits to be recorded."""
         self._add(self._pipeline.feed(frame))
-        self.sensing.look(self._pipeline.detector.sight, frame.timestamp_ns)
 
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
-        if self._again is not None:
-            self._again.turn()
         while self._unrecorded:
             with about_press(self._unrecorded[0].press.press_id):
                 report = self._recorder.record(self._unrecorded[0])
@@ -165,16 +141,13 @@ class InspectionSession:
         just begun."""
         self._inspector = inspector
         self._pipeline.use(inspector)
-        if self._again is not None:
-            self._again.use(inspector.bundle)
+        self._stages.use(inspector)
         self._recorder.use(inspector)
         self._at_fit = inspector.bundle.free_reference
 
     def relearn(self) -> None:
         """Learn the free gel again."""
         self._status.set_waiting_for(FREE_GEL)
-        if self._scars is not None:
-            self._scars.forget_free()
         self._add(self._pipeline.relearn())
 
     def see_gel(self, gel: GelRecord) -> None:
@@ -184,33 +157,19 @@ class InspectionSession:
         if is_other:
             self._status.gel(gel)
             self._recorder.wear_index = None
-            if self._again is not None:
-                self._again.drop("the gel was replaced")
-            if self._scars is not None:
-                self._scars.mount(gel.gel_id)
-                self._status.gel_scars(None, None)
+            self._stages.mount(gel)
             self.relearn()
 
-    def _add(self, inspections: list[Press]) -> None:
-        for judged in inspections:
-            inspection = judged if self._again is None else blinded(self._again.judged(judged))
-            self._on_judged(inspection)
+    def _add(self, presses: list[Press]) -> None:
+        for press in presses:
             if len(self._unrecorded) < MOST_WAITING:
-                self._unrecorded.append(self._recorder.prepare(inspection))
-                if self._again is not None:
-                    self._again.recorded(self._unrecorded[-1].press.press_id)
+                self._unrecorded.append(self._recorder.prepare(press))
             else:
                 self._uncounted += 1
-        if inspections and self._scars is not None:
-            self._status.gel_scars(self._scars.blind, self._scars.mark)
-            self._scars.save()
 
     def _see(self, event: Event) -> None:
         log.debug("%s", event)
-        self.sensing.see(event)
         match event:
-            case PressBegan():
-                self._on_began()
             case StartedTouched():
                 log.warning("something presses the gel at the start; nothing is inspected until it is free")
                 self._status.set_waiting_for(f"{FREE_GEL}; something presses it")
@@ -219,8 +178,6 @@ class InspectionSession:
                 self._status.set_fault("free_gel", DOUBTED)
             case ReferenceCorrected():
                 self._references.forget(self.gel.serial, self.gel.gel_id)
-                if self._scars is not None:
-                    self._scars.forget()
             case ReferenceReady():
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
@@ -244,7 +201,6 @@ class InspectionSession:
         serial, gel_id = self.gel.serial, self.gel.gel_id
         self._references.save(serial, gel_id, reference)
         first = self._references.load(serial, gel_id, "first")
-        if self._scars is not None:
-            self._scars.see_first(None if first is None else first.view)
+        self._stages.learn(None if first is None else first.view)
         if first is not None and first.view.shape == reference.view.shape:
             self._recorder.wear_index = wear(first.view, reference.view).index

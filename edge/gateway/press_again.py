@@ -5,11 +5,16 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from edge.core.contact.events import PressSettled
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
+from edge.gateway.inspector import Inspector
+from edge.gateway.masking import blinded
+from edge.gateway.press_stage import Mounted, PressStage
 from edge.model.bundle import Bundle
 from edge.model.press_again_facts import again_sentence, plan_for
+from edge.store.gel_ledger import GelRecord
 
 __all__ = ["AgainRule", "PressAgain"]
 
@@ -30,15 +35,15 @@ class AgainRule:
 
 @dataclass(frozen=True)
 class _First:
-    """A press that a second one was asked for. press_id: empty until it is recorded."""
+    """A press that a second one was asked for."""
 
     score: float
     due_ns: int
-    press_id: str = ""
+    press_id: str
 
 
-class PressAgain:
-    """Used by the loop alone. The press that comes within the time after one that was asked for is taken for the same
+class PressAgain(PressStage):
+    """Asks for second presses. The press that comes within the time after one that was asked for is taken for the same
     piece."""
 
     def __init__(self, rule: AgainRule, clock: Clock, say: Say) -> None:
@@ -48,8 +53,13 @@ class PressAgain:
         self._first: _First | None = None
         self._is_said = False
 
-    def use(self, bundle: Bundle) -> None:
-        """It judges from now on. A press that was asked for does not count any more."""
+    def mount(self, gel: GelRecord) -> None:
+        """Wait for no second press on another gel."""
+        self.drop("the gel was replaced")
+
+    def use(self, inspector: Inspector) -> None:
+        """Ask by the costs of this bundle. A press that was asked for does not count any more."""
+        bundle = inspector.bundle
         self.drop(f"{bundle.manifest.part}/{bundle.manifest.position} is inspected now")
         if not self._rule.is_on or bundle is self._bundle:
             return
@@ -57,11 +67,14 @@ class PressAgain:
         level = logging.WARNING if self._plan.bound is None else logging.INFO
         log.log(level, "one more press of a piece, %s: %s", bundle.where, again_sentence(self._plan))
 
-    def judged(self, inspection: Press) -> Press:
-        """The same, or unsure where a second press is asked for, or decided together with the first."""
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        """Return it unsure where a second press is asked for, or decided together with the first."""
+        return blinded(self._decide(press))
+
+    def _decide(self, inspection: Press) -> Press:
         if not self._rule.is_on or inspection.label is not None:
             return inspection  # also that of a master piece or of a study, which is no piece that waits
-        self.turn()
+        self.turn(None)
         if self._is_said:
             self._is_said = False
             self._say(None)
@@ -69,17 +82,12 @@ class PressAgain:
             return self._second(inspection, self._first)
         return self._asked(inspection)
 
-    def recorded(self, press_id: str) -> None:
-        """The press that was judged last has this id."""
-        if self._first is not None and not self._first.press_id:
-            self._first = replace(self._first, press_id=press_id)
-
     def drop(self, why: str) -> None:
         """A press that was asked for is not waited for any more."""
         if self._first is not None:
             self._missed(f"is not waited for any more: {why}")
 
-    def turn(self) -> None:
+    def turn(self, mounted: Mounted | None) -> None:
         """Say it when a press that was asked for did not come in time."""
         if self._first is not None and self._clock.monotonic_ns() > self._first.due_ns:
             self._missed(f"did not come within {self._rule.within_s:g} s")
@@ -96,7 +104,7 @@ class PressAgain:
         verdict = inspection.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return inspection
-        self._first = _First(verdict.score, self._due_ns())
+        self._first = _First(verdict.score, self._due_ns(), inspection.press_id)
         reason = (
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"

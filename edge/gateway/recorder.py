@@ -21,7 +21,6 @@ from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_mes
 from edge.model.bundle import Bundle
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
-from edge.store.ulid import new_ulid
 
 __all__ = ["JudgedPress", "PressReport", "Recorder"]
 
@@ -144,11 +143,10 @@ class Recorder:
         return self._store.count_presses(self._serial, presses, self._clock.time_ns())
 
     def _press(self, inspection: Press) -> PressRecord:
-        time_ns = self._clock.time_ns()
         manifest, verdict = self._bundle.manifest, inspection.verdict
         return PressRecord(
-            press_id=new_ulid(time_ns),
-            time_ns=time_ns,
+            press_id=inspection.press_id,
+            time_ns=inspection.time_ns,
             serial=self._serial,
             part=manifest.part,
             position=manifest.position,

@@ -1,19 +1,25 @@
 """Reference presses of a running station: who asked for one, when the next is due, and whether parts may be judged."""
 
 import logging
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
 from edge.config.reference_table import MasterPieceTable, ReferenceTable
+from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
+from edge.core.press import Press
 from edge.core.press_label import PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import Outcome, ReferencePress, judge
 from edge.core.reference_press.due import why_due
+from edge.core.reference_press.measures import Imprint
 from edge.core.suggest import suggestion
-from edge.gateway.press_labels import Mounted
+from edge.gateway.inspector import Inspector
+from edge.gateway.press_stage import Mounted, PressStage
+from edge.gateway.recorder import PressReport
 from edge.gateway.status import StationStatus
 from edge.store import reference_presses
 from edge.store.acts import Act
@@ -38,8 +44,8 @@ class _Armed:
     until_ns: int
 
 
-class ReferenceGuard:
-    """The `PressLabels` of a station. Used by the loop alone."""
+class ReferenceGuard(PressStage):
+    """Knows which press is a master piece's, measures it, and refuses parts while one is due or out of limits."""
 
     def __init__(self, table: ReferenceTable, store: Store, status: StationStatus, clock: Clock) -> None:
         self._table = table
@@ -79,7 +85,7 @@ class ReferenceGuard:
         """How long a press that was asked for is waited for."""
         return self._table.within_s
 
-    def step(self, mounted: Mounted | None) -> None:
+    def turn(self, mounted: Mounted | None) -> None:
         now_ns = self._clock.monotonic_ns()
         has_changed = mounted is not None and not _is_same(mounted, self._mounted)
         self._mounted = mounted
@@ -93,20 +99,26 @@ class ReferenceGuard:
         if self._armed is not None and now_ns > self._armed.until_ns:
             log.warning("the reference press of %s did not come in time", self._armed.label.piece)
             self._armed = None
-        self._look()
+        self._look_for_faults()
 
-    def begin(self) -> PressLabel | None:
+    def begin(self, label: PressLabel | None) -> PressLabel | None:
         armed, self._armed = self._armed, None
-        return None if armed is None else armed.label
+        return label if armed is None else armed.label
 
-    def refusal(self) -> Rejection | None:
-        if self._table.enforce != "refuse" or not self._faults:
-            return None
-        return Rejection(Reason.REFERENCE, "; ".join(self._faults))
+    def admit(self, press: Press) -> Press:
+        if press.label is not None or self._table.enforce != "refuse" or not self._faults:
+            return press
+        return press.reject(Rejection(Reason.REFERENCE, "; ".join(self._faults)))
 
-    def recorded(self, label: PressLabel) -> None:
-        self._read()
-        self._look()
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        if settled is None or not isinstance(press.label, ReferenceLabel):
+            return press
+        return replace(press, imprint=_measure(press, settled, inspector))
+
+    def record(self, report: PressReport) -> None:
+        if report.label is not None:
+            self._read()
+            self._look_for_faults()
 
     def _read(self) -> None:
         """The earlier presses of what is mounted. Errors: StoreError."""
@@ -179,7 +191,7 @@ class ReferenceGuard:
             return str(error)
         return None
 
-    def _look(self) -> None:
+    def _look_for_faults(self) -> None:
         self._faults = tuple(self._found())
         self._say()
 
@@ -231,6 +243,19 @@ class ReferenceGuard:
             self._status.alarm("reference", text, "warning")
         else:
             self._status.clear("reference")
+
+
+def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:
+    profile, touch, found = inspector.bundle.profile, settled.touch, press.registered
+    (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
+    is_turning = found is not None and found.uncertainty.turn_rad is not None
+    return Imprint(
+        strength_levels=settled.strength,
+        x_mm=touch.x * width * x_mm,
+        y_mm=touch.y * height * y_mm,
+        turn_deg=math.degrees(found.pose.turn_rad) if found is not None and is_turning else None,
+        noise_levels=None if settled.findings is None else settled.findings.noise_levels,
+    )
 
 
 def _is_same(mounted: Mounted, before: Mounted | None) -> bool:

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.events import Findings
+from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected
+from edge.core.contact.press_detector import Look
 from edge.core.contact.reach import reach
 from edge.core.contact.reference import View
-from edge.core.contact.table import State
 from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.gel_scars.free_views import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
@@ -20,6 +20,9 @@ from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
 from edge.gateway.inspector import Inspector
 from edge.gateway.masking import masked
+from edge.gateway.press_stage import PressStage
+from edge.gateway.status import StationStatus
+from edge.store.gel_ledger import GelRecord
 from edge.store.scar_files import ScarFolder
 
 __all__ = ["ScarSettings", "ScarWatch"]
@@ -42,44 +45,63 @@ class ScarSettings:
     most_blind_share: float = 0.05
 
 
-class ScarWatch:
-    """Used by the loop alone. Sentences about the gel, None until a press shows it. blind: too much of it is scarred.
-    mark: one place exceeds in press after press."""
+class ScarWatch(PressStage):
+    """Finds whether gel or part is the cause, and leaves known scars out. It says what is wrong with the gel."""
 
-    def __init__(self, folder: ScarFolder, settings: ScarSettings, serial: str) -> None:
-        self._folder, self._settings, self._serial = folder, settings, serial
+    def __init__(self, folder: ScarFolder, settings: ScarSettings, status: StationStatus) -> None:
+        self._folder, self._settings, self._status = folder, settings, status
         self._free = FreeViews()
         self._left: View | None = None
-        self._scars, self._gel_id, self._unsaved = GelScars(), "", 0
-        self.blind: str | None = None
-        self.mark: str | None = None
+        self._scars, self._serial, self._gel_id, self._unsaved = GelScars(), "", "", 0
+        self._blind: str | None = None
+        self._mark: str | None = None
 
-    def mount(self, gel_id: str) -> None:
-        """This gel is pressed from now on: its record is read, an unknown gel has none."""
-        self._gel_id, self.blind, self.mark = gel_id, None, None
-        self._scars = GelScars(self._folder.load(self._serial, gel_id))
-        self.forget_free()
+    def mount(self, gel: GelRecord) -> None:
+        """Read the record of this gel; an unknown gel has none."""
+        self._serial, self._gel_id = gel.serial, gel.gel_id
+        self._read()
 
-    def forget_free(self) -> None:
-        """The free gel is learnt again."""
+    def _read(self) -> None:
+        self._blind = self._mark = None
+        self._status.gel_scars(None, None)
+        self._scars = GelScars(self._folder.load(self._serial, self._gel_id))
+        self.relearn()
+
+    def relearn(self) -> None:
         self._free.clear()
         self._left = None
 
-    def forget(self) -> None:
-        """The first picture of this gel proved to be none: what was found with it is not known any more."""
-        self._folder.forget(self._serial, self._gel_id)
-        self.mount(self._gel_id)
+    def see(self, event: Event) -> None:
+        """Forget what was found with a first picture of the gel that proved to be wrong."""
+        if isinstance(event, ReferenceCorrected):
+            self._folder.forget(self._serial, self._gel_id)
+            self._read()
 
-    def see_first(self, first: View | None) -> None:
-        """The first picture of this gel."""
+    def learn(self, first: View | None) -> None:
         self._scars.first = first
 
-    def see(self, state: State, level: View) -> None:
-        """Take a view, and what the gel does in it."""
-        self._free.see(state, level)
+    def look(self, look: Look) -> None:
+        if look.level is not None:
+            self._free.see(look.state, look.level)
 
-    def judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
-        """The same with its cause, and without the places that are known to be scarred."""
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        """Return it with its cause, and without the places that are known to be scarred.
+
+        One piece that is pressed again and again at one place would look like a scar, so master pieces and studies are
+        left out.
+        """
+        found = None if settled is None else settled.findings
+        if found is None:
+            return press
+        if press.label is not None:
+            self._left = found.imprint
+            return press
+        judged = self._judge(press, inspector, found)
+        self._status.gel_scars(self._blind, self._mark)
+        self._save()
+        return judged
+
+    def _judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
         left, self._left = self._left, found.imprint
         press = _scored(inspection, inspector, found)
         if press is None:
@@ -88,15 +110,11 @@ class ScarWatch:
             press = replace(press, reach=None)
         is_masking = self._settings.is_masking and can_mask
         judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
-        self.mark = None if judged.repeated is None else _repeated(judged.repeated)
+        self._mark = None if judged.repeated is None else _repeated(judged.repeated)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
         return masked(inspection, self._findings(inspection, judged), inspector.bundle)
 
-    def leave_out(self, found: Findings) -> None:
-        """A press that is no part's: one piece pressed again and again at one place would look like a scar."""
-        self._left = found.imprint
-
-    def save(self) -> None:
+    def _save(self) -> None:
         """Keep the record where it is due. Never raises."""
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
             self._folder.save(self._serial, self._gel_id, self._scars.record)
@@ -105,14 +123,14 @@ class ScarWatch:
     def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:
         """What the scars hide, and why the press is not passed, should it not be."""
         if not self._scars.record.masked.any():
-            self.blind = None
+            self._blind = None
         if not judged.masked.any() or inspection.verdict is None:
             return ScarFindings(judged.blame or _NOWHERE)
         is_too_blind = judged.blind_share > self._settings.most_blind_share
         if is_too_blind:
-            self.blind = _too_blind(self._gel_id, judged, self._settings)
+            self._blind = _too_blind(self._gel_id, judged, self._settings)
         return ScarFindings(
-            judged.blame or (Blame(Cause.GEL, self.blind) if is_too_blind and self.blind else _NOWHERE),
+            judged.blame or (Blame(Cause.GEL, self._blind) if is_too_blind and self._blind else _NOWHERE),
             judged.masked,
             judged.blind_mm2,
             judged.blind_share,

@@ -6,8 +6,10 @@ from typing import final
 
 from edge.core.contact.events import Event, PressBegan, PressEnded
 from edge.core.contact.long_contact import LongContact
+from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, Sight
 from edge.core.ports import Clock
+from edge.gateway.press_stage import PressStage
 from edge.gateway.status import StationStatus
 from edge.store.acts import Act
 
@@ -17,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 @final
-class SensingWatch:
+class SensingWatch(PressStage):
     """Follows the frames and the contact events of one sensor, and raises the alarms `device` and `contact`.
 
     A time in which nothing was seen, without frames or blind, is over with the next frame that shows the gel. It is
@@ -32,14 +34,13 @@ class SensingWatch:
         self._unseen: Act | None = None
 
     def see(self, event: Event) -> None:
-        """Take one contact event."""
         if isinstance(event, PressBegan):
             self._contact.begin(event.timestamp_ns)
         elif isinstance(event, PressEnded):
             self._contact.end(event.timestamp_ns)
 
-    def look(self, sight: Sight, timestamp_ns: int) -> None:
-        """Take what is seen at a frame of that time."""
+    def look(self, look: Look) -> None:
+        sight, timestamp_ns = look.sight, look.timestamp_ns
         if sight.since_ns == timestamp_ns and sight.lost is None:
             self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns

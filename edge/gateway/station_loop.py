@@ -15,22 +15,19 @@ from edge.core.imaging.quality import QualitySettings
 from edge.core.overview.rules import OverviewView
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
-from edge.core.press import Press
 from edge.core.suggest import suggestion
-from edge.gateway.admission import Admission
 from edge.gateway.clock_guard import ClockGuard
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overload import OverloadRule
 from edge.gateway.part_selection import PartSelection
+from edge.gateway.press_stage import Stages
 from edge.gateway.recorder import PressReport, Recorder
-from edge.gateway.scar_watch import ScarWatch
 from edge.gateway.station_parts import Parts
 from edge.gateway.summary import Summary
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.sink_worker import SinkCounters
 from edge.store.acts import Act
-from edge.store.scar_files import ScarFolder
 
 __all__ = ["OnPress", "StationLoop"]
 
@@ -58,6 +55,7 @@ class StationLoop:
         self.is_halted = False
         self._refused_ns = 0
         self._parts = parts
+        self._stages = Stages(parts.stages(self._select_by_code))
         self._on_press = on_press
         self._session: InspectionSession | None = None
         self._overload = OverloadRule()
@@ -124,8 +122,7 @@ class StationLoop:
             if is_trying:
                 self._follow_selection()
                 mounted = self._session.mounted if self._session else None
-                self._parts.labels.step(mounted)
-                self._parts.proof.step(mounted)
+                self._stages.turn(mounted)
                 self._record()
                 self._note_act()
                 self.is_halted = False
@@ -241,8 +238,7 @@ class StationLoop:
         """Record a snapshot that was written, or a time without sight, in the table of acts. Errors: StoreError."""
         identity = self._parts.acquisition.status.identity
         self._unrecorded_act = self._unrecorded_act or self._parts.snapshots.take(identity)
-        if self._unrecorded_act is None and self._session is not None:
-            self._unrecorded_act = self._session.sensing.take_act()
+        self._unrecorded_act = self._unrecorded_act or self._parts.sensing.take_act()
         if self._unrecorded_act is not None:
             self._parts.store.begin_act(self._unrecorded_act, within_s=0)
             self._unrecorded_act = None
@@ -327,19 +323,9 @@ class StationLoop:
             recorder,
             parts.status,
             parts.clock,
-            self._judged,
-            parts.io.began,
-            self._admission(),
-            parts.labels,
-            parts.press_again,
-            ScarWatch(ScarFolder(parts.references.folder), parts.scars, identity.serial),
-            parts.proof.refusal,
+            self._stages,
         )
         return self._session
-
-    def _admission(self) -> Admission | None:
-        overview = self._parts.overview
-        return None if overview is None else Admission(overview, self.selection, self._select_by_code)
 
     def _check_mode(self, identity: DeviceIdentity) -> None:
         bundle = self.selection.inspector.bundle
@@ -349,14 +335,6 @@ class StationLoop:
                 f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
                 f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
             )
-
-    def _judged(self, inspection: Press) -> None:
-        if inspection.label is None:  # no gate and no light for what is no part
-            self._parts.io.judged(inspection.word, self._since(inspection.judged_ns))
-
-    def _since(self, judged_ns: int | None) -> int:
-        """From when deadlines count: the judged frame, or now where there is none."""
-        return self._parts.clock.monotonic_ns() if judged_ns is None else judged_ns
 
     def _count_lost(self, frame: CameraFrame, session: InspectionSession) -> None:
         """Count the frames for which this machine was too slow."""
@@ -372,12 +350,9 @@ class StationLoop:
         for report in self._session.record() if self._session else ():
             self._parts.status.clear_fault("store")
             self._parts.publisher.wake()
-            self._parts.io.recorded(report.word, self._since(report.judged_ns))
             self.summary.add(report)
             self._on_press(report)
-            self._parts.proof.recorded(report)
-            if report.label is not None:
-                self._parts.labels.recorded(report.label)
+            self._stages.record(report)
 
     def _set_store_fault(self, error: StoreError) -> None:
         self._was_held_up = True

@@ -1,5 +1,6 @@
 """What a station is made of: made by `edge.gateway.build`, used by its loop."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,6 +8,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.ports import Clock
 from edge.core.sink_context import Place
 from edge.gateway.acquisition import Acquisition
+from edge.gateway.admission import SelectByCode
 from edge.gateway.black_box import BlackBox
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.digital_io.station_io import StationIo
@@ -15,10 +17,9 @@ from edge.gateway.gel_proof_watch import GelProofWatch
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
-from edge.gateway.press_again import PressAgain
-from edge.gateway.press_labels import PressLabels
+from edge.gateway.press_stage import PressStage
 from edge.gateway.reference_guard import ReferenceGuard
-from edge.gateway.scar_watch import ScarSettings
+from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.snapshots import Snapshots
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
@@ -33,8 +34,8 @@ __all__ = ["Parts"]
 class Parts:
     """The parts of a station, built and not yet started. Their builder closes them.
 
-    calls: of other threads, with the loop that has these parts. labels: which presses are no part's: those of
-    `reference`, or of a gauge study. proof: of the bundle on the gel. stats_s: between two reports.
+    calls: of other threads, with the loop that has these parts. stages: what a press goes through, given how a part is
+    selected by its code. reference: None where a gauge study says what presses are for. stats_s: between two reports.
     """
 
     selection: PartSelection
@@ -53,10 +54,9 @@ class Parts:
     io: StationIo
     snapshots: Snapshots
     black_box: BlackBox
-    reference: ReferenceGuard
-    labels: PressLabels
+    reference: ReferenceGuard | None
     proof: GelProofWatch
-    press_again: PressAgain
-    scars: ScarSettings
+    sensing: SensingWatch
+    stages: Callable[[SelectByCode], Sequence[PressStage]]
     overview: Overview | None = None
     stats_s: float = 10.0

@@ -32,6 +32,7 @@ from edge.gateway.replay import replayed
 from edge.model.scorer import Scorer
 from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive
 from edge.store.press_store import Store
+from edge.store.ulid import new_ulid
 
 PRESSES = 25
 SIDE = 224
@@ -103,7 +104,7 @@ def test_verdicts_made_again(tmp_path: Path, name: str) -> None:
             inspection, ms = timed(lambda frame=frame: inspector.inspect(frame, Touch(0.2)))
             inspecting.append(ms)
             inspection = replace(inspection, judged=JudgedFrame(frame, Touch(0.2), free))
-            press = recorder.prepare(inspection).press
+            press = recorder.prepare(replace(inspection, press_id=new_ulid(time.time_ns()))).press
             evidence, ms = timed(lambda press=press, one=inspection: box.keep(press, one, inspector))
             archiving.append(ms)
             archived.append(ArchiveFolder(tmp_path / "archive").press(press.press_id, evidence))

@@ -13,7 +13,7 @@ from stepped_station import SteppedStation
 from edge.core.gel_scars.causes import Cause
 from edge.core.press_label import PressLabel, StudyLabel
 from edge.core.verdict import Kind
-from edge.gateway.press_labels import Mounted
+from edge.gateway.press_stage import PressStage
 from edge.messaging.result_payload import ResultPayload
 from edge.store.history import HistoryQuery, read_history
 
@@ -141,17 +141,11 @@ def test_a_verdict_with_masked_scars_is_made_again(played: Played) -> None:
 def test_a_press_that_is_no_parts_teaches_no_scar(tmp_path: Path, scarred: Path, bundle: Path) -> None:
     """A gauge study presses one piece again and again: nothing of it is masked, and none of its presses has a cause."""
 
-    class Study:
+    class Study(PressStage):
         """Every press is of one piece."""
 
-        def step(self, mounted: Mounted | None) -> None: ...
-
-        def begin(self) -> PressLabel:
+        def begin(self, label: PressLabel | None) -> PressLabel:
             return StudyLabel("gauge", 1, "7", "A", 1)
-
-        def refusal(self) -> None: ...
-
-        def recorded(self, label: PressLabel) -> None: ...
 
     config = station_config(tmp_path, scarred, bundle)
     with SteppedStation(config, labels=Study()) as station:

@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -187,11 +188,12 @@ def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bund
     """Both lie above, so the piece fails, with the score of its second press."""
     bundle = Bundle.load(again_bundle)
     rule = AgainRule(True, Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01), 30.0)
-    again = PressAgain(rule, ManualClock(), lambda sentence: None)
-    again.use(bundle)
-    first = again.judged(Press(bundle.manifest.decide(0.2)))
-    again.recorded("01ARZ3NDEKTSV4RRFFQ69G5FAV")
-    second = again.judged(Press(bundle.manifest.decide(0.3)))
+    again, inspector = PressAgain(rule, ManualClock(), lambda sentence: None), SimpleNamespace(bundle=bundle)
+    again.use(inspector)  # type: ignore[arg-type]
+    first, second = (
+        again.judge(Press(bundle.manifest.decide(score)), None, inspector)  # type: ignore[arg-type]
+        for score in (0.2, 0.3)
+    )
 
     assert (first.word, second.word) == ("unsure", "fail")
     assert second.verdict is not None

@@ -353,15 +353,15 @@ def test_the_command_line_waits_until_the_gel_is_free(config: Callable[..., Path
         wish = ReferenceRequest("a", "kim", None, False, station.clock.time_ns())
         station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
         station.clock.sleep(1)
-        guard.step(replace(mounted, has_contact=True))
+        guard.turn(replace(mounted, has_contact=True))
         pressed = station.parts.store.acts()
         station.clock.sleep(1)
-        guard.step(mounted)
+        guard.turn(mounted)
         (act,) = station.parts.store.acts()
 
     assert pressed == []
     assert act.outcome == "done"
-    assert guard.begin() is not None
+    assert guard.begin(None) is not None
 
 
 def test_a_reference_press_waits_for_the_database_as_others_do(config: Callable[..., Path]) -> None:

@@ -22,6 +22,7 @@ from edge.gateway.inspector import Inspector
 from edge.gateway.recorder import Recorder
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
+from edge.store.ulid import new_ulid
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,8 @@ def _published(tmp_path: Path, inspector: Inspector, inspection: Press) -> dict[
     store = Store(tmp_path / "presses.db")
     try:
         recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
-        return dict(json.loads(recorder.record(recorder.prepare(inspection)).result.encode()))
+        press = replace(inspection, press_id=new_ulid(0))
+        return dict(json.loads(recorder.record(recorder.prepare(press)).result.encode()))
     finally:
         store.close()
 

@@ -55,7 +55,7 @@ def running(
     stopped: list[bool] = []
     with Store(config.parent / "gelgate.db") as store:
         labels = prepared(plan, store, said.append, lambda: stopped.append(True))
-        with SteppedStation(config, labels=labels, on_press=labels.see) as station:
+        with SteppedStation(config, labels=labels) as station:
             yield station, labels, stopped
 
 

@@ -11,7 +11,7 @@ from edge.clock import ManualClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
 from edge.gateway.build import build
-from edge.gateway.press_labels import PressLabels
+from edge.gateway.press_stage import PressStage
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 
@@ -23,7 +23,7 @@ class SteppedStation:
         self,
         config: Path,
         read_again: Callable[[], Config] | None = None,
-        labels: PressLabels | None = None,
+        labels: PressStage | None = None,
         on_press: Callable[[PressReport], None] = lambda report: None,
     ) -> None:
         self.clock = ManualClock()

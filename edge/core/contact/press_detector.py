@@ -12,6 +12,7 @@ from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.sight import Sight
+from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.decode import decode_view
@@ -29,9 +30,15 @@ GAP_S: Final = 0.27
 class Look:
     """What one camera frame shows."""
 
-    events: tuple[Event, ...] = ()
+    timestamp_ns: int
+    """The time of the frame."""
+    events: tuple[Event, ...]
     """What it completes, in order."""
-    level: View | None = None
+    state: State
+    """What the gel does after it."""
+    sight: Sight
+    """Whether the sensor shows its gel."""
+    level: View | None
     """Its view at the level of the free gel, float32 (h, w, 3); None for a frame that was not decoded, or is blind."""
 
 
@@ -62,27 +69,29 @@ class PressDetector:
 
     def feed(self, frame: CameraFrame) -> Look:
         """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
+        events, level = self._take(frame)
+        found = tuple(
+            replace(event, frame=self._kept.get(event.sequence)) if isinstance(event, PressSettled) else event
+            for event in events
+        )
+        return Look(frame.timestamp_ns, found, self.tracker.state, self.sight, level)
+
+    def _take(self, frame: CameraFrame) -> tuple[list[Event], View | None]:
         if not self._is_sound(frame) or not self._is_new(frame):
-            return Look()
+            return [], None
         events = self._interrupted_before(frame)
         if not self.tracker.is_due(frame.timestamp_ns):
-            return Look(tuple(events))
+            return events, None
         try:
             view = decode_view(frame, self._profile)
         except FrameCorrupt as error:
             self._count_corrupt(str(error), frame)
-            return Look(tuple(events))
+            return events, None
         if not self.sight.see(view, frame.timestamp_ns):
             self._count(f"frame {frame.sequence} does not show the gel")
-            return Look(tuple(events))
+            return events, None
         self.newest = self._kept[frame.sequence] = frame
-        events += self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
-        return Look(tuple(self._with_frame(event) for event in events), self.tracker.level)
-
-    def _with_frame(self, event: Event) -> Event:
-        if not isinstance(event, PressSettled):
-            return event
-        return replace(event, frame=self._kept.get(event.sequence))
+        return [*events, *self.tracker.feed(view, frame.timestamp_ns, frame.sequence)], self.tracker.level
 
     def _is_sound(self, frame: CameraFrame) -> bool:
         if frame.damage is not None:
