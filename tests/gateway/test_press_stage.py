@@ -62,7 +62,9 @@ def test_the_calls_of_a_press_come_in_order(tmp_path: Path, recording: Path, bun
     with SteppedStation(station_config(tmp_path, recording, bundle), labels=told) as station:
         station.play()
     assert told.calls == [
-        call for word in ("pass", "fail", "pass") for call in ("begin", "admit False", f"judge {word}", f"record {word}")
+        call
+        for word in ("pass", "fail", "pass")
+        for call in ("begin", "admit False", f"judge {word}", f"record {word}")
     ]
 
 
