@@ -106,20 +106,11 @@ def build(
     sensing = SensingWatch(status, clock)
     selection = PartSelection(bundles, part, stage, store, status, clock)
     overview = _overview(config, clock, status, closing)
-    scars = ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share)
-
-    def stages(select: SelectByCode) -> list[PressStage]:
-        """What a press goes through, in this order: a new feature of presses is one more line."""
-        return [
-            sensing,
-            *filter(None, (reference, labels)),
-            proof,
-            *([Admission(overview, selection, select)] if overview else []),
-            ScarWatch(ScarFolder(references.folder), scars, status),
-            _press_again(config, status, clock),
-            Outputs(io, clock),
-        ]
-
+    # What a press goes through, in this order: a new feature of presses is one more line.
+    around_overview: tuple[list[PressStage], list[PressStage]] = (
+        [sensing, *filter(None, (reference, labels)), proof],
+        [_scars(config, references, status), _press_again(config, status, clock), Outputs(io, clock)],
+    )
     return Parts(
         selection=selection,
         stage=stage,
@@ -140,7 +131,7 @@ def build(
         reference=reference,
         proof=proof,
         sensing=sensing,
-        stages=stages,
+        stages=partial(_stages, around_overview, overview, selection),
         overview=overview,
         stats_s=table.stats_s,
     )
@@ -256,6 +247,22 @@ def _black_box(config: Config) -> BlackBox:
         _free_space(config).check,
     )
     return BlackBox(archive, str(_place(config)), config.inspection.threads)
+
+
+def _stages(
+    around: tuple[list[PressStage], list[PressStage]],
+    overview: Overview | None,
+    selection: PartSelection,
+    select: SelectByCode,
+) -> list[PressStage]:
+    """Put the overview camera, which the loop tells how a part is selected, between the stages around it."""
+    before, after = around
+    return [*before, *([Admission(overview, selection, select)] if overview else []), *after]
+
+
+def _scars(config: Config, references: ReferenceFolder, status: StationStatus) -> ScarWatch:
+    settings = ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share)
+    return ScarWatch(ScarFolder(references.folder), settings, status)
 
 
 def _press_again(config: Config, status: StationStatus, clock: Clock) -> PressAgain:

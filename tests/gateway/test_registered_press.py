@@ -93,7 +93,8 @@ def test_places_that_were_not_judged_are_dark_in_the_picture(tmp_path: Path, ins
     try:
         recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
         pictures = [
-            recorder.prepare(one).heatmap_png for one in (inspection, replace(inspection, registered=None))
+            recorder.prepare(replace(inspection, press_id=new_ulid(0), **change)).heatmap_png
+            for change in ({}, {"registered": None})
         ]
     finally:
         store.close()
