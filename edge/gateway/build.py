@@ -101,24 +101,14 @@ def build(
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
     reference = None if labels else ReferenceGuard(config.reference, store, status, clock)
-    references = ReferenceFolder(config.store.path.with_suffix(".references"))
-    proof = GelProofWatch(config.gel.unproven, store, status, clock)
-    sensing = SensingWatch(status, clock)
-    selection = PartSelection(bundles, part, stage, store, status, clock)
-    overview = _overview(config, clock, status, closing)
-    # What a press goes through, in this order: a new feature of presses is one more line.
-    around_overview: tuple[list[PressStage], list[PressStage]] = (
-        [sensing, *filter(None, (reference, labels)), proof],
-        [_scars(config, references, status), _press_again(config, status, clock), Outputs(io, clock)],
-    )
     return Parts(
-        selection=selection,
+        selection=PartSelection(bundles, part, stage, store, status, clock),
         stage=stage,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=_place(config),
         store=store,
         free_space=_free_space(config),
-        references=references,
+        references=ReferenceFolder(config.store.path.with_suffix(".references")),
         retained_state=retained_state,
         publisher=publisher,
         status=status,
@@ -129,10 +119,10 @@ def build(
         snapshots=_snapshots(config, clock, closing),
         black_box=_black_box(config),
         reference=reference,
-        proof=proof,
-        sensing=sensing,
-        stages=partial(_stages, around_overview, overview, selection),
-        overview=overview,
+        proof=GelProofWatch(config.gel.unproven, store, status, clock),
+        sensing=SensingWatch(status, clock),
+        stages=partial(_stages, config, labels),
+        overview=_overview(config, clock, status, closing),
         stats_s=table.stats_s,
     )
 
@@ -250,19 +240,23 @@ def _black_box(config: Config) -> BlackBox:
 
 
 def _stages(
-    around: tuple[list[PressStage], list[PressStage]],
-    overview: Overview | None,
-    selection: PartSelection,
-    select: SelectByCode,
+    config: Config, labels: PressStage | None, parts: Parts, select: SelectByCode
 ) -> list[PressStage]:
-    """Put the overview camera, which the loop tells how a part is selected, between the stages around it."""
-    before, after = around
-    return [*before, *([Admission(overview, selection, select)] if overview else []), *after]
+    """List what a press goes through, in this order: a new feature of presses is one more line."""
+    return [
+        parts.sensing,
+        *filter(None, (parts.reference, labels)),
+        parts.proof,
+        *([Admission(parts.overview, parts.selection, select)] if parts.overview else []),
+        _scars(config, parts),
+        _press_again(config, parts.status, parts.clock),
+        Outputs(parts.io, parts.clock),
+    ]
 
 
-def _scars(config: Config, references: ReferenceFolder, status: StationStatus) -> ScarWatch:
+def _scars(config: Config, parts: Parts) -> ScarWatch:
     settings = ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share)
-    return ScarWatch(ScarFolder(references.folder), settings, status)
+    return ScarWatch(ScarFolder(parts.references.folder), settings, parts.status)
 
 
 def _press_again(config: Config, status: StationStatus, clock: Clock) -> PressAgain:

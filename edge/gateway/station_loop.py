@@ -55,7 +55,7 @@ class StationLoop:
         self.is_halted = False
         self._refused_ns = 0
         self._parts = parts
-        self._stages = Stages(parts.stages(self._select_by_code))
+        self._stages = Stages(parts.stages(parts, self._select_by_code))
         self._on_press = on_press
         self._session: InspectionSession | None = None
         self._overload = OverloadRule()

@@ -57,6 +57,6 @@ class Parts:
     reference: ReferenceGuard | None
     proof: GelProofWatch
     sensing: SensingWatch
-    stages: Callable[[SelectByCode], Sequence[PressStage]]
+    stages: "Callable[[Parts, SelectByCode], Sequence[PressStage]]"
     overview: Overview | None = None
     stats_s: float = 10.0
