@@ -126,13 +126,11 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
     ),
     "fit with an unknown method": (lambda _: fit("presses", "--method", "padin"), 3, ("did you mean 'padim'?",)),
     "fit with an unknown parameter": (
-        lambda _: fit("presses", "--set", "rnk=3"), 3, ("padim: 'rnk' is not known; did you mean 'rank'?",),
+        lambda _: fit("presses", "--set", "rnk=3"), 3,
+        ("the fit and padim have no such parameter; did you mean 'rank'?",),
     ),
     "a list where a number is meant": (
         lambda _: fit("presses", "--set", "rank=[1]"), 3, ("padim: 'rank' is [1]: Input should be a valid integer",),
-    ),
-    "the mode as a parameter": (
-        lambda _: fit("presses", "--set", "mode=paper"), 3, ("'--set mode' is not a parameter; write --mode",),
     ),
     "fit of a region outside": (
         lambda _: fit("presses", "--region", "300,0,64x64", "--profile", "cropped_lr"),

@@ -65,7 +65,9 @@ def test_a_sound_bundle_passes_and_a_damaged_one_is_refused_with_its_own_sentenc
 
 def verify_below(path: Path, megabytes: int) -> tuple[int, str]:
     """How `gelgate bundle verify` ends where no process may use more address space."""
-    limited = f'ulimit -v {megabytes * 1000}; exec "$0" -c "from edge.cli import main; main()" verify "$1"'
+    limited = (
+        f'ulimit -v {megabytes * 1000}; exec "$0" -c "from edge.cli import main; main()" bundle verify "$1"'
+    )
     done = subprocess.run(
         ["sh", "-c", limited, sys.executable, path], capture_output=True, text=True, check=False
     )
