@@ -32,11 +32,11 @@ test: $(VENV)/.test debian lint
 
 # What `make test` skips: the experiments (studies, trade-off, detectability, ...) and promises proved by simulation.
 test-lab: $(VENV)/.test debian
-	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m lab
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m "lab and not train"
 
 # What `make test` skips for want of torch: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
-	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m "not importers" tests/training tests/export/test_vit_backbone.py tests/export/test_vqgan_backbone.py tests/export/test_docs.py tests/export/reading/test_pickles.py tests/export/importers/test_anomalib.py tests/benchmark/test_evaluation.py tests/backbones/test_trunk.py tests/backbones/test_comparison.py tests/backbones/test_tactile_lite0.py tests/detectors/test_smoothing.py tests/tradeoff/test_peers.py
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m train
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test

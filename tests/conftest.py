@@ -29,7 +29,6 @@ LAB = {
     "soak",
     "studies",
     "tradeoff",
-    "training",
 }
 
 # The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.
@@ -45,7 +44,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the experiments before pytest selects by marker."""
     for item in items:
-        if any(item.path.is_relative_to(TESTS / place) for place in LAB):
+        if item.path.is_relative_to(TESTS / "training"):
+            item.add_marker("train")
+        elif any(item.path.is_relative_to(TESTS / place) for place in LAB):
             item.add_marker("lab")
 
 

@@ -62,12 +62,12 @@ def test_lite0_answers_as_every_trunk_does(package: str) -> None:
         efficientnet_lite0.trunk(("layer4",))
 
 
+@pytest.mark.train
 @pytest.mark.parametrize(("tap", "moved"), [("layer1", 3), ("layer2", 7), ("layer3", 15)])
 def test_lite0_is_the_original_network_on_a_moved_picture(package: str, tap: str, moved: int) -> None:
     """Away from the border, the features are those of the network with TensorFlow's padding, within 1e-4."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
-    )
+    import torch
+
     rgb = np.random.default_rng(0).integers(0, 256, (1, 512, 512, 3), dtype=np.uint8)
     at = np.zeros_like(rgb)
     at[:, moved:, moved:] = rgb[:, :-moved, :-moved]
@@ -110,9 +110,11 @@ def _original(torch: Any, x: Any, last: int) -> Any:
     return x
 
 
+@pytest.mark.train
 def test_the_file_is_read_as_torch_reads_it(package: str) -> None:
     """Every weight, bit for bit."""
-    torch = pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: torch wrote the format")
+    import torch
+
     file = next(one for one in distribution(PACKAGE).files or () if one.name == FILE)
     expected = torch.load(file.locate(), weights_only=True)
 
@@ -171,9 +173,11 @@ def test_what_is_no_file_of_weights_is_refused(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.train
 def test_a_file_that_torch_wrote_is_read(tmp_path: Path) -> None:
     """Offsets, strides and both element types; a file without its last byte is refused."""
-    torch = pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: torch writes the format")
+    import torch
+
     base = torch.arange(12, dtype=torch.float32).reshape(3, 4)
     state = {"part": base[1:, 1:3], "turned": base.T, "count": torch.tensor(7), "all": base}
     torch.save(state, tmp_path / "w.pth", _use_new_zipfile_serialization=False)

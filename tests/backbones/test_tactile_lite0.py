@@ -71,11 +71,11 @@ def test_a_fit_on_layer1_carries_no_deeper_layer() -> None:
     )
 
 
+@pytest.mark.train
 def test_its_tactile_channels_are_those_of_a_residual_block() -> None:
     """Within 1e-4 of torch's own operations with the same weights, after the first residual block."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
-    )
+    import torch
+
     planes = (FRAMES / np.float32(255) - np.float32(IMAGENET_MEAN)) / np.float32(IMAGENET_STD)
     expected = _first_block(torch, torch.from_numpy(planes.transpose(0, 3, 1, 2).astype(np.float32))).numpy()
 

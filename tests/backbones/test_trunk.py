@@ -39,11 +39,11 @@ def test_a_trunk_is_the_network(name: str) -> None:
         np.testing.assert_allclose(found[tap], expected[tap], rtol=0, atol=1e-4 * np.abs(expected[tap]).max())
 
 
+@pytest.mark.train
 def test_the_oracle_is_the_frameworks_network() -> None:
     """The float64 reference equals torch's own layers, composed by hand for a strided block with a shortcut."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
-    )
+    import torch
+
     f = torch.nn.functional
     state = {key: torch.from_numpy(np.asarray(value, np.float64)) for key, value in RESNET18.items()}
 

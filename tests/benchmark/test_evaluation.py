@@ -34,7 +34,6 @@ from calibration.simulator.random_parts import random_part
 from edge.cli import build
 from edge.core.errors import ConfigError, DatasetError
 
-NO_TORCH = "SKIPPED, NOT TESTED: what training draws needs torch"
 FEW = Sizes(pieces=3, held_out=1, presses=1, damaged=1, free_gels=1)
 
 
@@ -162,9 +161,9 @@ def test_development_parts_are_no_analogues() -> None:
     assert np.abs(first.frames[1].astype(float) - second.frames[1]).mean() > 3
 
 
+@pytest.mark.train
 def test_development_parts_are_not_drawn_in_training(tmp_path: Path) -> None:
     """Training has its own generator and does not call the one of the development parts."""
-    pytest.importorskip("torch", reason=NO_TORCH)
     program = """
 import torch
 from calibration.simulator import random_parts
@@ -181,9 +180,11 @@ draw_pairs(0, 'train', 0, pairs=2, side=64, device=torch.device('cpu'))
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.train
 def test_development_parts_look_like_none_of_training() -> None:
     """No height map of 64 training parts correlates above 0.95 with one of the six, at any quarter turn."""
-    torch = pytest.importorskip("torch", reason=NO_TORCH)
+    import torch
+
     from calibration.training.random_parts import draw_parts
     from calibration.training.random_sampling import draws_for
 

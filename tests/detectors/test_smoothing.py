@@ -28,13 +28,13 @@ def test_blur_is_scipys(pixels: int, sigma: float) -> None:
     )
 
 
+@pytest.mark.train
 @pytest.mark.parametrize("kind", ["bilinear", "nearest"])
 @pytest.mark.parametrize(("cells", "pixels"), [(56, 224), (28, 224), (14, 56), (7, 30), (1, 5)])
 def test_upsampling_is_torchs(kind: str, cells: int, pixels: int) -> None:
     """The upsampling matrix equals torch's interpolate, bilinear (align_corners False) and nearest."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: torch is the original that is compared with"
-    )
+    import torch
+
     image = np.random.default_rng(1).normal(size=(cells, cells))
     matrix = upsampling_matrix(cells, pixels, kind)  # type: ignore[arg-type]
     expected = torch.nn.functional.interpolate(

@@ -100,22 +100,6 @@ def test_continuous_integration_runs_the_commands_of_the_readme() -> None:
     assert [fault(line) for line in run] == [None] * len(run)
 
 
-def test_what_needs_torch_is_run_where_torch_is() -> None:
-    """Every file of tests that asks for torch is among those of `make test-train`."""
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    words = re.findall(r"^test-train:.*\n\t\S+ (.*)$", makefile, re.MULTILINE)[0].split()
-    asking = {
-        path
-        for path in (ROOT / "tests").rglob("test_*.py")
-        if re.search(
-            r"^\s*import torch$|importorskip\(\s*.torch", path.read_text(encoding="utf-8"), re.MULTILINE
-        )
-    }
-
-    assert asking
-    assert {path for path in asking if not any(path.is_relative_to(ROOT / word) for word in words)} == set()
-
-
 @pytest.mark.parametrize(
     "line",
     [

@@ -233,6 +233,7 @@ def test_the_free_gel_of_the_command_is_cut_to_the_region(tmp_path: Path) -> Non
     assert "CC-BY-NC-4.0; not for commercial use" in done.output
 
 
+@pytest.mark.train
 def test_timm_computes_the_same(tmp_path: Path) -> None:
     """The blocks and the last norm of a timm network with random weights."""
     timm = pytest.importorskip("timm", reason="SKIPPED, NOT TESTED: transformers are compared with timm")

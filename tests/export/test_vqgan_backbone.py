@@ -51,11 +51,11 @@ def test_layers_after_the_last_tap_are_not_built(weights: Path) -> None:
     assert usual.taps == ("level0", "level1")
 
 
+@pytest.mark.train
 def test_it_computes_what_torch_computes(weights: Path) -> None:
     """Group norm, swish, attention and the padding of a halving, by torch's own functions."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: needs torch; `make test-train` installs it and tests that"
-    )
+    import torch
+
     f = torch.nn.functional
     state = {key: torch.from_numpy(value) for key, value in random_vqgan().items()}
 

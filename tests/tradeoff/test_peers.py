@@ -60,9 +60,9 @@ class Recorded:
 @pytest.mark.parametrize(
     ("method", "last"), [("padim", "fit()"), ("patchcore", f"subsample_embedding({CORESET},)")]
 )
+@pytest.mark.train
 def test_a_peer_learns_without_gradients(method: str, last: str) -> None:
     """A selection that keeps them keeps every difference of two patches."""
-    pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: the extra `train` brings torch")
     model = Recorded()
     learn(method, model, ["first", "second"])
 
@@ -70,10 +70,10 @@ def test_a_peer_learns_without_gradients(method: str, last: str) -> None:
     assert model.steps[5] == ("eval()", True)
 
 
+@pytest.mark.train
 @pytest.mark.skipif(sys.platform != "linux", reason="SKIPPED, NOT TESTED: needs Linux")
 def test_large_blocks_are_mapped_before_a_peer_learns(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else the selection of PatchCore takes 18 GB; a C library without the setting is left as it is."""
-    pytest.importorskip("torch", reason="SKIPPED, NOT TESTED: the extra `train` brings torch")
     asked: list[tuple[int, int]] = []
     library = SimpleNamespace(mallopt=lambda *given: asked.append(given))
     monkeypatch.setattr("ctypes.CDLL", lambda name: library)

@@ -1,6 +1,5 @@
-"""Fixtures of the training tests. Without torch none of these tests is collected; `test_torch.py` says so once."""
+"""Fixtures of the training tests; without torch none of these tests is collected."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,9 +10,7 @@ if TYPE_CHECKING:
     from calibration.training.network import TrunkNetwork
 
 if not is_installed("torch"):
-    collect_ignore = [
-        path.name for path in Path(__file__).parent.glob("test_*.py") if path.name != "test_torch.py"
-    ]
+    collect_ignore_glob = ["test_*.py"]
 
 
 @pytest.fixture(scope="module")

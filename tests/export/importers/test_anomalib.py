@@ -255,13 +255,13 @@ def test_a_wrong_option_is_named(change: str) -> None:
     assert name in str(refused.value)
 
 
+@pytest.mark.train
 @pytest.mark.parametrize(("pixels", "onto"), [(240, 64), (48, 32), (31, 64), (64, 64)])
 @pytest.mark.parametrize("is_antialiased", [True, False])
 def test_a_resize_is_pytorchs(pixels: int, onto: int, is_antialiased: bool) -> None:
     """The matrix of one axis against torch's interpolation."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: needs torch; `make test-train` installs it and tests that"
-    )
+    import torch
+
     line = np.random.default_rng(0).random(pixels).astype(np.float32)
     expected = torch.nn.functional.interpolate(
         torch.from_numpy(line)[None, None, None], (1, onto), mode="bilinear", antialias=is_antialiased

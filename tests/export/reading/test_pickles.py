@@ -231,11 +231,11 @@ def test_a_wrong_archive_is_refused(
         read_here(archive(tmp_path, members, compression))
 
 
+@pytest.mark.train
 def test_pytorch_agrees(tmp_path: Path) -> None:
     """Archive, older file, and tensors in a plain pickle: what PyTorch wrote is what is read."""
-    torch = pytest.importorskip(
-        "torch", reason="SKIPPED, NOT TESTED: needs torch; `make test-train` installs it and tests that"
-    )
+    import torch
+
     wide = torch.arange(24, dtype=torch.float32).reshape(4, 6)
     state = {
         "w": wide.T, "half": wide.half(), "bf": wide.bfloat16(), "n": torch.tensor(3),
