@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.core.errors import ConfigError
-from export.reading.files import OPENVINO, OTHERS, form_of
+from plugins.reading.files import OPENVINO, OTHERS, form_of
 
 __all__ = ["MOST_BYTES", "read_graph"]
 

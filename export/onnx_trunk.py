@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
+from edge.model.graph_cut import prune
 from export.onnx_values import (
     PIXELS,
     load_model,
     picture_input,
-    prune,
     read_frames,
     run_each,
 )
@@ -149,6 +149,7 @@ def _end(
         merged.graph.node.extend(_to_map(at, tap, rows, columns, dropped, shape, merged.graph.initializer))
         size = [shape[1], shape[2], shape[3]] if rows == 0 else [shape[2], rows, columns]
         merged.graph.output.append(helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, ["n", *size]))
+    merged.graph.ClearField("value_info")
     prune(merged)
     helper.set_model_props(merged, dict(facts))
     onnx.checker.check_model(merged)

@@ -25,7 +25,6 @@ __all__ = [
     "load_model",
     "name_opset_once",
     "picture_input",
-    "prune",
     "read_frames",
     "rename",
     "run_each",
@@ -180,30 +179,6 @@ def rename(model: Any, names: Mapping[str, str]) -> None:
     for node in model.graph.node:
         for side in (node.input, node.output):
             side[:] = [names.get(name, name) for name in side]
-
-
-def prune(model: Any) -> None:
-    """Remove the nodes and weights that no output needs. Nodes are in the order of computation, as ONNX requires."""
-    needed = {output.name for output in model.graph.output}
-    kept = []
-    for node in reversed(model.graph.node):
-        if not needed.isdisjoint(node.output):
-            kept.append(node)
-            needed.update(_read_by(node))
-    weights = [tensor for tensor in model.graph.initializer if tensor.name in needed]
-    del model.graph.node[:], model.graph.initializer[:], model.graph.value_info[:]
-    model.graph.node.extend(reversed(kept))
-    model.graph.initializer.extend(weights)
-
-
-def _read_by(node: Any) -> set[str]:
-    """The values that a node reads, those of its subgraphs included."""
-    names = set(node.input)
-    for attribute in node.attribute:
-        for graph in (attribute.g, *attribute.graphs):
-            names |= {name for inner in graph.node for name in _read_by(inner)}
-            names |= {output.name for output in graph.output}
-    return names
 
 
 def add_outputs(data: bytes, values: Sequence[str]) -> bytes:

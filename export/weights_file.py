@@ -1,4 +1,4 @@
-"""Weights by name from a file: `.pth` and `.ckpt` by `export.reading`, which runs nothing in them."""
+"""Weights by name from a file: `.pth` and `.ckpt` by `plugins.reading`, which runs nothing in them."""
 
 import hashlib
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from export.reading.foreign import describe, float32
-from export.reading.isolated import read_foreign
 from plugins.backbones.topology import State
+from plugins.reading.foreign import describe, float32
+from plugins.reading.isolated import read_foreign
 
 __all__ = ["MOST_BYTES", "file_sha256", "is_onnx", "read_checkpoint", "read_safetensors", "read_weights"]
 

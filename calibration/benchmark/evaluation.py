@@ -18,7 +18,7 @@ from calibration.simulator.workers import in_order
 from edge import registry
 from edge.core.detector import Detector, Features, Grid, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk

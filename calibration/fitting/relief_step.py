@@ -18,13 +18,12 @@ from calibration.fitting.folds import Folds
 from calibration.fitting.held_out import Learner
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.relief_presses import ChangedPresses, changed_presses
-from calibration.map_limits.head_limit import bank_with, can_extend
+from calibration.map_limits.head_limit import bank_with, can_extend, head_inputs
 from calibration.map_limits.head_relief import head_with_relief, relief_arrays
 from calibration.map_limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.onnx_extend import inputs_of
 from plugins.detectors.common.smoothing import Smoothing
 
 __all__ = ["USEFUL", "ReliefChoice", "choose_relief", "relief_of", "with_relief"]
@@ -81,7 +80,7 @@ def relief_of(
     head: bytes,
 ) -> ReliefChoice:
     """What the station's presses allow. take: the features of frames. head: the graph that is to be extended."""
-    tap = finest_tap(learner.grid, inputs_of(head))
+    tap = finest_tap(learner.grid, head_inputs(head))
     if tap is None or not can_extend(head):
         return ReliefChoice("it cannot be appended to the method's graph")
     changed = changed_presses(presses, *view, np.random.default_rng(learner.seed))

@@ -8,7 +8,7 @@ from typing import Any
 
 from edge import registry
 from edge.core.errors import ConfigError, FitError
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.onnx_validation import GraphRefused, metadata, output_names
 
 __all__ = ["AUTO", "DEFAULT_BACKBONE", "OTHER_BACKBONES", "Trunk", "every_cut", "open_trunk"]

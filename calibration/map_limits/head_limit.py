@@ -4,7 +4,9 @@ The limit's arrays are further arrays of the bank, so the gateway, the exports a
 as any other.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,11 @@ from numpy.typing import NDArray
 from calibration.map_limits.map_limit import MapLimit
 from edge.core.detector import Bank
 from edge.core.errors import FitError
-from edge.model.onnx_extend import Operation, extend_head, opset_of
-from edge.model.onnx_validation import GraphRefused
 
-__all__ = ["ARRAYS", "bank_with", "can_extend", "head_with_limit", "limit_arrays", "limited_like"]
+__all__ = [
+    "ARRAYS", "Operation", "bank_with", "can_extend", "extend_head", "head_inputs", "head_with_limit", "limit_arrays",
+    "limited_like",
+]  # fmt: skip
 
 _MAP, _SCORE = "score_map", "score"
 _RAW_MAP, _RAW_SCORE = "limit_raw_map", "limit_raw_score"
@@ -37,13 +40,82 @@ ARRAYS = (
 _OLDEST_OPSET = 18
 
 
+@dataclass(frozen=True)
+class Operation:
+    """One standard operation."""
+
+    kind: str
+    inputs: tuple[str, ...]
+    output: str
+    axes: tuple[int, ...] = ()
+    """For a reduction; they become an int64 constant of the graph."""
+    is_kept: bool = False
+    """Whether the axes stay, with one element each."""
+
+
+def extend_head(
+    head: bytes,
+    renamed: Mapping[str, str],
+    inputs: Mapping[str, Sequence[int]],
+    operations: Sequence[Operation],
+    constants: Mapping[str, float] = MappingProxyType({}),
+) -> bytes:
+    """Append operations to a head; what they give takes the place of the head's own values of those names.
+
+    renamed: values of the head to their new names; an operation gives each of the old ones. inputs: name to shape of
+    each further float32 input. constants: name to value of each further float32 constant, (1, 1). Errors: FitError for
+    bytes that are no model, or a node with a graph of its own, which may read any value by name.
+    """
+    from onnx import TensorProto, helper, numpy_helper
+
+    model = _load(head)
+    graph = model.graph
+    for node in graph.node:
+        if any(attribute.HasField("g") or attribute.graphs for attribute in node.attribute):
+            raise FitError(f"its node '{node.name}' has a graph of its own, which may read any value by name")
+        node.input[:] = [renamed.get(name, name) for name in node.input]
+        node.output[:] = [renamed.get(name, name) for name in node.output]
+    declared = [value for value in graph.value_info if value.name not in renamed]
+    graph.ClearField("value_info")
+    graph.value_info.extend(declared)
+    for name, shape in inputs.items():
+        graph.input.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, list(shape)))
+    for name, value in constants.items():
+        graph.initializer.append(numpy_helper.from_array(np.full((1, 1), value, np.float32), name))
+    for operation in operations:
+        names, attributes = list(operation.inputs), dict[str, int]()
+        if operation.axes:
+            names.append(f"{operation.output}_axes")
+            graph.initializer.append(numpy_helper.from_array(np.array(operation.axes, np.int64), names[-1]))
+            attributes["keepdims"] = int(operation.is_kept)
+        label = f"appended {operation.kind} of {' and '.join(operation.inputs)}"
+        graph.node.append(helper.make_node(operation.kind, names, [operation.output], label, **attributes))
+    return bytes(model.SerializeToString(deterministic=True))
+
+
+def head_inputs(head: bytes) -> list[str]:
+    """Name the inputs of a head. Errors: FitError for bytes that are no model."""
+    return [str(value.name) for value in _load(head).graph.input]
+
+
+def _load(head: bytes) -> Any:
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        return onnx.load_from_string(head)
+    except DecodeError as error:
+        raise FitError(f"it is no ONNX model: {error}") from error
+
+
 def can_extend(head: bytes) -> bool:
     """Whether a limit can be appended to this head."""
     try:
         _extended(head, {"limit_grid": np.ones((1, 1)), "limit_guard": np.ones((1, 1))})
-    except GraphRefused:
+    except FitError:
         return False
-    return opset_of(head) >= _OLDEST_OPSET
+    versions = [entry.version for entry in _load(head).opset_import if entry.domain in ("", "ai.onnx")]
+    return max(versions, default=0) >= _OLDEST_OPSET
 
 
 def limit_arrays(limit: MapLimit) -> dict[str, NDArray[np.float32]]:
@@ -68,10 +140,10 @@ def bank_with(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
 
 
 def head_with_limit(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extend_head."""
+    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extended."""
     try:
         return _extended(head, arrays)
-    except GraphRefused as error:
+    except FitError as error:
         raise FitError(f"no limit can be appended to the head: {error}") from error
 
 

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.map_limits.head_limit import bank_with
+from calibration.map_limits.head_limit import Operation, bank_with, extend_head
 from calibration.map_limits.missing_relief import FAINT, START, STEEPNESS, TINY, MissingRelief
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from edge.model.limit_facts import MISSING
-from edge.model.onnx_extend import Operation, extend_head
-from edge.model.onnx_validation import GraphRefused
 
 __all__ = ["ARRAYS", "head_with_relief", "relief_arrays", "relieved_like"]
 
@@ -62,12 +60,12 @@ def relief_arrays(relief: MissingRelief) -> dict[str, NDArray[np.float32]]:
 
 
 def head_with_relief(head: bytes, tap: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The head with the arrays' `MissingRelief` of a tap that it reads. Errors: FitError, it cannot be extend_head."""
+    """The head with the arrays' `MissingRelief` of a tap that it reads. Errors: FitError, it cannot be extended."""
     shapes = {name: arrays[name].shape for name in ARRAYS}
     renamed = {_MAP: _OWN_MAP, _SCORE: _OWN_SCORE}
     try:
         return extend_head(head, renamed, shapes, _operations(tap), _CONSTANTS)
-    except GraphRefused as error:
+    except FitError as error:
         raise FitError(f"missing relief cannot be appended to the head: {error}") from error
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from edge import registry
 from edge.core.errors import BundleCorrupt, GelgateError
 from edge.model.archive import Archive, open_archive
+from edge.model.graph_cut import cut_trunk
 from edge.model.manifest import BackboneEntry, Manifest
-from edge.model.onnx_prune import cut_trunk
 from edge.model.onnx_validation import GraphRefused
 from edge.model.verified_files import read_verified, verify
 

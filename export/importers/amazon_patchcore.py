@@ -15,9 +15,9 @@ from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
 from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps, patchcore_head
-from export.reading.foreign import Foreign, check_array, describe, float32
-from export.reading.isolated import read_foreign
 from plugins.detectors.common.descriptor import BINS, Descriptor
+from plugins.reading.foreign import Foreign, check_array, describe, float32
+from plugins.reading.isolated import read_foreign
 
 __all__ = ["amazon_patchcore"]
 

@@ -22,10 +22,10 @@ from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import framed_trunk
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
-from export.reading.foreign import Foreign, float32
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import TOPOLOGIES, check_state
 from plugins.detectors.common.descriptor import Descriptor
+from plugins.reading.foreign import Foreign, float32
 
 __all__ = ["anomalib"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from export.importers.framing import Framing
-from export.reading.foreign import Content, Foreign, Record, attributes, check_array, describe
+from plugins.reading.foreign import Content, Foreign, Record, attributes, check_array, describe
 
 __all__ = ["AnomalibFile", "read_anomalib"]
 

@@ -27,8 +27,8 @@ from export.importers.contract import Imported, Importer, Recognised, Settings
 from export.importers.finding import importer_of, importers
 from export.importers.finish import ImportConfig, Losses, import_files
 from export.licence import stated_licence
-from export.reading.foreign import Foreign
-from export.reading.isolated import read_foreign
+from plugins.reading.foreign import Foreign
+from plugins.reading.isolated import read_foreign
 
 __all__ = [
     "ImportOptions",

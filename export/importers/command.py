@@ -76,7 +76,7 @@ def detect(file: File) -> None:
 
     It is read in a process of its own, without network, and nothing that is in it is run."""
     from export.importers.finding import importer_of
-    from export.reading.isolated import read_foreign
+    from plugins.reading.isolated import read_foreign
 
     with read_foreign(file) as foreign:
         importer, what = importer_of(foreign)

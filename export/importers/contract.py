@@ -1,7 +1,7 @@
 """What an importer is: it recognises a file of a trained detector, and makes of it the parts of a bundle.
 
 An importer is an object behind an entry point of `gelgate.importers`. It gets the file's content as plain values
-(`export.reading`) and never opens the file itself.
+(`plugins.reading`) and never opens the file itself.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Bank, Features, Grid, Packing
 from edge.core.errors import ConfigError
-from export.reading.foreign import Foreign
+from plugins.reading.foreign import Foreign
 
 __all__ = ["Imported", "Importer", "Recognised", "Settings"]
 

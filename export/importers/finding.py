@@ -3,7 +3,7 @@
 from edge import registry
 from edge.core.errors import ConfigError
 from export.importers.contract import Importer, Recognised
-from export.reading.foreign import Foreign, describe
+from plugins.reading.foreign import Foreign, describe
 
 __all__ = ["importer_of", "importers"]
 

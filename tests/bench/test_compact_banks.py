@@ -24,7 +24,7 @@ from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.session import open_session
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.baselines.subspace import subspace

@@ -19,7 +19,7 @@ from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk

@@ -18,7 +18,7 @@ from heads import RESNET18, fit, grid, presses_of
 
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge.core.detector import Bank
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from edge.model.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk

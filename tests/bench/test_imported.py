@@ -224,7 +224,7 @@ def _scored(
 
 def _detector_arrays(path: Path) -> dict[str, NDArray[np.float32]]:
     """A checkpoint's arrays without its backbone."""
-    from export.reading.files import read_here
+    from plugins.reading.files import read_here
 
     state = read_here(path)[1]["state_dict"]
     return {

@@ -18,7 +18,7 @@ from presses import fitted
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
-from edge.model.onnx_prune import cut_trunk
+from edge.model.graph_cut import cut_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.tactile import tactile_resnet18, tactile_resnet18_int8

@@ -24,7 +24,7 @@ ANOMALIB = Path(__file__).parent / "importers" / "anomalib_2_7_0" / "padim.ckpt"
 
 
 def saved(folder: Path, content: Any) -> Path:
-    """A pickle of arrays, which the reader treats as one of tensors; tests/export/reading has torch's own files."""
+    """A pickle of arrays, which the reader treats as one of tensors; tests/plugins/reading has torch's own files."""
     path = folder / "weights.pth"
     path.write_bytes(pickle.dumps(content))
     return path

@@ -17,8 +17,8 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, write_bundle
+from edge.model.graph_cut import cut_trunk
 from edge.model.manifest import GridEntry
-from edge.model.onnx_prune import cut_trunk
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
 from edge.model.tile_runner import FREE_LEVELS, FreeGel, TiledMaps, TileRunner, most_typical, untouched_tiles

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from export.reading.foreign import Record
-from export.reading.isolated import BASE_BYTES
+from plugins.reading.foreign import Record
+from plugins.reading.isolated import BASE_BYTES
 
 __all__ = ["as_little_memory_as_the_reader", "changed_bytes", "changed_value", "with_canary"]
 

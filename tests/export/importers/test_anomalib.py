@@ -26,9 +26,9 @@ from export.importers.contract import Imported, Settings
 from export.importers.framing import Framing, framed_trunk, resizing_matrix
 from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
-from export.reading.files import read_here
-from export.reading.foreign import Foreign
 from export.single_graph import adapt
+from plugins.reading.files import read_here
+from plugins.reading.foreign import Foreign
 
 PIXELS_PER_MM = 15.77
 # Scores of float32 graphs in another order of sums, relative to the largest: measured 2e-6 to 2e-5.

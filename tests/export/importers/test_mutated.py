@@ -21,11 +21,10 @@ from calibration.fitting.trunks import Trunk
 from edge.core.errors import ConfigError, GelgateError
 from export.importers.contract import Settings
 from export.importers.finding import importers
-from export.reading.faiss_index import HEADER
-from export.reading.files import read_here
-from export.reading.foreign import Foreign
-from export.reading.isolated import read_foreign
 from plugins.detectors.inreach.paper import PAPER_TAPS
+from plugins.reading.files import HEADER, read_here
+from plugins.reading.foreign import Foreign
+from plugins.reading.isolated import read_foreign
 
 TRIED = int(os.environ.get("GELGATE_MUTATED", "180"))
 READ_APART = 12

@@ -15,8 +15,8 @@ from edge.core.errors import BundleCorrupt
 from export.importers.contract import Settings
 from export.importers.finish import ImportConfig, Losses, import_files
 from export.importers.memory_scripts import spade_features
-from export.reading.files import read_here
-from export.reading.foreign import Foreign
+from plugins.reading.files import read_here
+from plugins.reading.foreign import Foreign
 
 CONFIG = ImportConfig("bolt", "crest", tiny.PROFILE, tiny.REGION, "own")
 

@@ -24,13 +24,12 @@ from export.importers.finding import importer_of
 from export.importers.memory_scripts import fapm_pickle, inreach_points, spade_features
 from export.importers.padim_scripts import draw_channels, padim_pickle
 from export.parity import Stage, compare, order_stage
-from export.reading.faiss_index import HEADER
-from export.reading.files import read_here
-from export.reading.foreign import Foreign
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.common.smoothing import upsampling_matrix
 from plugins.detectors.inreach import inreach
 from plugins.detectors.inreach.paper import PAPER_TAPS
+from plugins.reading.files import HEADER, read_here
+from plugins.reading.foreign import Foreign
 
 FRAME = (32, 40)
 LAYERS = {"layer1": (6, 4), "layer2": (8, 8), "layer3": (10, 8)}

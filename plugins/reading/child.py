@@ -1,4 +1,4 @@
-"""The process that opens a foreign file: `python -m export.reading.child FILE OUT LIMITS`.
+"""The process that opens a foreign file: `python -m plugins.reading.child FILE OUT LIMITS`.
 
 It has limits of memory and time, no network, and may write below OUT alone. It writes `content.json` and one `.npy`
 file per array, which hold numbers and texts only, and ends. What a file could do to it ends with it.
@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from export.reading.files import read_here
-from export.reading.foreign import Content, Record
+from plugins.reading.files import read_here
+from plugins.reading.foreign import Content, Record
 
 __all__ = ["decode", "encode", "main"]
 

@@ -1,4 +1,6 @@
-"""Any trunk is cut after the last tap that the detector reads, without the onnx package."""
+"""Any trunk is cut after the last tap that the detector reads."""
+
+import hashlib
 
 import numpy as np
 import onnx.checker
@@ -7,7 +9,8 @@ import onnxruntime as ort
 import pytest
 
 from calibration.fitting.trunks import open_trunk
-from edge.model.onnx_prune import cut_trunk
+from edge import registry
+from edge.model.graph_cut import cut_trunk
 from edge.model.onnx_validation import GraphRefused, output_names
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.onnx_builder import Graph
@@ -40,22 +43,47 @@ def test_parts_that_read_equally_deep_share_one_file() -> None:
         assert cut_trunk(whole, taps) is whole
 
 
-def test_what_is_no_model_is_refused_and_what_nests_graphs_is_left_alone() -> None:
-    """Bytes that are not protobuf are refused; a node with a subgraph may read anything, so nothing is cut."""
+def test_what_is_no_model_is_refused() -> None:
+    """Bytes that are not protobuf are refused."""
     with pytest.raises(GraphRefused):
         cut_trunk(b"\xff" * 40, ("layer1",))
+
+
+def test_what_a_subgraph_reads_stays() -> None:
+    """A graph inside a node reads values of the graph around it by their names."""
     nested = onnx.parser.parse_model("""
         < ir_version: 8, opset_import: ["" : 17] >
-        nested (float[n] x, bool c) => (float[n] first, float[n] second)
+        nested (float[n] x, bool c) => (float[n] second, float[n] third)
         {
             first = Abs (x)
             second = If (c) <
                 then_branch = yes () => (float[n] a) { a = Neg (first) },
                 else_branch = no () => (float[n] b) { b = Identity (first) }
             >
+            third = Neg (second)
         }
     """).SerializeToString()
-    assert cut_trunk(nested, ("first",)) is nested
+    cut = onnx.load_from_string(cut_trunk(nested, ("second",)))
+    onnx.checker.check_model(cut, full_check=True)
+    assert [node.op_type for node in cut.graph.node] == ["Abs", "If"]
+
+
+# The cut trunks that bundles of 0.1.0 and 0.2.0 name, by the installed backbone and the last tap.
+KNOWN_CUTS = {
+    ("tactile_lite0", "layer1"): "6d1234cc5f17d49b",
+    ("tactile_lite0", "layer2"): "df03e584e736a19f",
+    ("tactile_resnet18", "layer1"): "5aa132f75d172451",
+    ("tactile_resnet18", "layer2"): "e7f9ef8025fd21f9",
+    ("tactile_resnet18_int8", "layer1"): "8ed2a632a4dbfef6",
+    ("tactile_resnet18_int8", "layer2"): "ab79253d360cbb83",
+}
+
+
+@pytest.mark.parametrize(("backbone", "tap"), KNOWN_CUTS)
+def test_bundles_sent_without_their_trunk_find_the_same_bytes(backbone: str, tap: str) -> None:
+    """The manifest of such a bundle names the cut's SHA-256; other bytes would be refused."""
+    cut = cut_trunk(registry.backbone(backbone).trunk(), (tap,))
+    assert hashlib.sha256(cut).hexdigest()[:16] == KNOWN_CUTS[backbone, tap]
 
 
 def test_a_trunk_of_any_origin_is_cut() -> None:

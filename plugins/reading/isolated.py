@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from edge.core.errors import ConfigError
-from export.reading.child import decode
-from export.reading.files import MOST_BYTES
-from export.reading.foreign import Foreign
+from plugins.reading.child import decode
+from plugins.reading.files import MOST_BYTES
+from plugins.reading.foreign import Foreign
 
 __all__ = ["read_foreign"]
 
@@ -55,7 +55,7 @@ def _run(path: Path, out: Path, size: int) -> None:
         sys.executable,
         "-P",
         "-m",
-        "export.reading.child",
+        "plugins.reading.child",
         str(path.absolute()),
         str(out),
         *map(str, limits),

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from edge.core.errors import ConfigError
-from export.reading.child import decode, encode
-from export.reading.files import read_here
-from export.reading.foreign import Record
-from export.reading.inert import ForbiddenGlobal, Unpickler
-from export.reading.isolated import read_foreign
+from plugins.reading.child import decode, encode
+from plugins.reading.files import read_here
+from plugins.reading.foreign import Record
+from plugins.reading.inert import ForbiddenGlobal, Unpickler
+from plugins.reading.isolated import read_foreign
+from plugins.reading.torch_files import MAGIC, PROTOCOL, read_stream
 
 
 class Call:
@@ -229,6 +230,29 @@ def test_a_wrong_archive_is_refused(
     """Nothing is read beyond its bounds, and no member leaves its folder."""
     with pytest.raises(ValueError, match=sentence):
         read_here(archive(tmp_path, members, compression))
+
+
+def stream(*objects: object) -> bytes:
+    """PyTorch's older file: magic number, protocol, platform, and these objects."""
+    return b"".join(pickle.dumps(one, protocol=2) for one in (MAGIC, PROTOCOL, {}, *objects))
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "Ran out of input"),
+        (stream(Call(print, "sprung")), "print, which is not on the list"),
+        (stream(OrderedDict())[:-9], "pickle|input"),
+        (b"".join(pickle.dumps(n, protocol=2) for n in (1, 2, 3)), "magic number"),
+    ],
+)
+def test_a_wrong_older_file_is_refused(
+    content: bytes, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing, a call of a function, a cut file, other numbers; and nothing was called."""
+    with pytest.raises((ValueError, EOFError, pickle.UnpicklingError), match=sentence):
+        read_stream(io.BytesIO(content))
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.train

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from edge.core.errors import ConfigError
-from export.reading.isolated import read_foreign
+from plugins.reading.isolated import read_foreign
 
 MEMORY, CPU_S, DISK = 4 << 30, 60, 64 << 20
 # A process of one thread, as `read_foreign` starts it, may have a namespace of its own.
@@ -24,7 +24,7 @@ def child(
 ) -> subprocess.CompletedProcess[str]:
     """The reader's process on `model.pkl`, with these limits."""
     limits = [str(memory), str(cpu_s), str(disk)]
-    command = [sys.executable, "-m", "export.reading.child", str(folder / "model.pkl"), str(folder / "out")]
+    command = [sys.executable, "-m", "plugins.reading.child", str(folder / "model.pkl"), str(folder / "out")]
     return subprocess.run([*command, *limits], capture_output=True, text=True, env=SINGLE)
 
 
@@ -76,7 +76,7 @@ def test_files_are_limited(tmp_path: Path) -> None:
 BREACH = """
 import socket, subprocess, sys, os
 from pathlib import Path
-import export.reading.child as child
+import plugins.reading.child as child
 
 def breached(path):
     {action}

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from export.reading.inert import Unpickler
-from export.reading.plain import plain
-from export.reading.tensors import Storage, StorageType
+from plugins.reading.foreign import Record
+from plugins.reading.inert import Inert, Unpickler
+from plugins.reading.tensors import ArrayValue, DtypeValue, Storage, StorageType, TensorValue
 
 __all__ = ["is_archive", "is_stream", "read_archive", "read_pickle", "read_stream"]
 
@@ -25,6 +25,8 @@ MAGIC = 0x1950A86A20F9469CFC6C
 PROTOCOL = 1001
 # The start of that magic number as a pickle of protocol 2 writes it.
 STREAM_START = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+MOST_VALUES = 2_000_000
+"""Values that one file may hold, far above a complete pickled network (30,000)."""
 MOST_MEMBERS = 20_000
 MOST_PICKLE_BYTES = 256 << 20
 
@@ -141,3 +143,67 @@ def _check_member(member: zipfile.ZipInfo) -> None:
         raise ValueError(
             f"its member '{member.filename[:60]}' is compressed or encrypted; torch.save stores plainly"
         )
+
+
+def plain(value: Any) -> Any:
+    """Convert an object to plain values, circles included. Errors: ValueError."""
+    return _Converter().run(value)
+
+
+class _Converter:
+    """Converts without recursion, so that depth needs no stack; every object once, so circles end."""
+
+    def __init__(self) -> None:
+        self._done: dict[int, Any] = {}
+        self._todo: list[tuple[Any, Any]] = []
+        self._kept: list[Any] = []
+        self._left = MOST_VALUES
+
+    def run(self, value: Any) -> Any:
+        result = self._value(value)
+        while self._todo:
+            source, target = self._todo.pop()
+            self._fill(source, target)
+        return result
+
+    def _value(self, value: Any) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError(f"it holds more than {MOST_VALUES} values")
+        if value is None or isinstance(value, bool | float | str) or type(value) is int:
+            return value
+        if id(value) in self._done:
+            return self._done[id(value)]
+        self._kept.append(value)  # an id is one object's as long as it lives
+        made = self._make(value)
+        self._done[id(value)] = made
+        return made
+
+    def _make(self, value: Any) -> Any:
+        if isinstance(value, TensorValue | ArrayValue):
+            array = value.array()
+            return array if array.dtype.kind != "S" else array.astype(str).tolist()
+        if isinstance(value, bytes | bytearray):
+            return np.frombuffer(bytes(value), np.uint8)
+        target: Any
+        if isinstance(value, Inert):
+            target = Record(type(value).kind)
+        elif isinstance(value, dict):
+            target = {}
+        elif isinstance(value, list | tuple | set | frozenset):
+            target = []
+        else:
+            return Record(f"a {'dtype' if isinstance(value, DtypeValue) else 'reference'}")
+        self._todo.append((value, target))
+        return target
+
+    def _fill(self, source: Any, target: Any) -> None:
+        if isinstance(target, Record):
+            target.args = [self._value(item) for item in source.args]
+            target.state = self._value(source.state if source.state is not None else source.items or None)
+        elif isinstance(target, dict):
+            for key, value in source.items():
+                plain_key = key if isinstance(key, str | int | bool) else f"<{type(key).__name__}>"
+                target[plain_key] = self._value(value)
+        else:
+            target.extend(self._value(item) for item in source)

@@ -1,12 +1,13 @@
-"""Operations appended to a graph without the onnx package."""
+"""Operations appended to a graph."""
 
 import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
 
-from edge.model.onnx_extend import Operation, extend_head, opset_of
-from edge.model.onnx_validation import GraphRefused, check_graph
+from calibration.map_limits.head_limit import Operation, extend_head, head_inputs
+from edge.core.errors import FitError
+from edge.model.onnx_validation import check_graph
 from plugins.onnx_builder import Graph
 
 
@@ -56,10 +57,11 @@ def test_a_graph_inside_a_node_is_refused() -> None:
         [node], "g", [onnx.helper.make_tensor_value_info("is", onnx.TensorProto.BOOL, [])], []
     )
     model = onnx.helper.make_model(graph).SerializeToString()
-    with pytest.raises(GraphRefused, match="a graph of its own"):
+    with pytest.raises(FitError, match="a graph of its own"):
         extend_head(model, {"y": "old"}, {}, [])
 
 
-def test_the_opset_is_read() -> None:
-    """As it was written."""
-    assert opset_of(doubling()) == 18
+def test_the_inputs_are_named() -> None:
+    """Those that were added too."""
+    more = extend_head(doubling(), {}, {"factor": (1, 1)}, [])
+    assert head_inputs(more) == ["x", "factor"]

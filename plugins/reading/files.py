@@ -1,20 +1,27 @@
 """Tells what a foreign file is by its first bytes, and reads it in the process that calls."""
 
 import io
+import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from export.reading.faiss_index import is_faiss, read_flat_index
-from export.reading.foreign import Content
-from export.reading.torch_files import is_archive, is_stream, read_archive, read_pickle, read_stream
+from plugins.reading.foreign import Content
+from plugins.reading.torch_files import is_archive, is_stream, read_archive, read_pickle, read_stream
 
-__all__ = ["MOST_BYTES", "OPENVINO", "OTHERS", "form_of", "read_here"]
+__all__ = ["HEADER", "MOST_BYTES", "OPENVINO", "OTHERS", "form_of", "read_flat_index", "read_here"]
 
 OPENVINO = "OpenVINO model"
+
+# Ref: faiss/impl/index_write.cpp: four letters of the kind (`IxF2` Euclidean, `IxFI` inner product), then d int32, rows
+# int64, two unused int64, is_trained one byte, metric int32, the count of floats (or of their bytes) int64, the floats.
+HEADER = struct.Struct("<4siqqqBi")
+KINDS = {b"IxF2": 1, b"IxFI": 0}
+MOST_WIDTH = 65_536
 
 MOST_BYTES = 8 << 30
 """The largest file: PaDiM of 550 channels at 224x224 has 3.8 GB."""
@@ -28,7 +35,7 @@ def form_of(start: bytes, name: str = "") -> str:
         return "older PyTorch file"
     if start[:6] == b"\x93NUMPY":
         return "NumPy array"
-    if is_faiss(start):
+    if start[:2] in (b"Ix", b"Iv", b"IH", b"IB"):
         return "faiss index"
     if b"<net" in start[:200]:
         return OPENVINO
@@ -49,6 +56,29 @@ def read_here(path: Path) -> tuple[str, Content]:
         if reader is None:
             raise ValueError(OTHERS.get(form, OTHERS[""]))
         return form, reader(file)
+
+
+def read_flat_index(data: bytes) -> NDArray[Any]:
+    """The rows of a flat Euclidean index, float32 (rows, d). Errors: ValueError in words."""
+    kind = data[:4]
+    if kind not in KINDS:
+        raise ValueError(
+            f"it is a faiss index of kind {kind!r}; a flat index (IndexFlatL2) was expected, save one with exact search"
+        )
+    if kind == b"IxFI":
+        raise ValueError("it is a faiss index of inner products (IndexFlatIP); IndexFlatL2 was expected")
+    if len(data) < HEADER.size + 8:
+        raise ValueError("its header is cut short")
+    _, d, rows, _, _, is_trained, metric = HEADER.unpack_from(data)
+    (count,) = struct.unpack_from("<Q", data, HEADER.size)
+    left = len(data) - HEADER.size - 8
+    if not (0 < d <= MOST_WIDTH and rows > 0 and is_trained == 1 and metric == 1):
+        raise ValueError(
+            f"its header states {rows} rows of width {d}, metric {metric}; a filled IndexFlatL2 was expected"
+        )
+    if rows * d * 4 != left or count not in (rows * d, rows * d * 4):
+        raise ValueError(f"it states {rows} rows of width {d}, that is {rows * d * 4} bytes, and has {left}")
+    return np.frombuffer(data, "<f4", rows * d, HEADER.size + 8).reshape(rows, d).astype(np.float32)
 
 
 def _read_npy(file: Any) -> Content:

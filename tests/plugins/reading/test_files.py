@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from export.reading.faiss_index import HEADER, read_flat_index
+from plugins.reading.files import HEADER, read_flat_index
 
 ROWS = np.arange(12, dtype=np.float32).reshape(3, 4)
 

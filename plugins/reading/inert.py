@@ -8,7 +8,7 @@ import pickle
 from collections.abc import Callable
 from typing import Any, ClassVar, NoReturn
 
-from export.reading.tensors import DTYPES, ArrayValue, DtypeValue, StorageType, TensorValue
+from plugins.reading.tensors import DTYPES, ArrayValue, DtypeValue, StorageType, TensorValue
 
 __all__ = ["ForbiddenGlobal", "Inert", "Unpickler", "is_allowed"]
 
