@@ -38,7 +38,7 @@ class SteppedStation:
         """This number of steps of the reader: the first opens the sensor, each other one reads a frame."""
         for _ in range(steps):
             try:
-                self.parts.acquisition.step()
+                self.clock.sleep(self.parts.acquisition.step())
             except RecordingEnded:
                 self.has_ended = True
                 return

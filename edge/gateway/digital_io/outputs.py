@@ -1,16 +1,21 @@
 """Lights, relays and gates follow the presses of parts; master pieces and studies switch nothing."""
 
-from typing import final
+from typing import Final, final
 
 from edge.core.contact.events import Event, PressBegan, PressSettled
+from edge.core.contact.press_detector import Look
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.gateway.digital_io.station_io import StationIo
 from edge.gateway.inspector import Inspector
-from edge.gateway.press_stage import PressStage
+from edge.gateway.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport
 
 __all__ = ["Outputs"]
+
+
+# Nobody changes a part faster: a pass that is older than the last picture of the gel may be another part's.
+_UNSEEN_S: Final = 0.5
 
 
 @final
@@ -19,10 +24,19 @@ class Outputs(PressStage):
 
     def __init__(self, io: StationIo, clock: Clock) -> None:
         self._io, self._clock = io, clock
+        self._seen_ns: int | None = None
 
     def see(self, event: Event) -> None:
         if isinstance(event, PressBegan):
             self._io.began()
+
+    def look(self, look: Look) -> None:
+        if look.sight.lost is None and look.sight.since_ns == look.timestamp_ns:
+            self._seen_ns = self._clock.monotonic_ns()
+
+    def turn(self, mounted: Mounted | None) -> None:
+        if self._seen_ns is not None and self._clock.monotonic_ns() - self._seen_ns > _UNSEEN_S * 1e9:
+            self._io.forget_pass()
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if press.label is None:

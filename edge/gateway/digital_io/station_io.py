@@ -71,16 +71,24 @@ class StationIo:
     def turn(self, view: StationView) -> None:
         """What the station is now, without the verdict; also the sign that its loop is alive.
 
-        A station that does not inspect forgets the verdict: when it inspects again, it has judged nothing yet.
+        A station that does not inspect forgets the verdict: when it inspects again, it has judged nothing yet. While a
+        contact does not end, another part may lie on the sensor, and no pass is shown.
         """
         if view.state != "ready":
             self._verdict = None
+        if "contact" in view.alarms:
+            self.forget_pass()
         for driver in self.drivers:
             driver.show(replace(view, verdict=self._verdict))
 
     def began(self) -> None:
         """A press begins: from here on no verdict of an earlier one is shown."""
         self._forget()
+
+    def forget_pass(self) -> None:
+        """Stop showing a pass: the sensor shows nothing, so another part may lie on it."""
+        if self._verdict == "pass":
+            self._verdict = None
 
     def judged(self, verdict: str, judged_ns: int) -> None:
         """A press was judged, and is not recorded yet. A pass has to wait for `recorded`."""
