@@ -19,7 +19,7 @@ from calibration.fitting.threshold import conformal_threshold
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.gel_change.presses import PROFILE, REGION, GelChange
 from calibration.metrics.aupro import aupro
-from calibration.metrics.ranking import auroc
+from calibration.metrics.summary import auroc
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.model.session import open_session

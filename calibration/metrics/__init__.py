@@ -5,12 +5,19 @@ with a reason.
 """
 
 from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means
-from calibration.metrics.aupro import AUPRO_LIMIT, aupro
-from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
+from calibration.metrics.aupro import AUPRO_LIMIT, Regions, aupro, label_regions
 from calibration.metrics.pixel import PixelMeasures, pixel_measures
-from calibration.metrics.ranking import auroc, average_precision
-from calibration.metrics.regions import Regions, label_regions
-from calibration.metrics.summary import REPLICATES, Measure, limit_name, measure
+from calibration.metrics.summary import (
+    REPLICATES,
+    Measure,
+    auroc,
+    average_precision,
+    image_weights,
+    interval,
+    limit_name,
+    measure,
+    specimen_weights,
+)
 
 __all__ = [
     "AUPIMO_BOUNDS",

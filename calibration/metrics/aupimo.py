@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.regions import Maps, Masks, check_pairs
+from calibration.metrics.aupro import Maps, Masks, check_pairs
 
 __all__ = ["AUPIMO_BOUNDS", "aupimo", "aupimo_means"]
 

@@ -6,17 +6,64 @@ scores are one threshold. The area is the trapezoid up to the limit, linear at t
 regions have the same weight, whatever their size.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.regions import Maps, Masks, check_pairs, label_regions
-
-__all__ = ["AUPRO_LIMIT", "aupro", "trapezoid_to_limit"]
+__all__ = [
+    "AUPRO_LIMIT",
+    "Maps",
+    "Masks",
+    "Regions",
+    "aupro",
+    "check_pairs",
+    "find_defect_pixels",
+    "label_regions",
+]
 
 # The paper integrates to one per cent false positives; MVTec AD's own default is 0.3.
 AUPRO_LIMIT = 0.01
+
+
+Maps = Sequence[NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
+"""Score maps, one (h, w) per image: raw, higher is more anomalous. Sizes may differ between images."""
+
+Masks = Sequence[NDArray[np.bool_]] | NDArray[np.bool_]
+"""Defect masks, bool (h, w) each, True where the defect is; all False for a good image."""
+
+
+@dataclass(frozen=True)
+class Regions:
+    """The connected defects of one mask. labels: int32 (h, w), 0 is sound. areas: int64 (regions,), in pixels."""
+
+    labels: NDArray[np.int32]
+    areas: NDArray[np.int64]
+
+
+def label_regions(mask: NDArray[np.bool_]) -> Regions:
+    """The 8-connected regions of one mask; diagonal neighbours are connected, so a thin scratch is one region."""
+    count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8, ltype=cv2.CV_32S)
+    areas = np.bincount(labels.ravel(), minlength=count)[1:]
+    return Regions(labels.astype(np.int32, copy=False), areas.astype(np.int64))
+
+
+def check_pairs(maps: Maps, masks: Masks) -> None:
+    """Refuse pairs that cannot be measured. Errors: ValueError naming the image, what was found and expected."""
+    if len(maps) != len(masks):
+        raise ValueError(f"each score map needs a mask, found {len(maps)} maps and {len(masks)} masks")
+    for index, (score_map, mask) in enumerate(zip(maps, masks, strict=True)):
+        if score_map.ndim != 2 or score_map.shape != mask.shape:
+            raise ValueError(
+                f"image {index}: map {score_map.shape} and mask {mask.shape} must be equal (h, w)"
+            )
+        if mask.dtype != np.bool_:
+            raise ValueError(f"image {index}: the mask must be bool, found {mask.dtype}")
+        if not np.isfinite(score_map).all():
+            raise ValueError(f"image {index}: the score map holds NaN or infinity, which has no rank")
 
 
 def aupro(maps: Maps, masks: Masks, limit: float = AUPRO_LIMIT) -> float | None:
@@ -30,43 +77,46 @@ def aupro(maps: Maps, masks: Masks, limit: float = AUPRO_LIMIT) -> float | None:
         raise ValueError(f"the integration limit is in (0, 1], found {limit}")
     check_pairs(maps, masks)
     sound = np.concatenate([m[~k] for m, k in zip(maps, masks, strict=True)]) if len(maps) else np.empty(0)
-    scores, overlaps, regions = _region_pixels(maps, masks)
-    if not regions or not sound.size:
+    scores, overlaps, _, regions = find_defect_pixels(maps, masks)
+    if not scores.size or not sound.size:
         return None
     # The smallest count of false positives beyond the limit: the curve needs that point to interpolate.
     beyond = min(int(limit * sound.size) + 1, sound.size)
     lowest = np.partition(sound, sound.size - beyond)[sound.size - beyond]
-    return _area(sound[sound >= lowest], sound.size, scores, overlaps, lowest, regions, limit)
+    return _area(sound[sound >= lowest], sound.size, scores, overlaps, lowest, regions.sum(), limit)
 
 
-def _region_pixels(maps: Maps, masks: Masks) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Scores of all defect pixels, the overlap 1/|region| of each, and how many regions there are."""
-    scores: list[NDArray[np.float64]] = []
+def find_defect_pixels(
+    maps: Maps, masks: Masks
+) -> tuple[NDArray[np.floating[Any]], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Scores of all defect pixels, the overlap 1/|region| and the image of each; the regions of each image."""
+    scores: list[NDArray[np.floating[Any]]] = []
     overlaps: list[NDArray[np.float64]] = []
-    count = 0
-    for score_map, mask in zip(maps, masks, strict=True):
+    regions = np.zeros(len(maps))
+    images = np.repeat(np.arange(len(maps)), np.array([mask.sum() for mask in masks], np.int64))
+    for index, (score_map, mask) in enumerate(zip(maps, masks, strict=True)):
         if mask.any():
-            regions = label_regions(mask)
-            scores.append(score_map[mask].astype(np.float64))
-            overlaps.append(1.0 / regions.areas[regions.labels[mask] - 1])
-            count += regions.areas.size
-    if not count:
-        return np.empty(0), np.empty(0), 0
-    return np.concatenate(scores), np.concatenate(overlaps), count
+            labelled = label_regions(mask)
+            scores.append(score_map[mask])
+            overlaps.append(1.0 / labelled.areas[labelled.labels[mask] - 1])
+            regions[index] = labelled.areas.size
+    if not scores:
+        return np.empty(0), np.empty(0), images, regions
+    return np.concatenate(scores), np.concatenate(overlaps), images, regions
 
 
 def _area(
     top: NDArray[np.floating[Any]],
     sound_pixels: int,
-    scores: NDArray[np.float64],
+    scores: NDArray[np.floating[Any]],
     overlaps: NDArray[np.float64],
     lowest: float,
-    regions: int,
+    regions: float,
     limit: float,
 ) -> float:
     """The normalised area of the curve made of the sound scores `top` and the defect scores at or above `lowest`."""
     kept = scores >= lowest
-    joined = np.concatenate([top.astype(np.float64), scores[kept]])
+    joined = np.concatenate([top, scores[kept]]).astype(np.float64)
     order = np.argsort(joined)[::-1]
     false_positive = (order < top.size).astype(np.int64)
     overlap = np.concatenate([np.zeros(top.size), overlaps[kept]])[order]
@@ -76,10 +126,10 @@ def _area(
     pro = np.minimum(np.cumsum(overlap)[last_of_tie] / regions, 1.0)
     x = np.concatenate([[0.0], fpr, [1.0]])
     y = np.concatenate([[0.0], pro, [1.0]])
-    return trapezoid_to_limit(x, y, limit) / limit
+    return _integrate_to_limit(x, y, limit) / limit
 
 
-def trapezoid_to_limit(x: NDArray[np.float64], y: NDArray[np.float64], limit: float) -> float:
+def _integrate_to_limit(x: NDArray[np.float64], y: NDArray[np.float64], limit: float) -> float:
     """The area under the points (x rising) from 0 to `limit`, the last piece interpolated linearly."""
     inside = int(np.searchsorted(x, limit, side="right"))
     area = float(np.sum((x[1:inside] - x[: inside - 1]) * (y[1:inside] + y[: inside - 1])) / 2)

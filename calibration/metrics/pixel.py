@@ -6,18 +6,18 @@ taken once per block of thresholds; a replicate is then a product with its weigh
 bounded by the block, not by the number of thresholds or replicates.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.aupro import AUPRO_LIMIT
-from calibration.metrics.regions import Maps, Masks, check_pairs, label_regions
+from calibration.metrics.aupro import AUPRO_LIMIT, Maps, Masks, check_pairs, find_defect_pixels
 
-__all__ = ["PixelMeasures", "pixel_measures"]
+__all__ = ["PixelMeasures", "PooledMeasures", "pixel_measures", "pool_measures"]
 
-# Elements of one (thresholds, replicates) block: 32 MB of float64 each.
+# Elements of one (thresholds, weightings) block: 32 MB of float64 each.
 _BLOCK_ELEMENTS = 1 << 22
 
 Float = NDArray[np.float64]
@@ -33,32 +33,17 @@ class PixelMeasures:
 
 
 @dataclass(frozen=True)
-class _Defects:
-    """Defect pixels by falling score. step: index of the distinct score each belongs to."""
+class PooledMeasures:
+    """Measures of all images together; None where undefined: no defect pixel, or no sound one."""
 
-    thresholds: NDArray[np.floating[Any]]
-    step: NDArray[np.int64]
-    image: NDArray[np.int64]
-    overlap: Float
-
-
-@dataclass
-class _Sums:
-    """State between blocks of thresholds; each is (weightings,)."""
-
-    ranks: Float
-    precision: Float
-    area: Float
-    found: Float = field(init=False)
-    overlap: Float = field(init=False)
-    rate: Float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.found, self.overlap, self.rate = (np.zeros_like(self.ranks) for _ in range(3))
+    auroc: float | None
+    average_precision: float | None
+    aupro: tuple[float | None, ...]
+    """One for each limit."""
 
 
 def pixel_measures(maps: Maps, masks: Masks, weights: Float, limit: float = AUPRO_LIMIT) -> PixelMeasures:
-    """The pixel measures for each row of `weights`, float64 (weightings, images), multiplicities of the images.
+    """Measure the pixels for each row of `weights`, float64 (weightings, images), multiplicities of the images.
 
     A row of ones gives exactly what `auroc`, `average_precision` and `aupro` give for all pixels.
     Errors: ValueError for maps and masks that do not pair, or weights of another shape.
@@ -66,84 +51,145 @@ def pixel_measures(maps: Maps, masks: Masks, weights: Float, limit: float = AUPR
     check_pairs(maps, masks)
     if weights.ndim != 2 or weights.shape[1] != len(maps):
         raise ValueError(f"weights are (weightings, {len(maps)}), found {weights.shape}")
-    by_image = np.ascontiguousarray(weights.T)
-    defects, regions = _defects(maps, masks)
     sound = [np.sort(m[~k]) for m, k in zip(maps, masks, strict=True)]
-    totals = _Totals(
-        sound=np.array([s.size for s in sound], np.float64) @ by_image,
-        found=np.bincount(defects.image, minlength=len(maps)).astype(np.float64) @ by_image,
-        regions=regions @ by_image,
+    auroc, precision, areas = _integrate(*_sort_defects(maps, masks), sound, weights, (limit,))
+    return PixelMeasures(auroc, precision, areas[0])
+
+
+def pool_measures(maps: Maps, masks: Masks, limits: Sequence[float]) -> PooledMeasures:
+    """Measure all images as one, from one sort. limits: false-positive rates up to which AU-PRO is integrated.
+
+    Errors: ValueError as `aupro`.
+    """
+    if not all(0 < limit <= 1 for limit in limits):
+        raise ValueError(f"an integration limit is in (0, 1], found {tuple(limits)}")
+    check_pairs(maps, masks)
+    sound = np.sort(np.concatenate([m[~k] for m, k in zip(maps, masks, strict=True)] or [np.empty(0)]))
+    defects, regions = _sort_defects(maps, masks)
+    defects = _Defects(defects.thresholds, defects.step, np.zeros_like(defects.image), defects.overlap)
+    found = _integrate(defects, regions.sum(keepdims=True), [sound], np.ones((1, 1)), limits)
+    auroc, precision, *areas = (
+        float(value[0]) if np.isfinite(value[0]) else None for value in (*found[:2], *found[2])
     )
-    sums = _Sums(*(np.zeros(weights.shape[0]) for _ in range(3)))
-    rows = max(1, _BLOCK_ELEMENTS // weights.shape[0])
-    for start in range(0, defects.thresholds.size, rows):
-        _add_block(sums, _block(defects, sound, by_image, slice(start, start + rows)), totals, limit)
-    return _finish(sums, totals, limit)
+    return PooledMeasures(auroc, precision, tuple(areas))
 
 
 @dataclass(frozen=True)
-class _Totals:
-    """Weighted counts of the set, each (weightings,); zero where a weighting has none."""
+class _Defects:
+    """All defect pixels by falling score."""
 
-    sound: Float
-    found: Float
-    regions: Float
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Weighted counts at a run of falling thresholds, each (thresholds, weightings)."""
-
-    above: Float
-    at_or_above: Float
-    found: Float
+    thresholds: NDArray[np.floating[Any]]
+    """Their distinct scores, falling."""
+    step: NDArray[np.int64]
+    """The index of the distinct score of each pixel."""
+    image: NDArray[np.int64]
     overlap: Float
+    """1/|region| of each pixel."""
 
 
-def _defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
-    """All defect pixels sorted by falling score, and the regions per image, float64 (images,)."""
-    scores, image, overlap = [], [], []
-    regions = np.zeros(len(maps))
-    for index, (score_map, mask) in enumerate(zip(maps, masks, strict=True)):
-        if not mask.any():
-            continue
-        labelled = label_regions(mask)
-        regions[index] = labelled.areas.size
-        scores.append(score_map[mask])
-        overlap.append(1.0 / labelled.areas[labelled.labels[mask] - 1])
-        image.append(np.full(scores[-1].size, index, np.int64))
-    if not scores:
-        return _Defects(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)), regions
-    joined = np.concatenate(scores)
-    order = np.argsort(joined)[::-1]
-    falling = joined[order]
-    first_of_tie = np.append(True, falling[1:] != falling[:-1])
-    return _Defects(
-        thresholds=falling[first_of_tie],
-        step=np.cumsum(first_of_tie) - 1,
-        image=np.concatenate(image)[order],
-        overlap=np.concatenate(overlap)[order],
-    ), regions
+def _sort_defects(maps: Maps, masks: Masks) -> tuple[_Defects, Float]:
+    """The defect pixels by falling score, and the regions of each image, float64 (images,)."""
+    scores, overlap, image, regions = find_defect_pixels(maps, masks)
+    order = np.argsort(scores)[::-1]
+    falling = scores[order]
+    first_of_tie = np.append(True, falling[1:] != falling[:-1])[: falling.size]
+    return _Defects(falling[first_of_tie], np.cumsum(first_of_tie) - 1, image[order], overlap[order]), regions
 
 
-def _block(defects: _Defects, sound: list[NDArray[Any]], by_image: Float, run: slice) -> _Block:
-    """Count one run of thresholds for every image, then weigh."""
-    thresholds = defects.thresholds[run]
-    rising = thresholds[::-1]
-    above = np.stack([s.size - np.searchsorted(s, rising, side="right") for s in sound], axis=1)[::-1]
-    at_or_above = np.stack([s.size - np.searchsorted(s, rising, side="left") for s in sound], axis=1)[::-1]
-    first, last = np.searchsorted(defects.step, [run.start, run.start + thresholds.size])
-    here = (defects.step[first:last] - run.start) * len(by_image) + defects.image[first:last]
-    return _Block(
-        above=above.astype(np.float64) @ by_image,
-        at_or_above=at_or_above.astype(np.float64) @ by_image,
-        found=_weighed(here, np.ones(last - first), thresholds.size, by_image),
-        overlap=_weighed(here, defects.overlap[first:last], thresholds.size, by_image),
+@dataclass
+class _Curves:
+    """The integrals up to a threshold, and the weighted totals of the set; (weightings,) each."""
+
+    limits: Float
+    """(limits, 1)."""
+    sound: Float
+    found_in_all: Float
+    regions: Float
+    area: Float
+    """(limits, weightings)."""
+    ranks: Float = field(init=False)
+    precision: Float = field(init=False)
+    found: Float = field(init=False)
+    overlap: Float = field(init=False)
+    rate: Float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.ranks, self.precision, self.found, self.overlap, self.rate = np.zeros((5, *self.sound.shape))
+
+    def add(self, above: Float, at_or_above: Float, found: Float, overlap: Float) -> None:
+        """Carry the integrals over a run of falling thresholds; weighted counts, (thresholds, weightings) each."""
+        self.ranks += np.sum(found * (self.sound - 0.5 * (above + at_or_above)), axis=0)
+        so_far = self.found + np.cumsum(found, axis=0)
+        self.precision += np.sum(found * (so_far / np.maximum(so_far + at_or_above, 1.0)), axis=0)
+        self.found = so_far[-1]
+        if (self.rate < self.limits).any():
+            self._add_overlap(above, at_or_above, overlap)
+
+    def _add_overlap(self, above: Float, at_or_above: Float, overlap: Float) -> None:
+        """Integrate the overlap: level between two defect scores, straight across a score that both sides share."""
+        reached = self.overlap + np.cumsum(overlap, axis=0)
+        before = np.concatenate([self.overlap[None], reached[:-1]])
+        sound = np.maximum(self.sound, 1.0)
+        enter, leave = above / sound, at_or_above / sound
+        previous = np.concatenate([self.rate[None], leave[:-1]])
+        for area, limit in zip(self.area, self.limits[:, 0], strict=True):
+            level = before * (np.minimum(enter, limit) - np.minimum(previous, limit))
+            width = np.minimum(leave, limit) - np.minimum(enter, limit)
+            share = width / np.where(leave > enter, leave - enter, 1.0)
+            area += np.sum(level + width * (before + 0.5 * share * (reached - before)), axis=0)
+        self.overlap, self.rate = reached[-1], leave[-1]
+
+    def close(self) -> tuple[Float, Float, Float]:
+        """Close the curves at (1, 1) and normalise: AUROC, average precision, AU-PRO (limits, weightings)."""
+        is_defined = (self.found_in_all > 0) & (self.sound > 0)
+        area = self.area + self.overlap * (self.limits - np.minimum(self.rate, self.limits))
+
+        def divide(value: Float, by: Float) -> Float:
+            return np.where(is_defined, value / np.where(is_defined, by, 1.0), np.nan)
+
+        return (
+            divide(self.ranks, self.found_in_all * self.sound),
+            divide(self.precision, self.found_in_all),
+            divide(area, self.regions * self.limits),
+        )
+
+
+def _integrate(
+    defects: _Defects, regions: Float, sound: list[NDArray[Any]], weights: Float, limits: Sequence[float]
+) -> tuple[Float, Float, Float]:
+    """AUROC and average precision (weightings,) and AU-PRO (limits, weightings).
+
+    regions: of each image. sound: the sound pixels of each image, rising. weights: (weightings, images).
+    """
+    by_image = np.ascontiguousarray(weights.T)
+    count, weightings = by_image.shape
+    curves = _Curves(
+        limits=np.asarray(limits, np.float64)[:, None],
+        sound=np.array([s.size for s in sound], np.float64) @ by_image,
+        found_in_all=np.bincount(defects.image, minlength=count).astype(np.float64) @ by_image,
+        regions=regions @ by_image,
+        area=np.zeros((len(limits), weightings)),
     )
+    rows = max(1, _BLOCK_ELEMENTS // weightings)
+    for start in range(0, defects.thresholds.size, rows):
+        falling = defects.thresholds[start : start + rows]
+        above, at_or_above = (
+            np.stack([s.size - np.searchsorted(s, falling[::-1], side) for s in sound], axis=1)[::-1]
+            for side in ("right", "left")
+        )
+        first, last = np.searchsorted(defects.step, [start, start + falling.size])
+        here = (defects.step[first:last] - start) * count + defects.image[first:last]
+        curves.add(
+            above.astype(np.float64) @ by_image,
+            at_or_above.astype(np.float64) @ by_image,
+            _weigh(here, np.ones(last - first), falling.size, by_image),
+            _weigh(here, defects.overlap[first:last], falling.size, by_image),
+        )
+    return curves.close()
 
 
-def _weighed(places: NDArray[np.int64], values: Float, thresholds: int, by_image: Float) -> Float:
-    """Values at (threshold, image), summed per threshold with the images' weights: (thresholds, weightings).
+def _weigh(places: NDArray[np.int64], values: Float, thresholds: int, by_image: Float) -> Float:
+    """Sum values at (threshold, image) per threshold with the images' weights: (thresholds, weightings).
 
     places: threshold * images + image. Nearly every pair is empty, so the product is taken of those that are not.
     """
@@ -157,42 +203,3 @@ def _weighed(places: NDArray[np.int64], values: Float, thresholds: int, by_image
         products = summed[start : start + at_once, None] * by_image[image]
         weighed[row[first_of_row]] += np.add.reduceat(products, first_of_row, axis=0)
     return weighed
-
-
-def _add_block(sums: _Sums, block: _Block, totals: _Totals, limit: float) -> None:
-    """Carry the three integrals over one run of thresholds."""
-    sums.ranks += np.sum(block.found * (totals.sound - 0.5 * (block.above + block.at_or_above)), axis=0)
-    found = sums.found + np.cumsum(block.found, axis=0)
-    sums.precision += np.sum(block.found * (found / np.maximum(found + block.at_or_above, 1.0)), axis=0)
-    sums.found = found[-1]
-    if (sums.rate < limit).any():
-        _add_overlap(sums, block, totals, limit)
-
-
-def _add_overlap(sums: _Sums, block: _Block, totals: _Totals, limit: float) -> None:
-    """The overlap curve: level between two defect scores, a straight line across a score that both sides share."""
-    overlap = sums.overlap + np.cumsum(block.overlap, axis=0)
-    before = np.concatenate([sums.overlap[None], overlap[:-1]])
-    sound = np.maximum(totals.sound, 1.0)
-    enter, leave = block.above / sound, block.at_or_above / sound
-    previous = np.concatenate([sums.rate[None], leave[:-1]])
-    level = before * (np.minimum(enter, limit) - np.minimum(previous, limit))
-    width = np.minimum(leave, limit) - np.minimum(enter, limit)
-    share = width / np.where(leave > enter, leave - enter, 1.0)
-    sums.area += np.sum(level + width * (before + 0.5 * share * (overlap - before)), axis=0)
-    sums.overlap, sums.rate = overlap[-1], leave[-1]
-
-
-def _finish(sums: _Sums, totals: _Totals, limit: float) -> PixelMeasures:
-    """Close the curves at (1, 1) and normalise."""
-    is_defined = (totals.found > 0) & (totals.sound > 0)
-    area = sums.area + sums.overlap * (limit - np.minimum(sums.rate, limit))
-
-    def divided(value: Float, by: Float) -> Float:
-        return np.where(is_defined, value / np.where(is_defined, by, 1.0), np.nan)
-
-    return PixelMeasures(
-        auroc=divided(sums.ranks, totals.found * totals.sound),
-        average_precision=divided(sums.precision, totals.found),
-        aupro=divided(area, totals.regions * limit),
-    )

@@ -8,13 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
-from calibration.metrics.aupro import AUPRO_LIMIT
-from calibration.metrics.bootstrap import image_weights, interval, specimen_weights
+from calibration.metrics.aupro import AUPRO_LIMIT, Maps, Masks
 from calibration.metrics.pixel import pixel_measures
-from calibration.metrics.ranking import auroc
-from calibration.metrics.regions import Maps, Masks
 
-__all__ = ["REPLICATES", "Measure", "image_auroc_of", "limit_name", "measure"]
+__all__ = [
+    "CONFIDENCE",
+    "REPLICATES",
+    "Measure",
+    "auroc",
+    "average_precision",
+    "image_auroc_of",
+    "image_weights",
+    "interval",
+    "limit_name",
+    "measure",
+    "specimen_weights",
+]
 
 REPLICATES = 1000
 
@@ -55,7 +64,7 @@ def measure(
 ) -> tuple[Measure, ...]:
     """Image AUROC, pixel AUROC, AUPRC, AU-PRO to `limit` and AUPIMO of scored presses.
 
-    maps, masks: one (h, w) per press, as in `calibration.metrics.regions`. anomaly_scores: (presses,). specimens: the
+    maps, masks: one (h, w) per press, as in `calibration.metrics.aupro`. anomaly_scores: (presses,). specimens: the
     id of each press's part; None leaves that interval out. is_defective: from the masks unless given
     (a defect that left no imprint has an empty mask but a bad part). replicates 0 leaves both intervals out.
     Errors: ValueError for shapes that do not pair or non-finite scores.
@@ -120,3 +129,79 @@ def _measure(name: str, column: Float, replicates: int, reason: str) -> Measure:
         return Measure(name, None, reason=reason)
     images, parts = column[1 : 1 + replicates], column[1 + replicates :]
     return Measure(name, float(column[0]), interval(images), interval(parts) if parts.size else None)
+
+
+CONFIDENCE = 0.95
+
+
+def image_weights(is_defective: NDArray[np.bool_], replicates: int, rng: np.random.Generator) -> Float:
+    """Multiplicities float64 (replicates, images), each image its own unit."""
+    return specimen_weights([str(i) for i in range(is_defective.size)], is_defective, replicates, rng)
+
+
+def specimen_weights(
+    specimens: Sequence[str], is_defective: NDArray[np.bool_], replicates: int, rng: np.random.Generator
+) -> Float:
+    """Multiplicities float64 (replicates, images), all images of a specimen together.
+
+    A specimen with any defective image is drawn among the defective ones, its good images with it.
+    """
+    names, unit = np.unique(np.asarray(specimens), return_inverse=True)
+    if unit.size != is_defective.size:
+        raise ValueError(f"each image needs a specimen, found {unit.size} for {is_defective.size} images")
+    unit_is_defective = np.zeros(names.size, np.bool_)
+    np.logical_or.at(unit_is_defective, unit, is_defective)
+    weights = np.zeros((replicates, names.size))
+    for stratum in (np.flatnonzero(~unit_is_defective), np.flatnonzero(unit_is_defective)):
+        if stratum.size:
+            even = np.full(stratum.size, 1.0 / stratum.size)
+            weights[:, stratum] = rng.multinomial(stratum.size, even, size=replicates)
+    return weights[:, unit]
+
+
+def interval(values: Float, confidence: float = CONFIDENCE) -> tuple[float, float] | None:
+    """The percentile interval of the replicates that are defined; None when fewer than half are."""
+    defined = values[np.isfinite(values)]
+    if defined.size * 2 < values.size or not defined.size:
+        return None
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(defined, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> float | None:
+    """Area under the ROC curve, ties at half; None when one of the two classes is absent.
+
+    The share of pairs, one defective and one sound, in which the defective one scores higher. Errors: ValueError.
+    """
+    _check(scores, is_defective)
+    sound, defective = np.sort(scores[~is_defective]), scores[is_defective]
+    if not (sound.size and defective.size):
+        return None
+    lower = np.searchsorted(sound, defective, "left") + np.searchsorted(sound, defective, "right")
+    return float(lower.mean() / (2 * sound.size))
+
+
+def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> float | None:
+    """AUPRC as average precision: the step-wise sum, not the trapezoid, which overestimates coarse scores.
+
+    None when nothing is defective or nothing is sound. Its base rate is the defective share, so values from different
+    fields of view cannot be compared. Errors: ValueError.
+    """
+    _check(scores, is_defective)
+    if is_defective.all() or not is_defective.any():
+        return None
+    order = np.argsort(scores)[::-1]
+    falling = scores[order]
+    last_of_tie = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
+    found = np.cumsum(is_defective[order])[last_of_tie]
+    return float(np.sum(np.diff(found, prepend=0) * found / (last_of_tie + 1)) / found[-1])
+
+
+def _check(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> None:
+    if scores.shape != is_defective.shape:
+        raise ValueError(
+            f"each score has one label: found {scores.shape} scores and {is_defective.shape} labels"
+        )
+    if not np.isfinite(scores).all():
+        raise ValueError("a score is NaN or infinite and has no rank; leave that image out")

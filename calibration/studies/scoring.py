@@ -14,7 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from calibration.metrics import auroc
-from calibration.metrics.pooled import pool_measures
+from calibration.metrics.pixel import pool_measures
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Grid, Mode, Nominal
 from edge.core.errors import FitError, NotScorable

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.bootstrap import CONFIDENCE
+from calibration.metrics.summary import CONFIDENCE
 from calibration.tradeoff.timing import Samples
 
 __all__ = ["REPLICATES", "PressTimes", "press_times"]

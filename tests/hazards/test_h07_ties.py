@@ -9,7 +9,7 @@ finds row 0 repeatedly.
 import numpy as np
 from heads import fit, grid, presses_of, run_head
 
-from calibration.metrics.ranking import auroc
+from calibration.metrics.summary import auroc
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.inreach import inreach
