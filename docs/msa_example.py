@@ -8,14 +8,12 @@ from datetime import UTC
 from pathlib import Path
 from typing import Final
 
-from calibration.gauge_study.formats import plain_text
-from calibration.gauge_study.material import material
-from calibration.gauge_study.plan import Piece, StudyPlan, make_plan
-from calibration.gauge_study.report import report
+from calibration.gauge_study.plan import Piece, StudyPlan, make_plan, material
+from calibration.gauge_study.report import markdown, report
 from edge.store.study_presses import StudyPress
 
 PAGE: Final = Path(__file__).with_name("msa.md")
-BEGIN: Final = "<!-- Printed by `make docs` -->\n```text\n"
+BEGIN: Final = "<!-- Printed by `make docs` -->\n```markdown\n"
 END: Final = "```\n<!-- end -->"
 
 A: Final = (
@@ -80,7 +78,7 @@ def _score(operator: str, piece: str, repeat: int) -> float:
 
 def example() -> str:
     """The report as `gelgate lab msa report` prints it."""
-    return plain_text("Measurement systems analysis", report(material(example_plan(), example_rows()), UTC))
+    return markdown("Measurement systems analysis", report(material(example_plan(), example_rows()), UTC))
 
 
 def page() -> str:

@@ -75,8 +75,8 @@ def run(
     It takes the place of `gelgate run` meanwhile; the station's sensor may be a recording. Presses count on the gel,
     and are not published as results. r and Enter repeats the last press, s and Enter skips the next one. After Ctrl-C
     the same command goes on."""
+    from calibration.gauge_study.live import run_study
     from calibration.gauge_study.plan import read_plan
-    from calibration.gauge_study.run import run_study
     from edge.config import load_config
     from edge.core.errors import ConfigError
 
@@ -99,15 +99,14 @@ def report(
     config: ConfigOption = CONFIG,
     database: DatabaseOption = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Write this .txt, .md, .html or .csv file.")
+        Path | None, typer.Option("--output", "-o", help="Write this .md or .csv file.")
     ] = None,
 ) -> None:
     """Report a study from the rows of the database.
 
     Gauge R&R of the score, agreement of the verdicts, and drift. The gateway may run meanwhile."""
-    from calibration.gauge_study.formats import FORMATS, plain_text
-    from calibration.gauge_study.material import material
-    from calibration.gauge_study.plan import read_plan
+    from calibration.gauge_study.plan import material, read_plan
+    from calibration.gauge_study.report import FORMATS, markdown
     from calibration.gauge_study.report import report as report_of
     from edge.core.errors import ConfigError
 
@@ -115,7 +114,7 @@ def report(
         raise ConfigError(f"the ending of {output} names no format; known are {', '.join(FORMATS)}")
     text, rows = _stored(database_path(config, database), study)
     sections = report_of(material(read_plan(text, "in the database"), rows))
-    write = plain_text if output is None else FORMATS[output.suffix.lower()]
+    write = markdown if output is None else FORMATS[output.suffix.lower()]
     made = write("Measurement systems analysis", sections)
     if output is None:
         typer.echo(made, nl=False)

@@ -1,27 +1,27 @@
-"""The report of a gauge study: sections with sentences and tables, the same in every format."""
+"""The report of a gauge study: sections with sentences and tables, as Markdown or CSV."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import tzinfo
+from typing import Final
 
 import numpy as np
 
 from calibration.gauge_study.agreement import Agreement, Kappa, Share, agreement
-from calibration.gauge_study.average_range import by_average_and_range
-from calibration.gauge_study.drift import Drift, drift
-from calibration.gauge_study.gauge import POOLED_ABOVE, Gauge, gauge_by_anova
-from calibration.gauge_study.material import Material
+from calibration.gauge_study.gauge import (
+    POOLED_ABOVE,
+    Drift,
+    Gauge,
+    by_average_and_range,
+    drift,
+    gauge_by_anova,
+)
+from calibration.gauge_study.plan import Material
 from edge.clock import local_time
 
-__all__ = ["Section", "Table", "report"]
-
-
-@dataclass(frozen=True)
-class Table:
-    """head: names of the columns; rows: as many cells each, as printed."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+__all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,10 @@ class Section:
 
     title: str
     sentences: tuple[str, ...] = ()
-    table: Table | None = field(default=None)
+    head: tuple[str, ...] = ()
+    """The names of the columns; empty without a table."""
+    rows: tuple[tuple[str, ...], ...] = ()
+    """As many cells each, as printed."""
 
 
 def report(study: Material, zone: tzinfo | None = None) -> list[Section]:
@@ -54,7 +57,7 @@ def _about(study: Material, zone: tzinfo | None) -> Section:
         "planned": f"{len(plan.pieces)} pieces x {len(plan.operators)} operators x {plan.repeats} repeats",
         "analysed": f"{len(study.pieces)} x {len(study.operators)} x {study.repeats}",
     }
-    return Section("Study", tuple(_gaps(study)), Table(("fact", "value"), tuple(facts.items())))
+    return Section("Study", tuple(_gaps(study)), ("fact", "value"), tuple(facts.items()))
 
 
 def _gaps(study: Material) -> Iterator[str]:
@@ -107,7 +110,7 @@ def _components(found: Gauge) -> Section:
         f"{sure} interval",
         "% of variance",
     )
-    return Section("Gauge R&R of the score, analysis of variance", sentences, Table(head, rows))
+    return Section("Gauge R&R of the score, analysis of variance", sentences, head, rows)
 
 
 _NAMES = {
@@ -141,7 +144,7 @@ def _variance(found: Gauge) -> Section:
     interaction = next(row for row in found.rows if row.name == "interaction")
     word = "pooled with repeatability" if found.is_pooled else "kept"
     sentence = f"The interaction is {word}: its p is {interaction.p:.3f}, the limit is {POOLED_ABOVE:g}."
-    return Section("Table of variance", (sentence,), Table(("source", "SS", "df", "MS", "F", "p"), rows))
+    return Section("Table of variance", (sentence,), ("source", "SS", "df", "MS", "F", "p"), rows)
 
 
 def _by_ranges(study: Material) -> Section:
@@ -157,7 +160,7 @@ def _by_ranges(study: Material) -> Section:
         "This method has no interaction and no intervals; the analysis of variance is the one to decide by.",
     )
     head = ("component", "standard deviation", "% of TV")
-    return Section("Gauge R&R of the score, averages and ranges", sentences, Table(head, rows))
+    return Section("Gauge R&R of the score, averages and ranges", sentences, head, rows)
 
 
 def _attribute(study: Material) -> list[Section]:
@@ -183,7 +186,7 @@ def _operators(study: Material, found: Agreement, verdicts: str) -> Section:
     ]
     rows.append(("all operators", *_share(found.between), *_share(found.with_known), "", ""))
     sentences = [verdicts, _KNOWN if study.known is not None else _NOT_KNOWN]
-    return Section("Agreement of verdicts, by piece", tuple(sentences), Table(head, tuple(rows)))
+    return Section("Agreement of verdicts, by piece", tuple(sentences), head, tuple(rows))
 
 
 _KNOWN = (
@@ -214,7 +217,7 @@ def _kappas(study: Material, found: Agreement) -> Section:
             "kind."
         )
     head = ("between", "kappa", "standard error", "agreement", "by chance")
-    return Section("Kappa", tuple(sentences), Table(head, tuple(rows)))
+    return Section("Kappa", tuple(sentences), head, tuple(rows))
 
 
 def _kappa(found: Kappa) -> tuple[str, str, str, str]:
@@ -272,3 +275,33 @@ def _probability(p: float | None) -> str:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.5g}"
+
+
+def markdown(title: str, sections: Sequence[Section]) -> str:
+    """The report as Markdown with its columns in line, for a terminal as well."""
+    parts = [f"# {title}"]
+    for section in sections:
+        parts += ["", f"## {section.title}"]
+        parts += [text for sentence in section.sentences for text in ("", sentence)]
+        if section.head:
+            rows = [[cell.replace("|", "\\|") for cell in row] for row in (section.head, *section.rows)]
+            widths = [max(3, *map(len, column)) for column in zip(*rows, strict=True)]
+            rows.insert(1, ["-" * width for width in widths])
+            parts += ["", *("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)]
+    return "\n".join(parts) + "\n"
+
+
+def csv_tables(title: str, sections: Sequence[Section]) -> str:
+    """Every sentence and table, with the section's title in the first column."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["report", title])
+    for section in sections:
+        writer.writerows([section.title, sentence] for sentence in section.sentences)
+        if section.head:
+            writer.writerows([section.title, *row] for row in (section.head, *section.rows))
+    return out.getvalue()
+
+
+FORMATS: Final[Mapping[str, Callable[[str, Sequence[Section]], str]]] = {".md": markdown, ".csv": csv_tables}
+"""Ending of a file's name to its form."""

@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calibration.gauge_study.agreement import Share, cohen_kappa, fleiss_kappa
-from calibration.gauge_study.average_range import by_average_and_range, k_factor
-from calibration.gauge_study.gauge import gauge_by_anova
+from calibration.gauge_study.gauge import by_average_and_range, gauge_by_anova, k_factor
 
 A = (
     (0.29, -0.56, 1.34, 0.47, -0.80, 0.02, 0.59, -0.31, 2.26, -1.36),

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calibration.gauge_study.agreement import agreement, cohen_kappa, fleiss_kappa
-from calibration.gauge_study.average_range import by_average_and_range
-from calibration.gauge_study.drift import drift
-from calibration.gauge_study.gauge import gauge_by_anova
+from calibration.gauge_study.gauge import by_average_and_range, drift, gauge_by_anova
 
 
 def simulated(
