@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.acquisition.coverage import PlaceDistances
-from calibration.acquisition.folder import AcquisitionFolder, KeptPress
-from calibration.acquisition.pieces import Pieces
-from calibration.acquisition.presses import FreeGel, LeftOut, Press
+from calibration.acquisition.coverage import Goal, PlaceDistances, Standing
+from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Pieces
 from calibration.acquisition.report import coverage_png
-from calibration.acquisition.stopping import Goal, Standing
+from calibration.acquisition.sources import FreeGel, LeftOut, Press
 from calibration.dataset.files import read_rgb
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.nominal_presses import lit, named_presses, touched_union

@@ -1,6 +1,10 @@
 """`gelgate bundle acquire`: nominal presses one by one, until they are enough."""
 
+import math
+import shlex
+import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,12 +26,11 @@ from calibration.fitting.trunks import AUTO
 
 if TYPE_CHECKING:
     from calibration.acquisition.acquiring import Acquiring
-    from calibration.acquisition.fit_step import Plan
-    from calibration.acquisition.pieces import Keys
-    from calibration.acquisition.presses import FreeGel, LeftOut, Press
+    from calibration.acquisition.coverage import Standing
+    from calibration.acquisition.sources import FreeGel, LeftOut, Press
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["acquire"]
+__all__ = ["Plan", "acquire", "alpha", "fit_command", "fit_now"]
 
 # A limit on memory: 4 bytes for each pair of presses and each cell, 125 MB on the default region.
 MOST_PRESSES = 200
@@ -95,7 +98,6 @@ def acquire(
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
     same command continues.
     """
-    from calibration.acquisition.fit_step import Plan
     from calibration.fitting.command import chosen_profile, refuse_existing
 
     _check(sources, config, device, promise, confidence, per_piece, enter)
@@ -106,7 +108,7 @@ def acquire(
         sources, config, device, option, part, position, sensor, no_contact, resize, pattern
     )
     plan = Plan(part, position, sensor.name, region, method, backbone, resize)
-    acquiring = _acquiring(output, plan, sensor, per_piece, _keys(enter), (promise, confidence), threads)
+    acquiring = _acquiring(output, plan, sensor, per_piece, enter, (promise, confidence), threads)
     try:
         _run(acquiring, stream, limit, most, go_on)
     except KeyboardInterrupt:
@@ -151,8 +153,13 @@ def _stream(
     pattern: str | None,
 ) -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
-    from calibration.acquisition.live import frames_of, named_device, station_device
-    from calibration.acquisition.presses import from_frames, from_sources
+    from calibration.acquisition.sources import (
+        frames_of,
+        from_frames,
+        from_sources,
+        named_device,
+        station_device,
+    )
     from calibration.fitting.command import found_sources
     from calibration.fitting.recorded_presses import PressFinder
     from edge.clock import SystemClock
@@ -182,27 +189,18 @@ def _stream(
     return stream, part, position or "default", sensor.gel_limit
 
 
-def _keys(is_wanted: bool) -> "Keys | None":
-    import sys
-
-    from calibration.acquisition.pieces import Keys
-
-    return Keys(sys.stdin) if is_wanted else None
-
-
 def _acquiring(
     output: Path,
     plan: "Plan",
     profile: "SensorProfile",
     per_piece: int | None,
-    keys: "Keys | None",
+    enter: bool,
     goal: tuple[float, float],
     threads: int,
 ) -> "Acquiring":
     from calibration.acquisition.acquiring import Acquiring
-    from calibration.acquisition.folder import About, AcquisitionFolder
-    from calibration.acquisition.pieces import Pieces
-    from calibration.acquisition.stopping import Goal
+    from calibration.acquisition.coverage import Goal
+    from calibration.acquisition.folder import About, AcquisitionFolder, Keys, Pieces
     from calibration.fitting.trunks import open_trunk
     from edge import registry
     from edge.core.imaging.region import Region
@@ -216,7 +214,7 @@ def _acquiring(
     folder = AcquisitionFolder(output, About(plan.part, plan.position, plan.profile, str(region)))
     if folder.presses:
         typer.echo(f"{output} has {len(folder.presses)} presses already; they count")
-    pieces = Pieces(folder.presses, per_piece, keys)
+    pieces = Pieces(folder.presses, per_piece, Keys(sys.stdin) if enter else None)
     return Acquiring(
         folder, trunk, tap, profile, region, pieces, Goal(*goal), resize=plan.resize, threads=threads
     )
@@ -224,7 +222,7 @@ def _acquiring(
 
 def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: bool) -> None:
     """Take presses until they are enough, the source ends, or there are `most`."""
-    from calibration.acquisition.forecast import ROUND
+    from calibration.acquisition.coverage import ROUND
     from calibration.acquisition.report import forecast_lines, press_line, signals
 
     standing = acquiring.standing
@@ -250,7 +248,6 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
 
 def _finish(acquiring: "Acquiring", plan: "Plan", limit: int, fit: Path | None, threads: int) -> None:
     """The summary, the map, and the fit or its command. Errors: FitError where no press was taken."""
-    from calibration.acquisition.fit_step import fit_command, fit_now
     from calibration.acquisition.report import summary_lines
     from edge.core.errors import FitError
 
@@ -265,3 +262,59 @@ def _finish(acquiring: "Acquiring", plan: "Plan", limit: int, fit: Path | None, 
         typer.echo(f"fit them with:\n  {fit_command(acquiring.folder.root, plan, standing)}")
     else:
         fit_now(acquiring.folder.root, plan, standing, fit, threads)
+
+
+USUAL_ALPHA = 0.05
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was acquired and how it is seen, in the words of `fit`."""
+
+    part: str
+    position: str
+    profile: str
+    region: str
+    method: str
+    backbone: str
+    resize: bool
+
+
+def alpha(standing: "Standing") -> float:
+    """The rate to ask `fit` for, so that no nominal press lies above its threshold: the promise counts on that.
+
+    1 / (pieces + 1), rounded up, is the largest rate that puts the threshold at the highest score.
+    """
+    pieces = standing.presses if standing.pieces is None else standing.pieces
+    return min(USUAL_ALPHA, math.ceil(1e4 / (pieces + 1)) / 1e4)
+
+
+def fit_command(folder: Path, plan: Plan, standing: "Standing") -> str:
+    """The command line that fits the acquired presses."""
+    words = ["gelgate", "fit", str(folder / "presses"), "-o", f"{plan.part}.bundle"]
+    if any((folder / "free").iterdir()):
+        words += ["--no-contact", str(folder / "free")]
+    words += ["--part", plan.part, "--position", plan.position, "--profile", plan.profile]
+    words += ["--region", plan.region, "--method", plan.method, "--backbone", plan.backbone]
+    words += ["--alpha", f"{alpha(standing):g}"] + ["--resize"] * plan.resize
+    return shlex.join(words)
+
+
+def fit_now(folder: Path, plan: Plan, standing: "Standing", output: Path, threads: int) -> None:
+    """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
+    from calibration.fitting.command import fit
+
+    fit(
+        [folder / "presses"],
+        output,
+        part=plan.part,
+        position=plan.position,
+        method=plan.method,
+        backbone=plan.backbone,
+        profile=plan.profile,
+        region=plan.region,
+        alpha=alpha(standing),
+        no_contact=[folder / "free"] if any((folder / "free").iterdir()) else None,
+        resize=plan.resize,
+        threads=threads,
+    )

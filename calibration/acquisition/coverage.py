@@ -9,14 +9,30 @@ Near is what is closer than half of all pairs of presses (of different pieces) a
 pairs and touched cells. The rule has no unit and no setting: it comes from the presses themselves.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.threshold import pieces_of
+from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
 
-__all__ = ["LEAST", "MOST_CELLS", "Coverage", "PlaceDistances", "rarefied"]
+__all__ = [
+    "EARLIEST",
+    "FARTHEST",
+    "LEAST",
+    "MOST_CELLS",
+    "PAYS",
+    "ROUND",
+    "Coverage",
+    "Goal",
+    "PlaceDistances",
+    "Standing",
+    "fall",
+    "pays_until",
+    "rarefied",
+]
 
 LEAST = 4
 """With fewer pieces there is no coverage: with three each has two others, and half of all pairs are near."""
@@ -149,3 +165,111 @@ def _in_cells(touched: NDArray[np.bool_], places: tuple[int, ...]) -> NDArray[np
     found = np.zeros(places, np.bool_)
     found[rows * places[0] // touched.shape[0], cols * places[1] // touched.shape[1]] = True
     return found
+
+
+ROUND = 4
+"""Presses between two forecasts."""
+
+PAYS = 0.01
+"""More presses pay while a round of them is expected to lower the unseen share by more than this."""
+
+FARTHEST = 4
+"""No forecast reaches farther than this many times the presses seen."""
+
+
+def fall(curve: NDArray[np.float64], step: float = ROUND) -> float:
+    """By how much the next `step` pieces are expected to lower the unseen share.
+
+    curve: the unseen share after 1, 2, ... n pieces, see `Coverage.curve`; n is at least 4.
+    """
+    return float(_falls(curve, np.array([len(curve)], np.float64), step)[0])
+
+
+def pays_until(curve: NDArray[np.float64], step: float = ROUND) -> int:
+    """The number of pieces, those seen included, from which on `step` more lower the unseen share by PAYS at most.
+
+    At most FARTHEST times those seen. curve: as in `fall`.
+    """
+    n = len(curve)
+    ahead = np.arange(n, FARTHEST * n + 1, dtype=np.float64)
+    enough = _falls(curve, ahead, step) <= PAYS
+    return int(ahead[np.argmax(enough)]) if enough.any() else FARTHEST * n
+
+
+def _falls(curve: NDArray[np.float64], at: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """The fall over a step after `at` pieces, by a power law with the slope of the curve's second half."""
+    n, last = len(curve), float(curve[-1])
+    if last <= 0:
+        return np.zeros_like(at)
+    half = np.arange(max(2, n // 2), n + 1)
+    slope = np.polyfit(np.log(half), np.log(curve[half - 1]), 1)[0]
+    return np.asarray(last * ((at / n) ** slope - ((at + step) / n) ** slope), np.float64)
+
+
+EARLIEST = 8
+"""No coverage is trusted before this many presses: the curve's second half has five points then."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is wanted: at most this rate of false alarms by press, with this confidence."""
+
+    rate: float = 0.1
+    confidence: float = CONFIDENCE
+
+    @property
+    def presses(self) -> int:
+        """How many presses without an alarm promise it."""
+        return trials_needed(self.rate, 0, self.confidence)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where an acquisition is. pieces: None where it is not known which press is of which piece."""
+
+    presses: int
+    pieces: int | None
+    coverage: Coverage | None
+    goal: Goal = Goal()
+
+    def rate(self, trials: int) -> float:
+        """The false alarms that this number of presses, or pieces, without an alarm still allow."""
+        return upper_rate(0, trials, self.goal.confidence)
+
+    @property
+    def is_promised(self) -> bool:
+        return self.presses >= self.goal.presses
+
+    @property
+    def fall(self) -> float | None:
+        """By how much the next round is expected to lower the unseen share; None before EARLIEST presses."""
+        if self.coverage is None or self.presses < EARLIEST:
+            return None
+        return fall(self.coverage.curve, ROUND / self.coverage.presses_of_each)
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether more presses have stopped paying."""
+        return self.fall is not None and self.fall <= PAYS
+
+    @property
+    def is_enough(self) -> bool:
+        return self.is_promised and self.is_covered
+
+    @property
+    def covered_at(self) -> int | None:
+        """The forecast of the presses in all from which on more do not pay; None where the coverage is unknown."""
+        if self.coverage is None:
+            return None
+        if self.is_covered:
+            return self.presses
+        each = self.coverage.presses_of_each
+        pieces = pays_until(self.coverage.curve, ROUND / each)
+        return max(math.ceil(pieces * each), EARLIEST)
+
+    @property
+    def still_needed(self) -> int | None:
+        """The forecast of presses still needed, for the promise and the coverage; None while it is unknown."""
+        if self.covered_at is None:
+            return None
+        return max(self.goal.presses, self.covered_at, self.presses) - self.presses

@@ -4,9 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.acquisition.coverage import LEAST, Coverage
-from calibration.acquisition.forecast import PAYS, ROUND
-from calibration.acquisition.stopping import EARLIEST, Standing
+from calibration.acquisition.coverage import EARLIEST, LEAST, PAYS, ROUND, Coverage, Standing
 from edge.core.binomial import trials_needed
 from edge.pictures.heatmap import paint_scores
 from edge.pictures.png import encode

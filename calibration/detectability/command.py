@@ -49,9 +49,8 @@ def detectability(
     The result is the probability of detection: a90/95 in mm as a map, a table and a card. An interrupted run goes on
     where it ended.
     """
-    from calibration.detectability.card_file import write_card
     from calibration.detectability.figure import draw_map
-    from calibration.detectability.results import card, results, table
+    from calibration.detectability.results import card, results, table, write_card
     from calibration.detectability.study import Settings
     from calibration.evaluate.report import write_atomically
     from calibration.studies.rows import Rows

@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.detectability.places import Place, PlaceGrid
 from calibration.detectability.pod import Pod
 from calibration.detectability.results import KindResult
-from calibration.detectability.study import Plan
+from calibration.detectability.study import Place, PlaceGrid, Plan
 from calibration.simulator.field_of_view import grids
 
 __all__ = ["draw_map"]

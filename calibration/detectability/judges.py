@@ -1,17 +1,13 @@
-"""Who judges a press: the bundle itself where it has not learnt the press, else a bank fitted without it.
+"""One trial: the smallest size of damage, at one spot of one press, that the bundle's verdict finds."""
 
-A bank that knows the press that is edited compares damage with its own sound picture and finds more than it will on the
-line.
-"""
-
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.detectability.search import Judge
 from calibration.fitting.augmentation import Copies
 from calibration.fitting.features import extract
 from calibration.fitting.folds import held_out_folds
@@ -20,16 +16,88 @@ from calibration.fitting.nominal_presses import NominalPresses
 from calibration.fitting.registration import in_pose_of
 from calibration.map_limits.head_limit import limited_like
 from calibration.map_limits.head_relief import relieved_like
+from calibration.rendered_damage.damage import KINDS, Damage, Spot
+from calibration.rendered_damage.footprint import surroundings
+from calibration.rendered_damage.imprint import Station
 from edge import registry
 from edge.core.detector import Features, Nominal
-from edge.core.errors import DatasetError
+from edge.core.errors import DatasetError, PoseNotFound
+from edge.core.verdict import Kind as Result
 from edge.model.bundle import Bundle, Graphs, bundle_files
 from edge.model.detectability import JudgedBy
 from edge.model.limit_facts import copies_of_each
-from edge.model.scorer import Scorer
+from edge.model.manifest import Manifest
+from edge.model.scorer import Scored, Scorer
 from edge.model.session import TrunkSessions, open_session
 
-__all__ = ["MIN_PRESSES", "Panel", "panel"]
+__all__ = ["MIN_PRESSES", "Judge", "Panel", "Press", "panel", "sizes_mm", "smallest_found"]
+
+# The smallest size tried, as a share of the largest, and the number of sizes: each is 1.13 times the one before.
+_SMALLEST_SHARE, _SIZES = 1 / 50, 33
+
+
+def sizes_mm(kind: str) -> tuple[float, ...]:
+    """The sizes that are tried, rising by equal factors."""
+    largest = KINDS[kind].largest_mm
+    return tuple(round(float(a), 5) for a in np.geomspace(_SMALLEST_SHARE * largest, largest, _SIZES))
+
+
+def smallest_found(is_found: Callable[[float], bool], sizes: Sequence[float]) -> tuple[float, float]:
+    """The smallest size that is found, as (largest missed, smallest found], by halving.
+
+    (0, a] where the first is found already, (a, inf) where the last is missed. Larger damage is taken to be found if
+    smaller damage is: sizes between are not tried.
+    """
+    if not is_found(sizes[-1]):
+        return sizes[-1], math.inf
+    missed, found = -1, len(sizes) - 1
+    while found - missed > 1:
+        middle = (missed + found) // 2
+        missed, found = (missed, middle) if is_found(sizes[middle]) else (middle, found)
+    return (0.0 if missed < 0 else sizes[missed]), sizes[found]
+
+
+class Press(Protocol):
+    """One press that can be shown with damage, uint8 (h, w, 3) of the station's region."""
+
+    @property
+    def station(self) -> Station: ...
+
+    def damaged(self, damage: Damage) -> NDArray[np.uint8]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """The verdict on one press by a bank that has not learnt it. manifest: with the limit and its tolerance."""
+
+    scorer: Scorer
+    manifest: Manifest
+
+    def passes(self, rgb: NDArray[np.uint8]) -> bool:
+        """Whether the press passes as it is. Errors: NotScorable."""
+        return self._result(self.scorer.score(rgb)) is Result.PASS
+
+    def finds(self, press: Press, damage: Damage) -> bool:
+        """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable.
+
+        A press whose part is not recognised any more is rejected, which finds no damage.
+        """
+        try:
+            scored = self.scorer.score(press.damaged(damage))
+        except PoseNotFound:
+            return False
+        if self._result(scored) is not Result.FAIL:
+            return False
+        row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)
+        return bool(surroundings(damage, press.station.field)[row, column])
+
+    def bracket(self, press: Press, kind: str, spot: Spot) -> tuple[float, float]:
+        """The smallest size found at that spot, (missed, found] in mm. Errors: NotScorable."""
+        return smallest_found(lambda size: self.finds(press, Damage(kind, size, spot)), sizes_mm(kind))
+
+    def _result(self, scored: Scored) -> Result:
+        return self.manifest.decide(scored.anomaly_score).kind
+
 
 MIN_PRESSES = 4
 """Of presses to edit: with fewer no bound is known at a place."""

@@ -1,4 +1,4 @@
-"""The study: every kind of damage, at every place of the contact, on several presses, as one row for each trial."""
+"""The places of a contact: a grid over the inspected region, and spots in it where a press touches."""
 
 import hashlib
 import json
@@ -7,24 +7,137 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from calibration.detectability.free_gel import free_gel
-from calibration.detectability.judges import MIN_PRESSES, panel
-from calibration.detectability.places import Place, PlaceGrid, touched_places
-from calibration.detectability.search import Judge
+from calibration.detectability.judges import MIN_PRESSES, Judge, panel
 from calibration.fitting.colours import refuses
 from calibration.fitting.nominal_presses import NominalPresses
 from calibration.rendered_damage.damage import KINDS, Spot
 from calibration.rendered_damage.imprint import Station
 from calibration.rendered_damage.rendering import EditedPress
 from calibration.simulator.constants import CROP_MM
+from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.sensor_appearance import SENSORS, background
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable
+from edge.core.imaging.sensor_check import colour_cells, colour_distance
 from edge.model.bundle import Bundle
 from edge.model.detectability import JudgedBy
 
-__all__ = ["Plan", "Settings", "Trial", "plan", "run"]
+__all__ = ["Place", "PlaceGrid", "Plan", "Settings", "Trial", "free_gel", "plan", "run", "touched_places"]
+
+# A press touches a place where it touches this share of it; a place is of the contact where half of the presses do.
+_TOUCHED_SHARE = 0.1
+_PRESSES_SHARE = 0.5
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """One cell of the grid, by its row and column."""
+
+    row: int
+    column: int
+
+
+@dataclass(frozen=True)
+class PlaceGrid:
+    """Equal cells over a field, about `spacing_mm` wide. Errors: ValueError for a spacing that is not positive."""
+
+    field: Field
+    spacing_mm: float
+
+    def __post_init__(self) -> None:
+        if not self.spacing_mm > 0:
+            raise ValueError(f"the spacing of places is positive, found {self.spacing_mm} mm")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        across, down = (max(1, round(extent / self.spacing_mm)) for extent in self.field.extent_mm)
+        return down, across
+
+    def middle_mm(self, place: Place) -> tuple[float, float]:
+        """The middle of a place: x right and y down from the middle of the region."""
+        (rows, columns), (width, height) = self.shape, self.field.extent_mm
+        return ((place.column + 0.5) / columns - 0.5) * width, ((place.row + 0.5) / rows - 0.5) * height
+
+    def pixels(self, place: Place) -> tuple[slice, slice]:
+        """The rows and columns of pixels of a place."""
+        sides = zip((place.row, place.column), self.shape, self.field.shape, strict=True)
+        down, across = (slice(round(k * size / n), round((k + 1) * size / n)) for k, n, size in sides)
+        return down, across
+
+    def touched(self, contact: NDArray[np.bool_], place: Place) -> bool:
+        """Whether a press with this contact, bool (h, w), touches the place."""
+        return bool(contact[self.pixels(place)].mean() >= _TOUCHED_SHARE)
+
+    def spot(self, contact: NDArray[np.bool_], place: Place, rng: np.random.Generator) -> Spot | None:
+        """A spot in the place where the press touches, with any direction; None where it does not touch it."""
+        cell = self.pixels(place)
+        if not self.touched(contact, place):
+            return None
+        x, y = (axis[cell][contact[cell]] for axis in grids(self.field))
+        pick = rng.integers(len(x))
+        return Spot(float(x[pick]), float(y[pick]), float(rng.uniform(0, math.pi)))
+
+
+def touched_places(grid: PlaceGrid, contacts: Sequence[NDArray[np.bool_]]) -> tuple[Place, ...]:
+    """The places that at least half of the presses touch, row by row. contacts: bool (h, w) each."""
+    rows, columns = grid.shape
+    return tuple(
+        place
+        for place in (Place(row, column) for row in range(rows) for column in range(columns))
+        if np.mean([grid.touched(contact, place) for contact in contacts]) >= _PRESSES_SHARE
+    )
+
+
+_CELLS = (8, 8)
+# Presses of one unit lie within this share of the light of its free gel, those of other units at 3 % to 37 %
+# (docs/bundle.md); a unit nearer than this gives the same slopes within the accuracy of the response.
+_NEAR_UNIT = 0.1
+
+
+def free_gel(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str | None]:
+    """The free gel in the region, float32 (h, w, 3), and a warning where it is not of this station.
+
+    From the presses' own pictures of it, else the bundle's, else from the nearest known unit. Errors: DatasetError
+    where no unit is near.
+    """
+    if presses.no_contact is not None:
+        return np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32), None
+    if bundle.free_view is not None:
+        view = cv2.resize(
+            bundle.free_view.astype(np.float32), bundle.profile.size, interpolation=cv2.INTER_LINEAR
+        )
+        return np.ascontiguousarray(bundle.region.crop(np.asarray(view, np.float32))), None
+    return _of_nearest_unit(bundle, presses)
+
+
+def _of_nearest_unit(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str]:
+    whole = Field(bundle.profile.size, bundle.profile.mm_per_pixel)
+    units = {
+        name: np.ascontiguousarray(bundle.region.crop(background(unit, whole).transpose(1, 2, 0)))
+        for name, unit in SENSORS.items()
+    }
+    mean = presses.frames.mean(axis=0, dtype=np.float64)
+    away = {name: colour_distance(_cells(mean), _cells(unit)) for name, unit in units.items()}
+    nearest = min(away, key=away.__getitem__)
+    if away[nearest] > _NEAR_UNIT:
+        raise DatasetError(
+            f"neither the presses nor bundle {bundle.where} have a picture of the free gel, and the nearest unit whose "
+            f"light is known differs by {away[nearest]:.0%} of the light; give a picture of it with --no-contact"
+        )
+    return units[nearest], (
+        f"there is no picture of the free gel: the colours of the known unit '{nearest}' stand for it, which differ by "
+        f"{away[nearest]:.1%} of the light; give one with --no-contact for exact places of contact"
+    )
+
+
+def _cells(picture: NDArray[np.floating]) -> NDArray[np.float64]:
+    return colour_cells(np.clip(np.rint(picture), 0, 255).astype(np.uint8), _CELLS)
+
 
 FORMAT = 1
 """Of a row; rows of another format are done again."""

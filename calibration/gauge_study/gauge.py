@@ -235,8 +235,6 @@ def _whole(ndc: float) -> int:
     return max(1, int(min(ndc, 9999.0)))
 
 
-F64 = NDArray[np.float64]
-
 # The range of normal values beyond this many standard deviations adds less than 1e-15.
 _REACH: Final = 9.0
 _POINTS: Final = 601
@@ -304,9 +302,6 @@ def _range_of_normal(n: int) -> tuple[float, float]:
     inner = 1 - high**n - (1 - low) ** n + np.clip(high - low, 0, None) ** n
     square = 2 * float(np.triu(inner, 1).sum() + 0.5 * np.trace(inner)) * step**2
     return mean, math.sqrt(square - mean**2)
-
-
-F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,8 @@ def evaluate_new_gel(
     from dataclasses import asdict
 
     from calibration.evaluate.report import write_atomically
-    from calibration.gel_change.figures import table
     from calibration.gel_change.presses import gel_change
-    from calibration.gel_change.study import METHODS, Figures, measured
+    from calibration.gel_change.study import METHODS, Figures, measured, table
     from calibration.progress import progress
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion

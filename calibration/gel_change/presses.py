@@ -1,4 +1,8 @@
-"""Presses of one simulated part on two gels of one sensor."""
+"""Gels of one sensor: what a new pad changes, and what it leaves as it is.
+
+The lamps and the camera stay, so a gel is a variation of the sensor's appearance: its tint, the strength of its coat
+and its stiffness. Its grain, dust and scratches are its own and come from the renderer's `gel_id`.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -7,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.nominal_presses import NominalPresses, named_presses
-from calibration.gel_change.gels import another_gel, another_unit
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
+from calibration.simulator.gel import Gel
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import HeightField, Pose, sample
@@ -22,7 +26,59 @@ from calibration.simulator.streams import make_streams
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 
-__all__ = ["PROFILE", "REGION", "GelChange", "GelPresses", "Scored", "gel_change"]
+__all__ = [
+    "PROFILE",
+    "REGION",
+    "GelChange",
+    "GelPresses",
+    "Scored",
+    "another_gel",
+    "another_unit",
+    "gel_change",
+]
+
+# Between public frames of three units the free gel differs in colour and in how the colour runs over the gel. Part of
+# that is the lamps', which stay: a gel takes up to half of the difference to another unit (assumed).
+_MOST_OF_A_UNIT: Final = 0.5
+# The tint of a coat alone: sd of the logarithm of each colour's level (assumed; between units it is .03 to .13).
+_TINT_SD: Final = 0.04
+# How strongly a coat answers a slope: sd of the logarithm, common and of each colour (assumed). Two units differ up to
+# 1.7 times, lamps included; two sd of this are 1.35 times.
+_COAT_SD, _COAT_COLOUR_SD = 0.15, 0.05
+_MOST_COAT: Final = 0.3
+# The silicone is 4.25 +- 0.20 mm thick (the maker's datasheet), 5 %; its hardness varies as much again (assumed).
+_STIFFNESS_SD: Final = 0.1
+# The strongest answer of one unit in terms of another's, on public frames.
+_UNIT_RESPONSE: Final = 1.7
+
+
+def another_gel(sensor: SensorAppearance, rng: np.random.Generator) -> SensorAppearance:
+    """The sensor with another pad of its kind."""
+    other = SENSORS[str(rng.choice([name for name in sorted(SENSORS) if name != sensor.name]))]
+    share, tint = float(rng.uniform(0, _MOST_OF_A_UNIT)), rng.normal(0, _TINT_SD, 3)
+    free_gel = (1 - share) * sensor.free_gel + share * other.free_gel
+    free_gel[:, 0] += tint
+    coat = float(np.clip(rng.normal(0, _COAT_SD), -_MOST_COAT, _MOST_COAT))
+    strength = np.exp(coat + rng.normal(0, _COAT_COLOUR_SD, 3))
+    stiffness = np.exp(rng.normal(0, _STIFFNESS_SD, 2))
+    return replace(
+        sensor,
+        free_gel=free_gel,
+        slope_response=sensor.slope_response * strength[:, None],
+        gel=_softened(sensor.gel, stiffness),
+    )
+
+
+def another_unit(name: str) -> SensorAppearance:
+    """The hard limit: a unit with other lamps and the strongest other response that was seen."""
+    unit = SENSORS[name]
+    return replace(unit, slope_response=unit.slope_response * _UNIT_RESPONSE)
+
+
+def _softened(gel: Gel, by: np.typing.NDArray[np.float64]) -> Gel:
+    short_mm = gel.short_mm * float(by[0])
+    return replace(gel, short_mm=short_mm, long_mm=max(short_mm, gel.long_mm * float(by[1])))
+
 
 U8 = NDArray[np.uint8]
 

@@ -32,8 +32,7 @@ def evaluate_scars(
     from dataclasses import asdict
 
     from calibration.evaluate.report import write_atomically
-    from calibration.gel_scars.figures import table
-    from calibration.gel_scars.runs import Run, Station
+    from calibration.gel_scars.runs import Run, Station, table
     from calibration.gel_scars.worn_gel import PLACINGS
     from calibration.progress import progress
     from edge.core.errors import ConfigError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.acquisition.forecast import FARTHEST, PAYS, fall, pays_until
+from calibration.acquisition.coverage import FARTHEST, PAYS, fall, pays_until
 
 
 def hyperbola(n: int, share: float = 0.5) -> NDArray[np.float64]:

@@ -4,8 +4,7 @@ import io
 import threading
 from pathlib import Path
 
-from calibration.acquisition.folder import KeptPress
-from calibration.acquisition.pieces import Keys, Pieces
+from calibration.acquisition.folder import KeptPress, Keys, Pieces
 
 
 def test_names_of_the_source_are_numbered_as_they_come() -> None:

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.acquisition.coverage import Coverage
-from calibration.acquisition.fit_step import alpha
+from calibration.acquisition.command import alpha
+from calibration.acquisition.coverage import Coverage, Goal, Standing
 from calibration.acquisition.report import forecast_lines, promise_line, summary_lines
-from calibration.acquisition.stopping import Goal, Standing
 from calibration.fitting.threshold import conformal_threshold
 
 

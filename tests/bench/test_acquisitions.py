@@ -24,9 +24,7 @@ from acquisition_pools import SIZES, Pool, pool
 from acquisition_tables import tables, write_rows
 from numpy.typing import NDArray
 
-from calibration.acquisition.coverage import PlaceDistances
-from calibration.acquisition.forecast import ROUND
-from calibration.acquisition.stopping import Standing
+from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
 from calibration.fitting.covering import covering_bank
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner, held_out_scores

@@ -19,9 +19,9 @@ from damaged_part_presses import DamagedPartPresses, DamagedPress
 from numpy.typing import NDArray
 
 from calibration.benchmark.pictures import REGISTERED_BALLS
+from calibration.detectability.judges import Judge
 from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.results import results
-from calibration.detectability.search import Judge
 from calibration.detectability.study import Plan, Settings, plan, run
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.nominal_presses import NominalPresses, named_presses

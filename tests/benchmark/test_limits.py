@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.benchmark.evaluation import evaluate, random_trunk
-from calibration.benchmark.limits import fitted_limits, is_on_damage, limit_columns
+from calibration.benchmark.evaluation import (
+    evaluate,
+    fitted_limits,
+    is_on_damage,
+    limit_columns,
+    random_trunk,
+)
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import Trial
 from calibration.fitting.nominal_presses import NominalPresses

@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 
 from calibration.benchmark import command, real_touch
 from calibration.benchmark.pictures import BALLS
-from calibration.benchmark.real_touch import EDITS, real_touch_trial
+from calibration.benchmark.real_touch import EDITS, OBJECTS, real_touch_trial
 from calibration.benchmark.sets import SENSORS, SETS, evaluation_sets
 from calibration.benchmark.touch_edits import dots
-from calibration.benchmark.touch_presses import OBJECTS
 from calibration.benchmark.trial import REGION
 from edge.cli import build
 from edge.core.errors import DatasetError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.detectability.places import Place, PlaceGrid, touched_places
+from calibration.detectability.study import Place, PlaceGrid, touched_places
 from calibration.simulator.field_of_view import Field
 
 GRID = PlaceGrid(Field((96, 48), (0.05, 0.1)), 1.2)

@@ -7,7 +7,7 @@ import turned_parts as parts
 from numpy.typing import NDArray
 from registered_bundle import registered
 
-from calibration.detectability.search import Judge, Press
+from calibration.detectability.judges import Judge, Press
 from calibration.rendered_damage.damage import Damage
 from edge.core.registration.pose import Pose
 from edge.model.scorer import Scorer

@@ -9,7 +9,7 @@ import tiny
 from numpy.typing import NDArray
 from pressed_dome import REGION, Bench
 
-from calibration.detectability.search import Judge, sizes_mm, smallest_found
+from calibration.detectability.judges import Judge, sizes_mm, smallest_found
 from calibration.rendered_damage.damage import Damage, Spot
 from calibration.rendered_damage.imprint import Station
 from calibration.rendered_damage.rendering import EditedPress

@@ -3,8 +3,7 @@
 import pytest
 from command_line import gelgate
 
-from calibration.gel_change.figures import table
-from calibration.gel_change.study import AGAIN, BEFORE, WAYS, Figures
+from calibration.gel_change.study import AGAIN, BEFORE, WAYS, Figures, table
 
 
 def test_the_table_has_means_and_losses_against_pressing_again() -> None:

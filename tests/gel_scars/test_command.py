@@ -3,8 +3,7 @@
 import pytest
 from command_line import gelgate
 
-from calibration.gel_scars.figures import rate, table
-from calibration.gel_scars.runs import Alarm
+from calibration.gel_scars.runs import Alarm, rate, table
 
 
 def alarm(truth: str, cause: str, placing: str = "thread in a fixture") -> Alarm:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.gel_scars.scars import SCARS, Scar, random_scar
-from calibration.gel_scars.worn_gel import PLACINGS, Line
+from calibration.gel_scars.worn_gel import PLACINGS, SCARS, Line, Scar, random_scar
 from calibration.simulator.field_of_view import LR
 
 DENT = Scar("dent", (0.0, 0.0), 0.0, 0.8, 0.08, since=3, growth=5)

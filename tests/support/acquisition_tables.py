@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.acquisition.forecast import ROUND
-from calibration.acquisition.stopping import Goal
+from calibration.acquisition.coverage import ROUND, Goal
 
 __all__ = ["ROWS", "read_rows", "tables", "write_rows"]
 
