@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import cost_card, measured_tolerance
 from calibration.metrics.aupro import aupro
+from calibration.quantise import halved, layers, quantise_graph
 from edge.core.detector import Bank
 from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
@@ -22,7 +23,6 @@ from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import saturates
 from export.direction import paint_square
-from export.quantise import halved, layers, quantise_graph
 
 __all__ = [
     "LIMIT",

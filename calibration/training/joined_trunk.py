@@ -6,8 +6,7 @@ layer1 has the 64 channels of a tactile trunk's first residual block, then the 2
 layer3 are EfficientNet-Lite0's alone. Nothing is trained here. The same two files give the same bytes. The tactile
 part is that of the trunk that ships, which alone still holds it: it was learnt in 4,000 steps, before
 `tactile_resnet18` got its present weights (docs/backbone.md). The weights of EfficientNet-Lite0 are those of the extra
-`comparison`; both are under Apache-2.0 (docs/licences.md). With --tactile,
---blocks and --scale, other trunks are made to compare with: docs/backbone.md has a table of them.
+`comparison`; both are under Apache-2.0 (docs/licences.md).
 """
 
 import argparse
@@ -30,14 +29,11 @@ from plugins.onnx_builder import Graph, Value
 if TYPE_CHECKING:
     import onnx
 
-__all__ = ["BLOCKS", "TACTILE_SCALE", "build_tactile_lite0", "facts_of", "main"]
+__all__ = ["TACTILE_SCALE", "build_tactile_lite0", "main"]
 
 TACTILE_SCALE = 2.58
 """Of the tactile channels of layer1. On simulated presses their deviation, over all channels, is 5.8 and that of
 EfficientNet-Lite0's is 30; with this factor the latter count twice as much."""
-
-BLOCKS = 1
-"""Residual blocks of the tactile part; with both of its first stage, a cell sees more than twice as far."""
 
 _TACTILE_CHANNELS, _LITE0_CHANNELS = 64, 24
 _FORMAT = 1
@@ -45,17 +41,15 @@ _FORMAT = 1
 Conv = tuple["onnx.NodeProto", NDArray[np.floating], NDArray[np.float32]]
 
 
-def build_tactile_lite0(
-    tactile: bytes, lite0: State, blocks: int = BLOCKS, scale: float = TACTILE_SCALE
-) -> bytes:
+def build_tactile_lite0(tactile: bytes, lite0: State) -> bytes:
     """The serialised trunk: `frames` uint8 RGB (n, h, w, 3) to layer1, layer2 and layer3 at strides 4, 8 and 16.
 
-    tactile: a graph whose first convolutions are a tactile trunk's: `tactile_resnet18`, or a trunk made here. lite0:
-    weights of EfficientNet-Lite0. blocks: 0 to 2 residual blocks of the former. scale: of its channels.
+    tactile: a graph whose first convolutions are a tactile trunk's stem and first residual block. lite0: weights of
+    EfficientNet-Lite0.
     """
     graph = Graph(tactile_lite0.name)
-    felt = _first_blocks(graph, input_planes(graph, IMAGENET), list(_convolutions(tactile, 1 + 2 * blocks)))
-    felt = graph.op("Mul", felt, graph.scalar(scale))
+    felt = _first_block(graph, input_planes(graph, IMAGENET), list(_convolutions(tactile)))
+    felt = graph.op("Mul", felt, graph.scalar(TACTILE_SCALE))
     for tap, (value, channels) in lite0_taps(graph, lite0, "frames"):
         if tap == "layer1":
             value, channels = graph.op("Concat", felt, value, axis=1), _TACTILE_CHANNELS + channels
@@ -63,29 +57,27 @@ def build_tactile_lite0(
     return graph.serialise({"topology": tactile_lite0.name, "licence": "Apache-2.0"})
 
 
-def _convolutions(tactile: bytes, count: int) -> Iterator[Conv]:
-    """The first convolutions of a trunk in their order: node, weights as stored, bias."""
+def _convolutions(tactile: bytes) -> Iterator[Conv]:
+    """Yield the convolutions of stem and first block in their order: node, weights as stored, bias."""
     import onnx
     from onnx import numpy_helper
 
     model = onnx.load_from_string(tactile).graph
     stored = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.initializer}
     widened = {node.output[0]: node.input[0] for node in model.node if node.op_type == "Cast"}
-    found = [node for node in model.node if node.op_type == "Conv"][:count]
+    found = [node for node in model.node if node.op_type == "Conv"][:3]
     for node in found:
         weight, bias = node.input[1:]
         yield node, stored[widened.get(weight, weight)], stored[bias]
 
 
-def _first_blocks(graph: Graph, x: Value, convolutions: Sequence[Conv]) -> Value:
-    """ResNet's stem and first blocks; weights stay in the precision in which they are stored."""
-    stem, *rest = convolutions
+def _first_block(graph: Graph, x: Value, convolutions: Sequence[Conv]) -> Value:
+    """Append ResNet's stem and first block; weights stay in the precision in which they are stored."""
+    stem, first, second = convolutions
     x = graph.op("Relu", _conv(graph, x, stem))
     x = graph.op("MaxPool", x, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
-    for first, second in zip(rest[::2], rest[1::2], strict=True):
-        inner = graph.op("Relu", _conv(graph, x, first))
-        x = graph.op("Relu", graph.op("Add", _conv(graph, inner, second), x))
-    return x
+    inner = graph.op("Relu", _conv(graph, x, first))
+    return graph.op("Relu", graph.op("Add", _conv(graph, inner, second), x))
 
 
 def _conv(graph: Graph, x: Value, conv: Conv) -> Value:
@@ -97,58 +89,43 @@ def _conv(graph: Graph, x: Value, conv: Conv) -> Value:
     return graph.op("Conv", x, stored, graph.constant(bias), **settings)
 
 
-def _weights_sha256(tactile: bytes, blocks: int) -> str:
-    """Of the tactile weights as they are stored, in their order."""
+def main(words: Sequence[str] | None = None) -> int:
+    """Write the trunk and its facts into a folder; 0 when done, else the sentence and 3."""
+    parser = argparse.ArgumentParser(
+        prog="calibration.training.joined_trunk", description="Write tactile_lite0.onnx and its facts."
+    )
+    parser.add_argument("folder", type=Path, help="output folder")
+    folder = parser.parse_args(words).folder
+    try:
+        tactile = tactile_lite0.trunk()
+        graph = build_tactile_lite0(tactile, installed_weights())
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{tactile_lite0.name}.onnx").write_bytes(graph)
+        facts = json.dumps(_facts_of(graph, tactile), indent=2)
+        (folder / f"{tactile_lite0.name}.json").write_text(facts + "\n")
+    except (GelgateError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 3
+    return 0
+
+
+def _facts_of(graph: bytes, tactile: bytes) -> dict[str, Any]:
+    """What is stored with the trunk: its size and hash, and what it was made of."""
     digest = hashlib.sha256()
-    for _, weight, bias in _convolutions(tactile, 1 + 2 * blocks):
+    for _, weight, bias in _convolutions(tactile):
         digest.update(weight.tobytes())
         digest.update(bias.tobytes())
-    return digest.hexdigest()
-
-
-def facts_of(graph: bytes, tactile: bytes, blocks: int = BLOCKS) -> dict[str, Any]:
-    """What is stored with the trunk: its size and hash, and what it was made of."""
     return {
         "format": _FORMAT,
         "name": tactile_lite0.name,
         "bytes": len(graph),
         "sha256": hashlib.sha256(graph).hexdigest(),
         "channels": {"tactile": _TACTILE_CHANNELS, "efficientnet_lite0": _LITE0_CHANNELS},
-        "made_of": {"tactile": _weights_sha256(tactile, blocks), "efficientnet_lite0": SHA256},
+        "made_of": {"tactile": digest.hexdigest(), "efficientnet_lite0": SHA256},
         "licence": "Apache-2.0",
+        "blocks": 1,
+        "tactile_scale": TACTILE_SCALE,
     }
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """The command line; 0 when done, else the sentence and its exit code."""
-    parser = argparse.ArgumentParser(
-        prog="calibration.training.joined_trunk", description="Write tactile_lite0.onnx and its facts."
-    )
-    parser.add_argument("folder", type=Path, help="output folder")
-    parser.add_argument(
-        "--tactile",
-        type=Path,
-        help="a tactile trunk's .onnx file; default: the tactile part of the trunk that ships",
-    )
-    parser.add_argument(
-        "--blocks", type=int, choices=(0, 1, 2), default=BLOCKS, help="residual blocks of the tactile trunk"
-    )
-    parser.add_argument("--scale", type=float, default=TACTILE_SCALE, help="of the tactile channels")
-    given = parser.parse_args(words)
-    try:
-        tactile = given.tactile.read_bytes() if given.tactile else tactile_lite0.trunk()
-        graph = build_tactile_lite0(tactile, installed_weights(), given.blocks, given.scale)
-        facts = facts_of(graph, tactile, given.blocks) | {
-            "blocks": given.blocks,
-            "tactile_scale": given.scale,
-        }
-        given.folder.mkdir(parents=True, exist_ok=True)
-        (given.folder / f"{tactile_lite0.name}.onnx").write_bytes(graph)
-        (given.folder / f"{tactile_lite0.name}.json").write_text(json.dumps(facts, indent=2) + "\n")
-    except (GelgateError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 3
-    return 0
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from calibration.training.render import Spacing, slopes
-from calibration.training.train_config import STAGES, Distance, TrainConfig
+from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs
 
 __all__ = ["Losses", "cell_distances", "changed_cells", "losses", "pair_losses", "separation", "window_cells"]
@@ -49,12 +49,12 @@ def losses(maps: list[Tensor], heads: nn.ModuleDict, batch: Pairs, recipe: Train
     """The losses of one batch. maps: the trunk's output for `batch.frames`."""
     geometry = _geometry(batch)
     parts: list[Tensor] = []
-    for stage, features in zip(STAGES[: recipe.stages], maps, strict=True):
+    for stage, features in zip(STAGES, maps, strict=True):
         stride = batch.change_mm.shape[-1] // features.shape[-1]
         target = F.avg_pool2d(geometry, stride)
         wrong = F.smooth_l1_loss(heads[stage](features.float()), target)
         parts.append(torch.stack([wrong, *pair_losses(features, batch, recipe)]))
-    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0][: recipe.stages], device=parts[0].device)
+    weight = torch.tensor([recipe.finest_weight, 1.0, 1.0], device=parts[0].device)
     return Losses(*(weight @ torch.stack(parts) / weight.sum()))
 
 
@@ -62,7 +62,7 @@ def pair_losses(features: Tensor, batch: Pairs, recipe: TrainConfig) -> tuple[Te
     """pull, push and rank of one map, (2n, channels, rows, columns)."""
     stride = batch.change_mm.shape[-1] // features.shape[-1]
     reach = window_cells(recipe.window_mm, stride, batch.spacing)
-    distance = cell_distances(features, reach, recipe.distance)
+    distance = cell_distances(features, reach)
     changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
     return *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged)
 
@@ -80,18 +80,14 @@ def window_cells(window_mm: float, stride: int, spacing: Spacing) -> tuple[int, 
     return y, x
 
 
-def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0), kind: Distance = "euclidean") -> Tensor:
+def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0)) -> Tensor:
     """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
 
-    kind: `euclidean` compares features as they are, in units of their root mean square length over the batch, which is
-    what detectors do; `cosine` compares unit vectors, 0 to 2. reach: the search window in rows and columns to either
-    side of the cell, as in a detector; cells outside the map do not count.
+    Features are compared as they are, in units of their root mean square length over the batch. reach: the search
+    window in rows and columns to either side of the cell, as in a detector; cells outside the map do not count.
     """
     features = features.float()
-    if kind == "cosine":
-        features = F.normalize(features, dim=1)
-    else:
-        features = features / (features.square().sum(dim=1).mean() + 1e-12).sqrt()
+    features = features / (features.square().sum(dim=1).mean() + 1e-12).sqrt()
     first, second = features.permute(0, 2, 3, 1).chunk(2)
     down, across = reach
     rows, columns = second.shape[1:3]

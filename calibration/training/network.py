@@ -41,19 +41,15 @@ class ResidualBlock(nn.Module):  # type: ignore[misc]
 
 
 class TrunkNetwork(nn.Module):  # type: ignore[misc]
-    """Frames (n, 3, h, w), grey levels 0 to 255 RGB, to the maps of layer1, layer2 and layer3 (strides 4, 8, 16).
+    """Frames (n, 3, h, w), grey levels 0 to 255 RGB, to the maps of layer1, layer2 and layer3 (strides 4, 8, 16)."""
 
-    stages: how many of them, from layer1 on.
-    """
-
-    def __init__(self, stages: int = len(STAGES)) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.stages = STAGES[:stages]
         self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
         self.bn1 = nn.BatchNorm2d(64)
         self.maxpool = nn.MaxPool2d(3, 2, 1)
         inputs = 64
-        for stage, outputs in zip(self.stages, _CHANNELS, strict=False):
+        for stage, outputs in zip(STAGES, _CHANNELS, strict=True):
             stride = 1 if stage == "layer1" else 2
             setattr(
                 self,
@@ -69,20 +65,17 @@ class TrunkNetwork(nn.Module):  # type: ignore[misc]
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
-    def normalised(self, frames: Tensor) -> Tensor:
-        return frames * self._scale + self._shift
-
     def forward(self, frames: Tensor) -> list[Tensor]:
-        x = self.maxpool(torch.relu(self.bn1(self.conv1(self.normalised(frames)))))
+        x = self.maxpool(torch.relu(self.bn1(self.conv1(frames * self._scale + self._shift))))
         maps = []
-        for stage in self.stages:
+        for stage in STAGES:
             x = getattr(self, stage)(x)
             maps.append(x)
         return maps
 
 
-def heads(stages: int = len(STAGES)) -> nn.ModuleDict:
+def heads() -> nn.ModuleDict:
     """One 1x1 convolution per stage, from features to the geometry under each cell."""
     return nn.ModuleDict(
-        {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES[:stages], _CHANNELS, strict=False)}
+        {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES, _CHANNELS, strict=True)}
     )

@@ -1,12 +1,11 @@
 """From a trained checkpoint to the shipped files: the trunk stored as float16, the trunk in int8, and their facts.
 
-The int8 trunk is quantised per output channel (QDQ), with ranges from simulated frames that neither training nor
-evaluation draws. The difference of its features from the float trunk's is measured on other such frames and stored.
+The ranges of the int8 trunk are those of simulated frames that neither training nor evaluation draws. The difference of
+its features from the float trunk's is measured on other such frames and stored.
 """
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.quantise import quantise_graph
 from calibration.training.train_config import STAGES
-from edge.core.errors import ConfigError, GelgateError
+from edge.core.errors import GelgateError
 from edge.model.session import open_session
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import State
@@ -23,7 +23,7 @@ from plugins.backbones.topology import State
 if TYPE_CHECKING:
     from calibration.training.checkpoint import Tensors
 
-__all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package", "quantised"]
+__all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package"]
 
 NAME = "tactile_resnet18"
 # The largest size of one shipped variant.
@@ -37,22 +37,19 @@ _FORMAT = 1
 def package(run: Path, out: Path) -> dict[str, Any]:
     """Write `<name>.onnx` (float16 weights), `<name>_int8.onnx` and `<name>.json` into `out`; returns the facts.
 
-    Errors: ConfigError for a run without a complete checkpoint or without every stage, GelgateError for a variant that
-    is too large or a disk that refuses.
+    Errors: ConfigError for a run without a complete checkpoint, GelgateError for a variant that is too large or a disk
+    that refuses.
     """
     from calibration.training import checkpoint
 
     saved = checkpoint.load(run)
-    if saved.recipe.stages != len(STAGES):
-        raise ConfigError(
-            f"the run in '{run}' has learnt {saved.recipe.stages} of {len(STAGES)} stages; "
-            f"to package it, train with stages={len(STAGES)}"
-        )
     state = trunk_state(saved.weights)
     plain = build_trunk(state, "resnet18", STAGES)
     variants = {
         NAME: build_trunk(state, "resnet18", STAGES, weights="float16"),
-        f"{NAME}_int8": quantised(plain),
+        f"{NAME}_int8": quantise_graph(
+            plain, np.concatenate([*calibration_frames("calibrate", _CALIBRATION_BATCHES)])
+        ),
     }
     for name, graph in variants.items():
         if len(graph) > MOST_BYTES:
@@ -123,41 +120,6 @@ def calibration_frames(
             high_resolution=fine,
         )
         yield drawn.frames.permute(0, 2, 3, 1).contiguous().byte().numpy()
-
-
-def quantised(plain: bytes, batches: int = _CALIBRATION_BATCHES) -> bytes:
-    """The float32 trunk in int8: weights per output channel, activations per tensor, the same inputs and outputs."""
-    import onnx
-    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
-
-    class Frames(CalibrationDataReader):  # type: ignore[misc]
-        def __init__(self) -> None:
-            self._batches = calibration_frames("calibrate", batches)
-
-        def get_next(self) -> dict[str, NDArray[np.uint8]] | None:
-            frames = next(self._batches, None)
-            return None if frames is None else {"frames": frames}
-
-    model = onnx.load_from_string(plain)
-    for number, node in enumerate(model.graph.node):
-        node.name = node.name or f"{node.op_type}_{number}"
-    first = next(n for n, node in enumerate(model.graph.node) if node.op_type == "Conv")
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "plain.onnx", Path(folder) / "int8.onnx"
-        onnx.save(model, source)
-        quantize_static(
-            source,
-            target,
-            Frames(),
-            quant_format=QuantFormat.QDQ,
-            per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
-            op_types_to_quantize=["Conv", "Add", "Relu", "MaxPool"],
-            # The normalisation of the pixels stays as it is.
-            nodes_to_exclude=[node.name for node in model.graph.node[:first]],
-        )
-        return target.read_bytes()
 
 
 def feature_errors(graph: bytes, plain: bytes) -> dict[str, float]:

@@ -1,7 +1,7 @@
-"""Random sensors for a batch: colours of gels, light of presses, noise of cameras, dots of marker gels."""
+"""Random draws on a device: each batch depends only on the seed and the step."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import hashlib
+import math
 
 import torch
 from torch import Tensor
@@ -9,26 +9,55 @@ from torch import Tensor
 from calibration.simulator.constants import DOT_KEEPS, DOT_PITCH_MM, DOT_RADIUS_MM, DOT_SPREAD_MM
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.training import render
-from calibration.training.random_sampling import Draws
 from calibration.training.render import BatchAppearance, Spacing
 
-__all__ = ["TRAINING_UNITS", "DotLayout", "RandomSensors", "appearance", "gains", "under_dots"]
+__all__ = ["TRAINING_UNITS", "Draws", "appearance", "draws_for", "gains", "under_dots"]
+
+
+class Draws:
+    """Draws of float32 tensors from one generator."""
+
+    def __init__(self, seed: int, device: torch.device) -> None:
+        self.device = device
+        self._seed = seed
+        self._generator = torch.Generator(device=device).manual_seed(seed)
+
+    def apart(self, purpose: str) -> "Draws":
+        """Draws of another stream, equal for an equal seed; this stream goes on as if they were not made."""
+        return draws_for(self._seed, purpose, 0, self.device)
+
+    def uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(shape, generator=self._generator, device=self.device)
+
+    def log_uniform(self, low: float, high: float, *shape: int) -> Tensor:
+        return torch.exp(self.uniform(math.log(low), math.log(high), *shape))
+
+    def normal(self, sd: float, *shape: int) -> Tensor:
+        return sd * torch.randn(shape, generator=self._generator, device=self.device)
+
+    def chance(self, share: float, *shape: int) -> Tensor:
+        """1 with this probability, else 0."""
+        return (torch.rand(shape, generator=self._generator, device=self.device) < share).float()
+
+    def kind(self, shares: tuple[float, ...], *shape: int) -> Tensor:
+        """One index per element, int64, with these shares."""
+        edges = torch.tensor(shares, device=self.device).cumsum(0)
+        point = torch.rand(shape, generator=self._generator, device=self.device) * edges[-1]
+        return torch.searchsorted(edges, point, right=True).clamp(max=len(shares) - 1)
+
+    def pick(self, weights: Tensor) -> Tensor:
+        """One column per row, int64 (rows,), by weight; weights: (rows, columns), no row all zero."""
+        return torch.multinomial(weights, 1, generator=self._generator)[:, 0]
+
+
+def draws_for(seed: int, purpose: str, step: int, device: torch.device) -> Draws:
+    """The draws of one step of one purpose (`train`, `validate`, `calibrate`): streams never overlap."""
+    digest = hashlib.sha256(f"{purpose}/{seed}/{step}".encode()).digest()
+    return Draws(int.from_bytes(digest[:7], "big"), device)
+
 
 # Training mixes and varies these two measured sensors; `unit_c` is reserved for evaluation.
 TRAINING_UNITS = ("unit_a", "unit_b")
-
-
-@dataclass(frozen=True)
-class DotLayout:
-    """The dots of n tracking gels in mm. pitch, offset: (n, 2) along x and y. radius: (n,)."""
-
-    pitch: Tensor
-    offset: Tensor
-    radius: Tensor
-
-    def twice(self) -> "DotLayout":
-        """For two presses of each gel."""
-        return DotLayout(*(torch.cat([value, value]) for value in (self.pitch, self.offset, self.radius)))
 
 
 def appearance(draws: Draws, n: int, u: Tensor, v: Tensor) -> BatchAppearance:
@@ -59,45 +88,12 @@ def gains(draws: Draws, n: int) -> Tensor:
     return torch.exp(large * (draws.normal(0.015, n, 1) + draws.normal(0.008, n, 3)))
 
 
-def _white(draws: Draws, *shape: int) -> Tensor:
-    return draws.normal(1.0, *shape)
-
-
-def _maker_s_dots(draws: Draws, n: int) -> DotLayout:
-    return DotLayout(
-        torch.tensor([DOT_PITCH_MM] * n, device=draws.device),
-        torch.zeros(n, 2, device=draws.device),
-        torch.full((n,), DOT_RADIUS_MM, device=draws.device),
-    )
-
-
-@dataclass(frozen=True)
-class RandomSensors:
-    """How the sensors of a batch are drawn. A function that replaces one takes what it adds from `draws.apart`, so
-    that nothing else of the batch changes.
-
-    appearance: of n gels over the grid (u, v). gains: (n, 3), of n presses. noise: (n, 3, h, w), of unit variance.
-    dots: of n tracking gels.
-    """
-
-    appearance: Callable[[Draws, int, Tensor, Tensor], BatchAppearance] = appearance
-    gains: Callable[[Draws, int], Tensor] = gains
-    noise: Callable[..., Tensor] = _white
-    dots: Callable[[Draws, int], DotLayout] = _maker_s_dots
-
-
-def under_dots(
-    planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing, layout: DotLayout
-) -> Tensor:
-    """The planes under tracking gels' dots, which spread away from where the gel bulges; a layout for each plane."""
+def under_dots(planes: Tensor, surface: Tensor, x: Tensor, y: Tensor, spacing: Spacing) -> Tensor:
+    """Give the planes under a tracking gel's dots, which spread away from where the gel bulges."""
     sx, sy = render.slopes(render.blur(surface, (0.6 / spacing[0], 0.6 / spacing[1])), spacing)
-    (pitch_x, pitch_y), (offset_x, offset_y) = (
-        values.T[:, :, None, None] for values in (layout.pitch, layout.offset)
-    )
     # The simulator pushes along dz/dx; these slopes have the other sign.
-    u, v = x - offset_x - DOT_SPREAD_MM * sx, y - offset_y - DOT_SPREAD_MM * sy
-    u = u - pitch_x * (u / pitch_x).round()
-    v = v - pitch_y * (v / pitch_y).round()
-    apart = layout.radius[:, None, None] - torch.sqrt(u * u + v * v)
-    covered = (apart / max(spacing) + 0.5).clamp(0, 1)
+    u, v = x - DOT_SPREAD_MM * sx, y - DOT_SPREAD_MM * sy
+    u = u - DOT_PITCH_MM[0] * (u / DOT_PITCH_MM[0]).round()
+    v = v - DOT_PITCH_MM[1] * (v / DOT_PITCH_MM[1]).round()
+    covered = ((DOT_RADIUS_MM - torch.sqrt(u * u + v * v)) / max(spacing) + 0.5).clamp(0, 1)
     return planes * (1 - (1 - DOT_KEEPS) * covered[:, None])

@@ -9,18 +9,18 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils.data import DataLoader, Dataset
 
 from calibration.training import checkpoint as checkpoints
 from calibration.training.checkpoint import Checkpoint
-from calibration.training.loss_plot import draw_losses
 from calibration.training.losses import (
     Losses,
     cell_distances,
@@ -30,13 +30,11 @@ from calibration.training.losses import (
     window_cells,
 )
 from calibration.training.network import TrunkNetwork, heads
-from calibration.training.prefetch import draw_step, drawn_ahead
-from calibration.training.quantisation import rounded_maps
 from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["TrainingRun", "learning_rate", "train"]
+__all__ = ["TrainingRun", "draw_step", "learning_rate", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
@@ -81,8 +79,8 @@ class _Learner:
     def __init__(self, recipe: TrainConfig, device: torch.device) -> None:
         self.recipe, self.device = recipe, device
         torch.manual_seed(recipe.seed)
-        self.trunk = TrunkNetwork(recipe.stages).to(device)
-        self.heads = heads(recipe.stages).to(device)
+        self.trunk = TrunkNetwork().to(device)
+        self.heads = heads().to(device)
         self.trunk = self.trunk.to(memory_format=torch.channels_last)
         if device.type == "cuda":
             torch.backends.cudnn.benchmark = True
@@ -94,13 +92,9 @@ class _Learner:
         self.step = 0
         self.before: tuple[dict[str, Any], ...] = ()
 
-    def draw(self, step: int) -> Pairs:
-        return draw_step(self.recipe, step, self.device)
-
-    def learn(self, draw: Callable[[int], Pairs] | None = None) -> Losses:
-        """One step on the batch of its number. draw: step to batch; by default in this process."""
+    def learn(self, batch: Pairs) -> Losses:
+        """Take one step on its batch."""
         recipe = self.recipe
-        batch = (draw or self.draw)(self.step)
         self.model.train()
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(recipe, self.step)
@@ -114,8 +108,6 @@ class _Learner:
 
     def _maps(self, batch: Pairs) -> list[Tensor]:
         frames = batch.frames.contiguous(memory_format=torch.channels_last)
-        if self.recipe.precision == "int8":
-            return rounded_maps(self.trunk, frames)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.recipe.precision == "bfloat16"):
             maps: list[Tensor] = self.trunk(frames)
         return maps
@@ -123,8 +115,7 @@ class _Learner:
     def validate(self) -> dict[str, float]:
         """Per stage, the share of changed cells above 99 % of unchanged ones, on pairs that training never draws."""
         self.model.eval()
-        stages = STAGES[: self.recipe.stages]
-        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in stages}
+        found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
         with torch.no_grad():
             for number in range(_VALIDATION_BATCHES):
                 pairs = min(_VALIDATION_PAIRS, self.recipe.pairs)
@@ -137,11 +128,11 @@ class _Learner:
                     device=self.device,
                     high_resolution=0.0,
                 )
-                for stage, features in zip(stages, self._maps(batch), strict=True):
+                for stage, features in zip(STAGES, self._maps(batch), strict=True):
                     stride = self.recipe.side // features.shape[-1]
                     cells = changed_cells(batch.change_mm, stride, self.recipe)
                     reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
-                    distance = cell_distances(features, reach, self.recipe.distance)
+                    distance = cell_distances(features, reach)
                     found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
         joined = {s: [torch.cat(column) for column in zip(*rows, strict=True)] for s, rows in found.items()}
         return {f"recall_fpr01_{stage}": separation(*columns) for stage, columns in joined.items()}
@@ -185,15 +176,11 @@ def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _nothing(_: int) -> None:
-    """Shows nothing."""
-
-
 def train(
     recipe: TrainConfig,
     run: TrainingRun,
     say: Callable[[str], None] = _say,
-    advance: Callable[[int], None] = _nothing,
+    advance: Callable[[int], None] = lambda _: None,
 ) -> Path:
     """Train to the recipe's last step or to the run's time limit; the folder of the last checkpoint.
 
@@ -209,10 +196,10 @@ def train(
     say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
     is_ahead = run.is_drawn_ahead and device.type == "cpu"
-    source = drawn_ahead(recipe, learner.step) if is_ahead else nullcontext(learner.draw)
-    with _stop_asked() as is_stopped, source as draw:
-        while learner.step < recipe.steps:
-            found = learner.learn(draw)
+    batches = _draw_ahead(recipe, learner.step) if is_ahead else _draw(recipe, learner.step, device)
+    with _stop_asked() as is_stopped, closing(batches):
+        for batch in batches:
+            found = learner.learn(batch)
             advance(learner.step)
             is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
             is_last = learner.step == recipe.steps or is_late
@@ -232,6 +219,68 @@ def train(
             raise KeyboardInterrupt
     say(f"step {learner.step} of {recipe.steps}, checkpoint {at}")
     return at
+
+
+def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
+    """Draw the training batch of one step."""
+    drawn: Pairs = draw_pairs(
+        recipe.seed,
+        "train",
+        step,
+        pairs=recipe.pairs,
+        side=recipe.side,
+        device=device,
+        high_resolution=recipe.high_resolution,
+    )
+    return drawn
+
+
+def _draw(recipe: TrainConfig, first: int, device: torch.device) -> Generator[Pairs, None, None]:
+    for step in range(first, recipe.steps):
+        yield draw_step(recipe, step, device)
+
+
+class _Steps(Dataset):  # type: ignore[misc]
+    """The batches of the steps from `first` on, drawn on the CPU."""
+
+    def __init__(self, recipe: TrainConfig, first: int) -> None:
+        self.recipe, self.first = recipe, first
+
+    def __len__(self) -> int:
+        return self.recipe.steps - self.first
+
+    def __getitem__(self, number: int) -> Pairs:
+        return draw_step(self.recipe, self.first + number, torch.device("cpu"))
+
+
+def _draw_ahead(recipe: TrainConfig, first: int) -> Generator[Pairs, None, None]:
+    """Draw in a second process while the network learns from the previous batch; the bytes are the same.
+
+    Each process uses one thread: on shared cores, two threads of one process wait for each other by spinning, and a
+    step takes four times as long (measured on two cores). Errors: GelgateError when that process has died.
+    """
+    # A forked copy of torch's thread pool would hang; a worker uses one thread, and Ctrl-C ends the step first.
+    loader = DataLoader(
+        _Steps(recipe, first),
+        batch_size=None,
+        num_workers=1,
+        prefetch_factor=4,
+        multiprocessing_context="spawn",
+        worker_init_fn=_ignore_interrupts,
+        generator=torch.Generator(),
+    )
+    try:
+        yield from loader
+    except RuntimeError as error:
+        if "DataLoader worker" not in str(error):
+            raise
+        raise GelgateError(
+            f"the drawing process ended: {error}; resume, with --no-ahead if it happens again"
+        ) from error
+
+
+def _ignore_interrupts(worker: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
@@ -290,12 +339,25 @@ def _save(learner: _Learner, run: TrainingRun, log: list[dict[str, Any]]) -> Pat
     at = checkpoints.save(run.folder, learner.checkpoint())
     try:
         (run.folder / _LOG).write_text("".join(json.dumps(entry) + "\n" for entry in log))
-        (run.folder / "losses.png").write_bytes(draw_losses(log, _LOSS_NAMES))
+        _draw_losses(run.folder / "losses.png", log)
     except OSError as error:
         raise GelgateError(
             f"the log in '{run.folder}' cannot be written: {error.strerror}; '{at}' is complete"
         ) from error
     return at
+
+
+def _draw_losses(path: Path, log: list[dict[str, Any]]) -> None:
+    """Draw each loss over the steps, on a logarithmic scale."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4.2))
+    axes = figure.subplots()
+    for name in _LOSS_NAMES:
+        axes.plot([entry["step"] for entry in log], [entry[name] for entry in log], label=name)
+    axes.set(xlabel="step", yscale="log")
+    axes.legend()
+    figure.savefig(path)
 
 
 def _entry(learner: _Learner, found: Losses, steps_per_second: float) -> dict[str, Any]:

@@ -9,46 +9,25 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge.core.errors import ConfigError
-from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["EFFECTS", "STAGES", "Distance", "TrainConfig"]
+__all__ = ["STAGES", "TrainConfig"]
 
 STAGES = ("layer1", "layer2", "layer3")
-EFFECTS: Final = (
-    "pose_jitter",
-    "partial_contact",
-    "deformation",
-    "residual_imprint",
-    "dust",
-    "wear",
-    "shadows",
-    "specular",
-    "grain",
-    "markers",
-    "lens_blur",
-    "led_drift",
-    "noise",
-    "jpeg",
-)
-"""The simulator's effects that training draws. Illumination and the lens's falloff are part of a sensor's colours,
-which are always drawn; motion blur is not drawn (docs/backbone.md)."""
-
-# The behaviour of runs from before these settings existed.
-_BEFORE = {
-    "window_mm": 0.0,
-    "finest_weight": 1.0,
-    "distance": "cosine",
-    "start": "",
-    "effects": EFFECTS,
-    "stages": len(STAGES),
+# What every run does; earlier versions had settings for it, so that recipes of their runs name it.
+_ALWAYS = {
+    "distance": "euclidean",
+    "effects": [
+        *("pose_jitter", "partial_contact", "deformation", "residual_imprint", "dust", "wear", "shadows"),
+        *("specular", "grain", "markers", "lens_blur", "led_drift", "noise", "jpeg"),
+    ],
+    "stages": 3,
 }
-Distance = Literal["cosine", "euclidean"]
 
 
 class TrainConfig(BaseModel):
@@ -75,28 +54,11 @@ class TrainConfig(BaseModel):
         ge=0, description="half width of the window where a cell's partner is looked for; 0: its own place"
     )
     finest_weight: float = Field(gt=0, description="of layer1; each other stage has 1")
-    distance: Distance = Field(
-        description="between features as they are, or (cosine) between their directions"
-    )
     high_resolution: float = Field(
         ge=0, le=1, description="share of batches at the spacing of 1280x720 pictures"
     )
-    precision: Literal["float32", "bfloat16", "int8"] = Field(
-        description="of the forward pass; int8 rounds as the int8 variant does, in a run with a start"
-    )
+    precision: Literal["float32", "bfloat16"] = Field(description="of the forward pass")
     start: str = Field(description="SHA-256 of the weights that the run starts from; empty: random ones")
-    effects: tuple[str, ...] = Field(description="the simulator's effects that the presses have")
-    stages: int = Field(
-        ge=1, le=len(STAGES), description="of the network that are learnt, from layer1 on; 3 to package"
-    )
-
-    @field_validator("effects")
-    @classmethod
-    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name not in EFFECTS:
-                raise ValueError(f"training draws no effect named '{name}'; {suggestion(name, EFFECTS)}")
-        return tuple(name for name in EFFECTS if name in names)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -104,10 +66,6 @@ class TrainConfig(BaseModel):
             raise ValueError("the three loss weights are all 0, so nothing would be learnt; set one above 0")
         if self.unchanged_mm >= self.changed_mm:
             raise ValueError(f"unchanged_mm {self.unchanged_mm} is not below changed_mm {self.changed_mm}")
-        if self.precision == "int8" and not self.start:
-            raise ValueError(
-                "precision int8 keeps the statistics of the batch norms and needs a run to start from"
-            )
         return self
 
     @classmethod
@@ -143,7 +101,9 @@ class TrainConfig(BaseModel):
     @classmethod
     def from_json(cls, text: str) -> "TrainConfig":
         """Errors: ConfigError for a setting that this program does not know."""
-        return cls.shipped(**(_BEFORE | json.loads(text)))
+        settings = json.loads(text)
+        kept = {name: value for name, value in settings.items() if _ALWAYS.get(name, ...) != value}
+        return cls.of(kept)
 
     def differences(self, other: "TrainConfig") -> list[str]:
         """`name: ours, not theirs` for every setting that differs."""

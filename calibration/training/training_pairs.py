@@ -5,20 +5,17 @@ and grain are the same. `change_mm` is the difference of the imprint by the dama
 """
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from torch import Tensor
 
 from calibration.training import render
-from calibration.training.jpeg import compressed
-from calibration.training.random_defects import damaged
-from calibration.training.random_parts import Parts, draw_parts, draw_waves, turned, waves
-from calibration.training.random_sampling import Draws, draws_for
-from calibration.training.random_sensors import RandomSensors, under_dots
+from calibration.training.random_parts import Parts, damaged, draw_parts, draw_waves, turned, waves
+from calibration.training.random_sensors import Draws, appearance, draws_for, gains, under_dots
 from calibration.training.render import BatchAppearance, Spacing
-from calibration.training.train_config import EFFECTS
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
 
 __all__ = ["Pairs", "draw_pairs"]
@@ -29,7 +26,6 @@ _MARKER_SHARE = 0.2
 # Cameras compress; lossless recordings do not.
 _JPEG_SHARE = 0.7
 _JPEG_QUALITY = (75.0, 96.0)
-_SENSORS = RandomSensors()
 
 
 @dataclass(frozen=True)
@@ -56,6 +52,7 @@ class _Views:
     depth_mm: Tensor
 
 
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def draw_pairs(
     seed: int,
     purpose: str,
@@ -65,29 +62,8 @@ def draw_pairs(
     side: int,
     device: torch.device,
     high_resolution: float = 0.25,
-    effects: Collection[str] = EFFECTS,
-    sensors: RandomSensors = _SENSORS,
 ) -> Pairs:
-    """The batch of one step: a function of seed, purpose and step alone.
-
-    effects: those that the presses have. Every effect's numbers are drawn, so leaving one out changes no other.
-    sensors: how those of the batch are drawn.
-    """
-    with torch.no_grad():
-        return _drawn(seed, purpose, step, pairs, side, device, high_resolution, effects, sensors)
-
-
-def _drawn(
-    seed: int,
-    purpose: str,
-    step: int,
-    pairs: int,
-    side: int,
-    device: torch.device,
-    high_resolution: float,
-    effects: Collection[str],
-    sensors: RandomSensors,
-) -> Pairs:
+    """Draw the batch of one step: a function of seed, purpose and step alone."""
     host = draws_for(seed, f"{purpose}/host", step, torch.device("cpu"))
     spacing = _draw_spacing(host, high_resolution)
     centre = _draw_centre(host, side, spacing)
@@ -98,21 +74,18 @@ def _drawn(
     at_y = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[1]
     x, y = at_x[None, :].expand(side, side), at_y[:, None].expand(side, side)
 
-    views = _draw_views(draws, pairs, x, y, scale, effects)
+    views = _draw_views(draws, pairs, x, y, scale)
     height = _heights(draws, draw_parts(draws, pairs, view_mm), views)
     broken = damaged(draws, height[pairs:], views.depth_mm[pairs:], x, y, spacing, scale)
     obstacles = (
         torch.cat([height, broken]) + torch.cat([views.depth_mm, views.depth_mm[pairs:]])[:, None, None]
     )
-    stiffness, surfaces = float(host.uniform(0.8, 1.25)), obstacles.clamp(min=0)
-    if "deformation" in effects:
-        surfaces = render.deform(surfaces, spacing, stiffness)
+    surfaces = render.deform(obstacles.clamp(min=0), spacing, float(host.uniform(0.8, 1.25)))
     change = (surfaces[2 * pairs :] - surfaces[pairs : 2 * pairs]).abs()
     surface = torch.cat([surfaces[:pairs], surfaces[2 * pairs :]])
     lens_mm = float(host.uniform(0.02, 0.05))
     u, v = render.unit_grid(side, spacing, centre, device)
-    appearance = sensors.appearance(draws, pairs, u, v)
-    frames = _photograph(draws, surface, appearance, x, y, spacing, lens_mm, effects, sensors)
+    frames = _photograph(draws, surface, appearance(draws, pairs, u, v), x, y, spacing, lens_mm)
     return Pairs(frames, surface, change, spacing)
 
 
@@ -133,13 +106,12 @@ def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float
     return (float(host.uniform(-1, 1)) * free[0], float(host.uniform(-1, 1)) * free[1])
 
 
-def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float, effects: Collection[str]) -> _Views:
+def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float) -> _Views:
     """A command per part and a jitter per press; the size of the jitter differs from part to part."""
     shift_sd = draws.log_uniform(0.02, 0.2, n) * scale
     turn_sd = draws.log_uniform(0.15, 2.0, n) * (math.pi / 180)
     tilt_sd = draws.log_uniform(0.1, 0.6, n) * (math.pi / 180)
     lean = draws.chance(0.3, n) * draws.uniform(0, 2.0, n) * (math.pi / 180)
-    lean = lean * ("partial_contact" in effects)
     side = draws.uniform(0, 2 * math.pi, n)
     depth = draws.uniform(0.15, 0.7, n)
     depth_sd = draws.log_uniform(0.02, 0.08, n)
@@ -147,7 +119,7 @@ def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float, effect
     def twice(values: Tensor) -> Tensor:
         return torch.cat([values, values])
 
-    jitter = draws.normal(1.0, 6, 2 * n).clamp(-2.5, 2.5) * ("pose_jitter" in effects)
+    jitter = draws.normal(1.0, 6, 2 * n).clamp(-2.5, 2.5)
     dx, dy = jitter[0] * twice(shift_sd), jitter[1] * twice(shift_sd)
     part_x, part_y = turned(x - dx[:, None, None], y - dy[:, None, None], jitter[2] * twice(turn_sd))
     tilt_x = twice(lean * torch.cos(side)) + jitter[3] * twice(tilt_sd)
@@ -170,13 +142,11 @@ def _heights(draws: Draws, parts: Parts, views: _Views) -> Tensor:
 def _photograph(
     draws: Draws,
     surface: Tensor,
-    appearance: BatchAppearance,
+    sensors: BatchAppearance,
     x: Tensor,
     y: Tensor,
     spacing: Spacing,
     lens_mm: float,
-    effects: Collection[str],
-    sensors: RandomSensors,
 ) -> Tensor:
     """Frames of 2n imprints through n gels and cameras."""
     n = len(surface) // 2
@@ -184,55 +154,44 @@ def _photograph(
     def both(values: Tensor) -> Tensor:
         return torch.cat([values, values])
 
-    relief, light = _draw_coat(draws, n, x, y, spacing, effects)
+    relief, light = _draw_coat(draws, n, x, y, spacing)
     # One gel in four has the residual imprint of another press.
-    left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n) * ("residual_imprint" in effects)
+    left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
     seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
     nx, ny = render.normals(*render.slopes(seen, spacing))
     planes = render.shade(
-        nx,
-        ny,
-        BatchAppearance(both(appearance.free), both(appearance.per_normal), both(appearance.curvature)),
+        nx, ny, BatchAppearance(both(sensors.free), both(sensors.per_normal), both(sensors.curvature))
     )
     keeps, level = 1 - 0.4 * both(draws.uniform(0, 1, n)), both(draws.uniform(0, 26, n))
-    if "shadows" in effects:
-        planes = render.shadows(planes, seen, keeps, spacing)
-    if "specular" in effects:
-        planes = render.gloss(planes, nx, ny, level)
-    planes = planes * light[:, None]
-    count = round(_MARKER_SHARE * n) if "markers" in effects else 0
+    planes = render.gloss(render.shadows(planes, seen, keeps, spacing), nx, ny, level) * light[:, None]
+    count = round(_MARKER_SHARE * n)
+    dotted = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
     if count:
-        dots = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
-        planes[dots] = under_dots(
-            planes[dots], surface[dots], x, y, spacing, sensors.dots(draws, count).twice()
-        )
+        planes[dotted] = under_dots(planes[dotted], surface[dotted], x, y, spacing)
     white = both(draws.normal(1.0, n, *surface.shape[1:]))
-    flakes = both(draws.uniform(0, 3, n))
-    if "grain" in effects:
-        planes = render.grain(planes, surface, white, flakes, spacing)
-    if "lens_blur" in effects:
-        planes = render.lens(planes, lens_mm, spacing)
-    gain = sensors.gains(draws, 2 * n)
-    planes = planes.clamp(min=0)
-    if "led_drift" in effects:
-        planes = planes * gain[:, :, None, None]
-    noise, strength = sensors.noise(draws, *planes.shape), both(draws.log_uniform(0.5, 1.6, n))
-    if "noise" in effects:
-        planes = render.sensor_noise(planes, noise, strength)
-    frames = render.quantise(planes)
+    planes = render.grain(planes, surface, white, both(draws.uniform(0, 3, n)), spacing)
+    planes = render.lens(planes, lens_mm, spacing).clamp(min=0) * gains(draws, 2 * n)[:, :, None, None]
+    noise, strength = draws.normal(1.0, *planes.shape), both(draws.log_uniform(0.5, 1.6, n))
+    frames = render.quantise(render.sensor_noise(planes, noise, strength))
     sent, quality = both(draws.chance(_JPEG_SHARE, n)), both(draws.uniform(*_JPEG_QUALITY, n))
-    if "jpeg" not in effects:
-        return frames
-    return torch.where(sent[:, None, None, None] > 0, compressed(frames, quality), frames)
+    for k in sent.nonzero()[:, 0].tolist():
+        frames[k] = compress(frames[k], round(float(quality[k])))
+    return frames
+
+
+def compress(frame: Tensor, quality: int) -> Tensor:
+    """Give a frame (3, h, w) of whole grey levels as the camera's JPEG shows it. quality: 0 to 100."""
+    bgr = np.ascontiguousarray(frame.byte().cpu().numpy()[::-1].transpose(1, 2, 0))
+    sent = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    seen = np.asarray(cv2.imdecode(sent, cv2.IMREAD_COLOR))
+    return torch.from_numpy(seen[..., ::-1].transpose(2, 0, 1).copy()).to(frame)
 
 
 # Per region: grains of both presses, grains of the partner only, scratches and stains.
 _GRAINS, _NEW_GRAINS, _SCRATCHES, _STAINS = 8, 2, 2, 2
 
 
-def _draw_coat(
-    draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing, effects: Collection[str]
-) -> tuple[Tensor, Tensor]:
+def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing) -> tuple[Tensor, Tensor]:
     """Relief in mm and share of light, both (2n, h, w), of dust and wear; the same in both presses except for new
     grains."""
     half_x, half_y = spacing[0] * x.shape[1] / 2, spacing[1] * x.shape[0] / 2
@@ -243,14 +202,13 @@ def _draw_coat(
     def bumps(count: int, share: float) -> Tensor:
         px, py = place(count)
         radius, high = draws.log_uniform(0.025, 0.11, n, count), draws.uniform(0.005, 0.05, n, count)
-        high = high * draws.chance(share, n, count) * ("dust" in effects)
+        high = high * draws.chance(share, n, count)
         return _bells(px, py, radius, high, x, y)
 
     dust = bumps(_GRAINS, 0.5)
     relief = torch.cat([dust, dust + bumps(_NEW_GRAINS, 0.15)])
     px, py = place(_SCRATCHES)
-    is_worn = "wear" in effects
-    deep = is_worn * draws.chance(0.35, n, _SCRATCHES) * draws.uniform(0.002, 0.009, n, _SCRATCHES)
+    deep = draws.chance(0.35, n, _SCRATCHES) * draws.uniform(0.002, 0.009, n, _SCRATCHES)
     length, turn = draws.log_uniform(1.0, 5.0, n, _SCRATCHES), draws.uniform(0, math.pi, n, _SCRATCHES)
     furrows = torch.zeros_like(dust)
     for k in range(_SCRATCHES):
@@ -258,7 +216,7 @@ def _draw_coat(
         ends = ((length[:, k, None, None] / 2 - u.abs()) / 0.3).clamp(0, 1)
         furrows = furrows + deep[:, k, None, None] * ends * torch.exp(-(((v + 0.03 * u * u) / 0.05) ** 2))
     sx, sy = place(_STAINS)
-    lost = is_worn * draws.chance(0.3, n, _STAINS) * draws.uniform(0.01, 0.12, n, _STAINS)
+    lost = draws.chance(0.3, n, _STAINS) * draws.uniform(0.01, 0.12, n, _STAINS)
     stains = _bells(sx, sy, draws.uniform(0.4, 1.8, n, _STAINS), lost, x, y)
     return relief - torch.cat([furrows, furrows]), 1 - torch.cat([stains, stains])
 

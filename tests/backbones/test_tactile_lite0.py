@@ -13,12 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.fitting.trunks import open_trunk
-from calibration.training.joined_trunk import TACTILE_SCALE, build_tactile_lite0, facts_of, main
+from calibration.training.joined_trunk import TACTILE_SCALE, main
 from calibration.training.package import MOST_BYTES
 from edge import registry
 from edge.cli import build
 from edge.core.errors import ConfigError
-from plugins.backbones.efficientnet_lite0 import PACKAGE, efficientnet_lite0, installed_weights
+from plugins.backbones.efficientnet_lite0 import PACKAGE, efficientnet_lite0
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.backbones.tactile_lite0 import tactile_lite0
@@ -118,27 +118,6 @@ def test_it_is_made_again_from_its_parts(package: None, tmp_path: Path) -> None:
     assert main([str(tmp_path / "made")]) == 0
     assert json.loads((tmp_path / "made" / "tactile_lite0.json").read_text()) == FACTS
     assert (tmp_path / "made" / "tactile_lite0.onnx").read_bytes() == tactile_lite0.trunk()
-
-
-def test_other_blocks_and_scales_are_made_to_compare_with(package: None) -> None:
-    """Two blocks at scale 1 are the default's layer1, so a row of the page can be made again."""
-    trunk = build_tactile_lite0(tactile_resnet18.trunk(), installed_weights(), blocks=2, scale=1.0)
-    assert np.allclose(run(trunk)[0][:, :64], run(tactile_resnet18.trunk())[0], atol=1e-5)
-    assert facts_of(trunk, tactile_resnet18.trunk(), 2)["bytes"] == len(trunk)
-
-
-def test_another_tactile_trunk_is_a_file(package: None, tmp_path: Path) -> None:
-    """The first block of the default, as before; a trunk of it gives the same part again."""
-    (tmp_path / "default.onnx").write_bytes(tactile_resnet18.trunk())
-    assert main([str(tmp_path / "once"), "--tactile", str(tmp_path / "default.onnx"), "--scale", "4.72"]) == 0
-    made = tmp_path / "once" / "tactile_lite0"
-    assert made.with_suffix(".onnx").read_bytes() != tactile_lite0.trunk()
-
-    again = main([str(tmp_path / "twice"), "--tactile", str(made.with_suffix(".onnx")), "--scale", "4.72"])
-
-    assert again == 0
-    facts = [json.loads((tmp_path / name / "tactile_lite0.json").read_text()) for name in ("once", "twice")]
-    assert facts[0] == facts[1] != FACTS
 
 
 def test_a_detector_is_fitted_on_it(tmp_path: Path) -> None:

@@ -186,7 +186,7 @@ def test_development_parts_look_like_none_of_training() -> None:
     import torch
 
     from calibration.training.random_parts import draw_parts
-    from calibration.training.random_sampling import draws_for
+    from calibration.training.random_sensors import draws_for
 
     field = Field((48, 48), (0.3, 0.3))
     x, y = (torch.tensor(grid.tolist()).expand(64, 48, 48) for grid in grids(field))

@@ -10,13 +10,13 @@ import tiny
 from onnx import numpy_helper
 from typer.testing import CliRunner
 
+from calibration.quantise import halved, layers, quantise_graph
 from edge.cli import build
 from edge.core.errors import BundleMismatch, ConfigError, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
 from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
 from export.precision import Measured, Precisions, choose_precision, in_precision, measure_precisions
-from export.quantise import halved, layers, quantise_graph
 from plugins.onnx_builder import Graph
 
 RNG = np.random.default_rng(0)

@@ -34,6 +34,7 @@ MAY_IMPORT = {
         "calibration.fitting",
         "calibration.metrics",
         "calibration.progress",
+        "calibration.quantise",
         "calibration.threads",
     ),
 }

@@ -1,6 +1,7 @@
 """Packaging: graphs equal to the trained network, variants of limited size, and a model card made of facts."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 from trunk_state import state_arrays
 
+from calibration.quantise import quantise_graph
 from calibration.training import package as packaging
 from calibration.training.network import TrunkNetwork
 from calibration.training.train_config import STAGES
@@ -36,13 +38,13 @@ def test_the_graph_is_the_network(trunk: TrunkNetwork) -> None:
 def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
     """The int8 trunk takes the same frames and gives the same taps within a fifth, in a third of the bytes."""
 
-    def few(purpose: str, batches: int, pairs: int = 2) -> object:
+    def few(purpose: str, batches: int, pairs: int = 2) -> Iterator[np.ndarray]:
         rng = np.random.default_rng(batches)
         return iter([rng.integers(0, 256, (2, 64, 64, 3), dtype=np.uint8)])
 
     monkeypatch.setattr(packaging, "calibration_frames", few)
     plain = build_trunk(state_arrays(trunk), "resnet18", STAGES)
-    small = packaging.quantised(plain, batches=1)
+    small = quantise_graph(plain, next(few("calibrate", 1)))
     assert len(small) < len(plain) / 3
     assert len(small) < packaging.MOST_BYTES
     errors = packaging.feature_errors(small, plain)

@@ -14,10 +14,9 @@ from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.training import render
 from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
-from calibration.training.random_sampling import Draws, draws_for
-from calibration.training.random_sensors import TRAINING_UNITS, RandomSensors, under_dots
-from calibration.training.train_config import EFFECTS, Distance, TrainConfig
-from calibration.training.training_pairs import Pairs, draw_pairs
+from calibration.training.random_sensors import TRAINING_UNITS, draws_for, under_dots
+from calibration.training.train_config import TrainConfig
+from calibration.training.training_pairs import Pairs, compress, draw_pairs
 
 CPU = torch.device("cpu")
 SPACING = LR.mm_per_px
@@ -43,9 +42,8 @@ def test_the_dots_of_a_tracking_gel_are_where_the_simulator_has_them() -> None:
     flat = np.zeros((240, 320), np.float32)
     expected = gel_surface.markers(np.full((3, 240, 320), 100, np.float32), flat, LR)
 
-    layout = RandomSensors().dots(draws_for(0, "dots", 0, CPU), 1)
     planes = torch.full((1, 3, 240, 320), 100.0)
-    found = under_dots(planes, torch.from_numpy(flat)[None], x, y, SPACING, layout)
+    found = under_dots(planes, torch.from_numpy(flat)[None], x, y, SPACING)
 
     assert expected.min() < 30
     np.testing.assert_allclose(found[0].numpy(), expected, atol=0.1)
@@ -94,48 +92,6 @@ def test_light_agrees_with_the_simulator() -> None:
     assert np.abs(found[0].numpy() - glossy).max() < 1.0
 
 
-@pytest.fixture(scope="module")
-def complete() -> Pairs:
-    """A batch with every effect."""
-    return pairs(3, pairs=4)
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_that_is_left_out_changes_no_other(name: str, complete: Pairs) -> None:
-    """The frames differ; the imprints are the same bits, unless the effect is one of pose or gel."""
-    without = pairs(3, pairs=4, effects=[other for other in EFFECTS if other != name])
-    assert not torch.equal(complete.frames, without.frames)
-    is_shape = name in ("pose_jitter", "partial_contact", "deformation")
-    assert torch.equal(complete.surface_mm, without.surface_mm) != is_shape
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_that_is_left_out_shifts_no_stream(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The numbers of all effects are drawn: the next draw of every stream is the same with it and without."""
-    opened: list[Draws] = []
-
-    def opening(*words: object) -> Draws:
-        opened.append(draws_for(*words))  # type: ignore[arg-type]
-        return opened[-1]
-
-    monkeypatch.setattr("calibration.training.training_pairs.draws_for", opening)
-    pairs(0, pairs=2)
-    pairs(0, pairs=2, effects=[other for other in EFFECTS if other != name])
-    host, drawn, host_again, drawn_again = (float(stream.uniform(0, 1)) for stream in opened)
-    assert (host, drawn) == (host_again, drawn_again)
-
-
-def test_without_pose_jitter_both_presses_of_a_pair_are_in_one_pose(complete: Pairs) -> None:
-    """What is left is the damage and tool marks of some micrometres."""
-
-    def apart(batch: Pairs) -> float:
-        first, second = batch.surface_mm.chunk(2)
-        return float(((first - second).abs() - batch.change_mm).max())
-
-    assert apart(pairs(3, pairs=4, effects=[name for name in EFFECTS if name != "pose_jitter"])) < 0.02
-    assert apart(complete) > 0.05
-
-
 def test_a_batch_is_a_function_of_seed_purpose_and_step() -> None:
     """Equal words give equal bytes; another step or purpose gives other frames."""
     first = pairs(1)
@@ -155,6 +111,16 @@ def test_frames_are_whole_grey_levels_with_contact_and_damage() -> None:
     assert int(changed.sum()) >= 2
     assert (batch.change_mm >= 0).all()
     assert torch.isfinite(batch.frames).all()
+
+
+def test_a_frame_is_sent_as_jpeg() -> None:
+    """A grey frame stays; a drawn one changes by some levels, by more the lower the quality, and colours stay."""
+    grey = torch.full((3, 32, 32), 119.0)
+    assert torch.equal(compress(grey, 75), grey)
+    frame = pairs(3, pairs=1).frames[0]
+    fine, coarse = (compress(frame, quality) - frame for quality in (95, 60))
+    assert 0 < fine.abs().mean() < coarse.abs().mean() < 5
+    assert coarse.mean(dim=(1, 2)).abs().max() < 1
 
 
 def test_fine_spacings_are_drawn_when_requested() -> None:
@@ -179,15 +145,6 @@ def test_changed_and_unchanged_cells_never_meet() -> None:
     assert math.isnan(separation(distance, torch.zeros_like(changed), unchanged))
 
 
-def test_cosine_distances_are_of_unit_features() -> None:
-    """Opposite features are 2 apart whatever their lengths, equal directions 0."""
-    first = torch.ones(1, 4, 2, 2)
-    far = cell_distances(torch.cat([first, -3 * first]), kind="cosine")
-    near = cell_distances(torch.cat([first, 7 * first]), kind="cosine")
-    assert torch.allclose(far, torch.full_like(far, 2.0), atol=1e-3)
-    assert float(near.max()) < 2e-3
-
-
 def test_euclidean_distances_are_in_units_of_the_features_own_length() -> None:
     """Features 1 and 7 times a vector are 6 of 5 root mean squares apart, whatever the vector's length."""
     first = torch.ones(1, 4, 2, 2)
@@ -196,26 +153,23 @@ def test_euclidean_distances_are_in_units_of_the_features_own_length() -> None:
         assert torch.allclose(found, torch.full_like(found, 6 / 5), atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["cosine", "euclidean"])
-def test_a_shift_within_the_window_costs_nothing(kind: Distance) -> None:
+def test_a_shift_within_the_window_costs_nothing() -> None:
     """A cell moved by one column is found at distance 0 one column away, not beyond the window nor outside the map."""
     cells = torch.rand(2, 8, 6, 6, generator=torch.Generator().manual_seed(0))
     moved = torch.cat([cells, cells.roll(1, 3)])
-    assert float(cell_distances(moved, (0, 1), kind)[:, :, 1:].max()) < 2e-3
-    assert float(cell_distances(moved, (1, 0), kind).min()) > 0.1
+    assert float(cell_distances(moved, (0, 1))[:, :, 1:].max()) < 2e-3
+    assert float(cell_distances(moved, (1, 0)).min()) > 0.1
     # Values that left at the right came in at the left, where they have no neighbour within one column.
-    assert float(cell_distances(moved, (0, 1), kind)[:, :, 0].min()) > 0.1
+    assert float(cell_distances(moved, (0, 1))[:, :, 0].min()) > 0.1
 
 
-@pytest.mark.parametrize("kind", ["cosine", "euclidean"])
 @pytest.mark.parametrize("reach", [(0, 0), (1, 2), (3, 0)])
-def test_distances_agree_with_a_search_in_float64(reach: tuple[int, int], kind: Distance) -> None:
+def test_distances_agree_with_a_search_in_float64(reach: tuple[int, int]) -> None:
     """The distances equal those of a search over every place of the window."""
     features = torch.rand(4, 6, 5, 7, generator=torch.Generator().manual_seed(1))
-    found = cell_distances(features, reach, kind).numpy()
+    found = cell_distances(features, reach).numpy()
     wide = features.double().numpy()
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
-    first, second = np.split(wide / (length if kind == "cosine" else np.sqrt((length**2).mean())), 2)
+    first, second = np.split(wide / np.sqrt((wide**2).sum(axis=1).mean()), 2)
     for n, row, column in np.ndindex(*found.shape):
         rows = slice(max(0, row - reach[0]), row + reach[0] + 1)
         columns = slice(max(0, column - reach[1]), column + reach[1] + 1)
